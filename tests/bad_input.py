@@ -515,7 +515,7 @@ _COMMANDS = r"""
 65 | train m_group.csv --from height.npz -o new.npz | drop_height
 65 | train m_group.csv --from acceleration.npz -o new.npz | --from
 66 | train m_group.csv --from none.npz -o new.npz | none.npz
-65 | train reference --from model.npz -o new.npz | reference: with --from there must be one table of labelled impacts
+65 | train reference --from model.npz -o new.npz | reference: --from needs one table of labelled impacts
 65 | train m_group.csv --from model.npz --family linear -o new.npz | --from
 65 | train good.csv -o new.npz | good.csv
 65 | train loose -o new.npz | a.csv

@@ -89,7 +89,7 @@ _MODEL_FREE = ("-o", "new.npz")
 
 #: Name, arguments, exit code, and expected text of the line.
 RECORDING_CASES: tuple[tuple[str, tuple[str, ...], int, tuple[str, ...]], ...] = (
-    ("a single sample", ("predict", "sample.npy", *_SAID), 65, ("sample.npy", "its only sample is 3", "cable")),
+    ("a single sample", ("predict", "sample.npy", *_SAID), 65, ("sample.npy", "the only sample is 3", "cable")),
     ("channels of no length", ("predict", "nothing.npy", *_SAID), 65, ("nothing.npy", "(2, 0)")),
     ("clipped throughout", ("predict", "limits.npy", *_SAID), 65, ("clipped", "-500 and 500 m/s^2", "larger range")),
     (

@@ -95,7 +95,7 @@ def test_short_memory_is_one_line(
     monkeypatch.setattr("cgid.scene.load_scene", fail)
     assert run(["check", "reference"]) == 65
     (line,) = capsys.readouterr().err.splitlines()
-    assert line.startswith("cgid: error: memory ran short")
+    assert line.startswith("cgid: error: out of memory")
     assert "smaller input" in line and "--jobs" in line
 
 

@@ -16,7 +16,7 @@ from cgid.identification.families import softmax
 from cgid.identification.metrics import calibration_error_by_chance, evaluate_sets, reliability
 from cgid.identification.model import Model
 from cgid.identification.prediction_settings import PredictionSettings
-from cgid.identification.training import MIN_CALIBRATION_SPECIMENS, Training, hold_out, set_apart, train
+from cgid.identification.training import MIN_CALIBRATION_SPECIMENS, Training, calibration_mask, hold_out, train
 from cgid.scene import Scene, synthesise
 
 Trained = dict[str, Training]
@@ -105,7 +105,7 @@ def test_who_calibrates_neither_trains_nor_judges() -> None:
     specimen = np.random.default_rng(0).integers(0, 1000, 5000).astype(np.uint64)
     labels = np.where(specimen < 400, "coal", "gangue")
     test = hold_out(labels, specimen, 0.25, 3)
-    calibration = set_apart(labels, specimen, test, 0.1, 3)
+    calibration = calibration_mask(labels, specimen, test, 0.1, 3)
     parts = [set(specimen[rows].tolist()) for rows in (test, calibration, ~(test | calibration))]
     assert not (parts[0] & parts[1] or parts[0] & parts[2] or parts[1] & parts[2])
     counts = {label: len(np.unique(specimen[calibration & (labels == label)])) for label in ("coal", "gangue")}

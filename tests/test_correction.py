@@ -143,7 +143,7 @@ def test_labelled_impacts_correct_a_shipped_model(tmp_path: Path, capsys: Any) -
     arguments = ["train", str(tmp_path / "lumps.csv"), "--from", "default-acceleration", "-o", str(tmp_path / "s.npz")]
     assert run(arguments) == 0
     said = capsys.readouterr()
-    assert "on this site, each of 1" in said.out and "moved bias coal" in said.out
+    assert "on this beam, cross-validated over 1" in said.out and "moved bias coal" in said.out
     assert "would narrow the interval" in said.err and "cgid train" in said.err
     assert "Corrected for a site" in (tmp_path / "s.md").read_text()
     assert run([*arguments, "--json", "--overwrite"]) == 0

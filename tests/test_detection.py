@@ -419,7 +419,7 @@ def test_what_is_no_block_is_refused():
         with pytest.raises(BadData, match="must be finite and within"):
             detector.feed(np.array([[0.0, 1.0], [2.0, value]]))
     detector.finish()
-    with pytest.raises(InvalidValue, match="the recording is over"):
+    with pytest.raises(InvalidValue, match="the recording has ended"):
         detector.feed(np.zeros((2, 5)))
     assert detector.finish() == []
 

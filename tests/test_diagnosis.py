@@ -175,7 +175,7 @@ def test_causes_add_up_to_the_distance() -> None:
     random = np.random.default_rng(0)
     near = BEAM.neighbourhood
     rows = random.normal(0, 3, (20, len(BEAM.inputs)))
-    for row, foremost in zip(rows, near.foremost(rows), strict=True):
+    for row, foremost in zip(rows, near.most_distant(rows), strict=True):
         squares = [
             np.sum((near.whitening[k % len(near.whitening)] @ (row - c)) ** 2) for k, c in enumerate(near.centres)
         ]

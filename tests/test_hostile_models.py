@@ -181,7 +181,7 @@ def test_large_models_answer_in_parts_as_in_whole(monkeypatch):
 def test_numbers_that_grow_too_large_are_said_once(tmp_path):
     (tmp_path / "m.npz").write_bytes(EXTREME["numbers that grow too large"]())
     model = Model.load(tmp_path / "m.npz")
-    with pytest.raises(BadData, match="gives no probabilities"):
+    with pytest.raises(BadData, match="gives no finite probabilities"):
         model.probabilities(np.array([[1e9, 1e-9]]))
 
 

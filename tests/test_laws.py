@@ -172,7 +172,9 @@ def test_lambda_of_the_paper_s_plate():
 
     assert f"{float(inelasticity(0.025, 2.0, 1)):.3f}" == "0.131"
     assert f"{float(inelasticity(0.05, 2.0, 1)):.3f}" == "0.526"
-    with pytest.warns(ThinPlateWarning, match=r"lambda of the thin plate reaches 2\.\d+; Zener's theory holds to 1\.5"):
+    with pytest.warns(
+        ThinPlateWarning, match=r"lambda of the thin plate reaches 2\.\d+; Zener's theory is valid up to 1\.5"
+    ):
         heavy = inelasticity(0.05, 5.0, 3)
     assert f"{float(heavy):.1f}" == "2.1"
 

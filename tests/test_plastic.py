@@ -155,7 +155,7 @@ def test_yield_pressure_gives_the_wanted_restitution():
     )
     with pytest.raises(InvalidValue, match="restitution must be between"):
         yield_pressure(1.0, ELASTIC)
-    with pytest.raises(InvalidValue, match="target must be"):
+    with pytest.raises(InvalidValue, match="target must have no losses"):
         yield_pressure(0.5, coal(Elastic(), target=ThinPlate(material=STEEL, thickness=0.01)))
 
 

@@ -152,7 +152,7 @@ def test_windows_of_silence_are_unknown_and_have_no_vote() -> None:
 
 
 def test_a_model_of_two_channels_asks_for_two() -> None:
-    with pytest.raises(BadData, match="channels must be 2, which this model looks at together, got 3"):
+    with pytest.raises(BadData, match="channels must be 2, which this model uses together, got 3"):
         list(identify_blocks([noises()], 8000.0, window_model(2), ("1", "2", "3"), PredictionSettings()))
 
 
@@ -186,7 +186,7 @@ def test_sensors_are_made_up_for_and_their_drift_is_said(tmp_path: Path, capsys:
     wavfile.write(tmp_path / "n.wav", 8000, white[0].astype(np.float32))
     arguments = ["predict", str(tmp_path / "n.wav"), "--model", str(tmp_path / "m.npz"), "--json"]
     assert run(arguments) == 0
-    assert "give --sensor NAME if it is one of left, right" in capsys.readouterr().err
+    assert "give --sensor NAME if this is one of left, right" in capsys.readouterr().err
     assert run([*arguments, "--sensor", "right"]) == 0
     (said,) = of_kind(lines_of(capsys), "warning")
     assert "sensor right" in said["message"]
@@ -338,4 +338,4 @@ def test_model_of_windows_answers_windows(tmp_path: Path, capsys: pytest.Capture
     wavfile.write(tmp_path / "short.wav", 8000, noises(12).T[:500].astype(np.float32))
     arguments[1] = str(tmp_path / "short.wav")
     assert run(arguments) == 65
-    assert "must last a window of 0.1 s" in capsys.readouterr().err
+    assert "must contain a window of 0.1 s" in capsys.readouterr().err

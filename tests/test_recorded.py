@@ -269,7 +269,7 @@ def test_impacts_are_found_labelled_and_trained_on(
     assert run(["train", str(table), "-o", str(model), "--json"]) == 0
     out, err = capsys.readouterr()
     assert json.loads(out)["accuracy"] > 0.9
-    assert "cgid: trained on impacts, because 36 of 36 recordings or intervals hold a single impact" in err
+    assert "cgid: trained on impacts, because 36 of 36 recordings or intervals contain a single impact" in err
     assert "recordings" not in json.loads(out)
     # A folder is the recordings in it, and the table on the standard output is the same but for its paths.
     assert run(["events", str(folder), "-o", "-", *READ]) == 0
@@ -315,7 +315,7 @@ def test_recordings_say_whether_impacts_or_windows(gap: float, noise: float, by:
         and f"--by {'impact' if by == 'window' else 'window'}" in rows.notes[0]
     )
     forced = record(read_manifest(tmp_path / "m.csv"), slicing=Slicing(by="window"))
-    assert any("most windows tell nothing" in warning for warning in forced.warnings) == (by == "impact")
+    assert any("most windows contain no impact" in warning for warning in forced.warnings) == (by == "impact")
 
 
 def test_real_recordings_are_taken_for_what_they_are(real_data: Path) -> None:
@@ -491,7 +491,7 @@ def test_model_of_windows_survives_its_file(model: Model, recorded: Rows, tmp_pa
         ({"hop_time": 1e-9}, "hop_time must be between 0.01 of a window and 10 s"),
         ({"window_time": 1e9}, "window_time must be at most 10 s"),
         ({"n_channels": 2}, "must have shape"),
-        ({"sensors": ("a",)}, "reference.spectra must be there"),
+        ({"sensors": ("a",)}, "reference.spectra must be present"),
     ],
 )
 def test_windows_that_cannot_be_are_refused(change: dict[str, Any], says: str, model: Model) -> None:
@@ -555,7 +555,9 @@ def test_windows_drowned_in_noise_are_unknown(n_channels: int, tmp_path: Path, c
     said = capsys.readouterr()
     assert "for recordings like these" in said.out
     assert "label coal has 3 groups of recordings (days, supports); with fewer than 5" in said.err
-    assert "With fewer than 5 groups of a label the next day may be much worse" in (tmp_path / "m.md").read_text()
+    assert (
+        "With fewer than 5 groups of a label, expect lower accuracy on another day" in (tmp_path / "m.md").read_text()
+    )
     clear, white = flow("coal", 77, 2.0, n_channels), np.random.default_rng(8).normal(size=(n_channels, 2 * RATE))
     for share, is_drowned in ((1e-3, False), (1.0, True)):
         np.save(tmp_path / "new.npy", clear + white * clear.std() * share**0.5)

@@ -267,7 +267,7 @@ def test_a_recording_of_sensors_together() -> None:
     apart = [a.probabilities["coal"] - b.probabilities["coal"] for a, b in zip(found, own, strict=True)]
     assert np.median(np.abs(apart)) < 0.05
     assert np.mean([answer.label == "unknown" for answer in answers(recording[::-1], 1 << 20)]) > 0.8
-    with pytest.raises(BadData, match="channels must be 2, which this model looks at together, got 1"):
+    with pytest.raises(BadData, match="channels must be 2, which this model uses together, got 1"):
         list(identify_blocks(iter([recording[:1]]), 25600.0, model, ["left"], PredictionSettings()))
     one = Signal(samples=recording[0], sampling_rate=25600.0, unit="m/s^2")
     with pytest.raises(BadData, match="channels must be 2, one for each sensor"):

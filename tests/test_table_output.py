@@ -139,12 +139,12 @@ def test_channels_of_two_quantities_share_a_table_and_files_do_as_far_as_they_ca
     assert beam["peak_force_N"].isna().all() and beam["peak_amplitude_m_s2"].notna().all()
     # The sample has the columns of the hammer alone.
     table, err = printed("features", SAMPLE, str(both))
-    assert "peak_amplitude_m_s2" not in table and "left out, a run of its own has all" in err
+    assert "peak_amplitude_m_s2" not in table and "skipped, a separate run has all" in err
     (tmp_path / "beam.csv").write_text(
         "\n".join(f"{t.rsplit(',', 2)[0]},{t.rsplit(',', 1)[1]}" for t in both.read_text().splitlines()) + "\n"
     )
     table, err = printed("features", SAMPLE, str(tmp_path / "beam.csv"), code=65)
-    assert len(table) == 6 and "its features must be among those of the file before" in err
+    assert len(table) == 6 and "its features must be among those of the first file" in err
 
 
 def test_names_are_quoted_and_cannot_command_the_terminal(tmp_path: Path) -> None:

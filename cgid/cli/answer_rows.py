@@ -1,4 +1,4 @@
-"""Output of predict and monitor: answers on stdout, all else on stderr; with --json all on stdout, a line each."""
+"""Output of predict and monitor: predictions on stdout, messages on stderr; with --json all on stdout, line by line."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ if TYPE_CHECKING:
     from cgid.identification.share import Share, Switch
     from cgid.identification.stream import Step
 
-#: Version of the lines that --json prints: since 2 each has a kind; since 3 the source is the file alone, and instead
-#: of one probability there are the most likely label and the probabilities of all; since 4 the key `striker` is
-#: `impactor`, with the unit in each name.
+#: Version of the lines of --json: since 2 each has a kind; since 3 the source is the file alone, and the most likely
+#: label and all probabilities replace one probability; since 4 the key `striker` is `impactor`, with the unit in each
+#: name.
 ANSWERS_VERSION = 4
 
 #: Columns of a table that JSON has, too.
 _IN_JSON = ("channel", "label", "novelty", "overlapping", "clipped", "cut_off", "problem")
-#: The impactor, and its units: the median and the ends of the interval that holds it with 90 %.
+#: The impactor and its units: the median and the ends of the 90 % interval.
 IMPACTOR_UNITS = {"mass": "kg", "radius": "m", "speed": "m/s"}
 
 
@@ -76,7 +76,7 @@ class AnswerLines:
         self._table, self._datasets = table or TableOutput(), datasets
 
     def begin(self, source: str, model: Model, settings: PredictionSettings) -> None:
-        """Set the columns; raises `BadData` if earlier rows have other ones."""
+        """Set the columns; raises `BadData` if earlier rows have different ones."""
         from cgid.errors import BadData
 
         if self.as_json:
@@ -86,12 +86,12 @@ class AnswerLines:
         )
         if lacking := self._table.begin(columns):
             raise BadData(
-                f"{source}: its rows must have the columns of those before, its model has {lacking[0].title}, too; "
-                "give it in a run of its own"
+                f"{source}: its rows must have the columns of earlier rows, its model has {lacking[0].title}, too; run "
+                "it separately"
             )
 
     def answer(self, source: str, answer: Answer, kind: str = "impact", **more: Any) -> None:
-        """Print the answer for an impact or a window; `more` are its number in its channel, its index or its truth."""
+        """Print the prediction for an impact or window; `more`: its number in its channel, its index or its truth."""
         row = {"source": source, **answer.row, "problem": answer.problem or None, **more}
         impactor = answer.impactor
         if impactor is not None:
@@ -119,10 +119,10 @@ class AnswerLines:
         self._note("share", source, f"{name}: gangue share {fraction} {span}, {answers}", content)
 
     def turn(self, source: str, name: str, turn: Switch, dilution_cost: float) -> None:
-        """Print that going on costs more than shutting, or less again."""
+        """Print that continuing costs more than shutting, or less again."""
         word, side = ("SHUT", "above") if turn.shut else ("OPEN", "below")
         share, limit = turn.share, 1 / (1 + dilution_cost)
-        costs = f"going on is expected to cost {turn.cost:.2f} coal a rock" if turn.shut else "going on pays again"
+        costs = f"going on is expected to cost {turn.cost:.2f} coal a rock" if turn.shut else "continuing pays again"
         message = (
             f"{word} {turn.time:.6g} s: {costs} (gangue share {share.share:.2f}, {turn.evidence:.1%} sure that it is "
             f"{side} {limit:.2f}, the limit where a drawn gangue costs {dilution_cost:g} coal)  {name}"
@@ -141,7 +141,7 @@ class AnswerLines:
         self._line("warning", source, {"message": message})
 
     def hint(self, source: str, hint: Hint) -> None:
-        """Print why most answers are unknown and what helps, on stderr and in JSON."""
+        """Print why most predictions are unknown and what to do, on stderr and in JSON."""
         where = f" channel {', '.join(hint.channels)}" if hint.channels else ""
         content = {name: list(value) if isinstance(value, tuple) else value for name, value in vars(hint).items()}
         for number, line in enumerate(hint.lines):
@@ -149,7 +149,7 @@ class AnswerLines:
         self._line("hint", source, content)
 
     def delay(self, source: str, behind: float, message: str) -> None:
-        """Print how far the answers are behind a live stream [s], on stderr and in JSON."""
+        """Print the delay of the predictions after a live stream [s], on stderr and in JSON."""
         warn(f"{source}: {behind:.1f} s behind: {message}")
         self._line("delay", source, {"behind_s": behind, "message": message})
 
@@ -174,7 +174,7 @@ def _estimate(share: Share) -> dict[str, Any]:
 
 
 class RecordingTally:
-    """Counts of the answers of a recording, by label and by mark."""
+    """Counts of the predictions of a recording, by label and by mark."""
 
     def __init__(self, kind: str) -> None:
         self.kind = kind
@@ -183,7 +183,7 @@ class RecordingTally:
         self.n_outside = 0
 
     def add(self, answers: Iterable[Answer]) -> None:
-        """Count more answers."""
+        """Count more predictions."""
         for answer in answers:
             self.labels[answer.label] += 1
             marks = {"overlapping": answer.overlapping, "clipped": answer.clipped, "cut off": answer.cut}
@@ -192,11 +192,11 @@ class RecordingTally:
 
     @property
     def total(self) -> int:
-        """Number of answers."""
+        """Number of predictions."""
         return self.labels.total()
 
     def content(self, start_time: Any) -> dict[str, Any]:
-        """Return the figures for JSON."""
+        """Return the counts for JSON."""
         return {
             "start_time": None if start_time is None else start_time.isoformat(),
             f"{self.kind}s": self.total,
@@ -206,24 +206,24 @@ class RecordingTally:
         }
 
     def text(self) -> str:
-        """Return the figures in words."""
+        """Return the counts in words."""
         named = ", ".join(f"{label} {count}" for label, count in self.labels.most_common()) or "none"
         marks = ", ".join(f"{count} {name}" for name, count in sorted(self.marks.items()))
         outside = f", {self.n_outside} out of the training's range" if self.n_outside else ""
         return f"{counted(self.total, self.kind)}: {named}{outside}" + (f", {marks}" if marks else "")
 
 
-#: Maximum number of rows that wait for a measurable one.
+#: Maximum number of pending rows before a measurable one.
 _MAX_PENDING = 1000
 #: Maximum number of silent channels that are named one by one.
 _MAX_SILENT_LISTED = 3
 
 
 class RecordingRows:
-    """Print the answers of one model for the channels of one recording."""
+    """Print the predictions of one model for the channels of one recording."""
 
-    # Unless `always`, rows wait for a measurable one, and shares for a second row. `hints` see all answers; the hint
-    # follows the last line or, if `always`, the first clear answers.
+    # Unless `always`, rows wait for a measurable one, and gangue fractions for a second row. `hints` get all
+    # predictions; the hint follows the last line or, if `always`, the first clear predictions.
 
     def __init__(
         self,
@@ -263,7 +263,7 @@ class RecordingRows:
             self.threshold = self._watch.threshold
 
     def feed(self, step: Step) -> None:
-        """Print the next answers, the shares of the windows that have ended, and warnings."""
+        """Print the next predictions, the gangue fractions of completed windows, and warnings."""
         answers = step.answers
         self.tally.add(answers)
         if self._keep:
@@ -285,7 +285,7 @@ class RecordingRows:
                 self._print_level(live=True)
 
     def finish(self, duration: float, start_time: Any = None) -> None:
-        """Print the rest at the end of a recording of this duration [s], and its silent channels."""
+        """Print pending lines at the end of a recording of this duration [s], and its silent channels."""
         from cgid.errors import BadData
 
         self.lines.begin(self.source, self._model, self._settings)  # the head of an empty table
@@ -313,7 +313,7 @@ class RecordingRows:
         self._print_level()
 
     def _print_level(self, *, live: bool = False) -> None:
-        """Print once that the level is not that of the training, unless a hint says why."""
+        """Print once that the level differs from that of the training, unless a hint explains it."""
         if self._hints is None or self.hint is not None or self.level is not None:
             return
         text = self._hints.level_warning(live=live)
@@ -341,7 +341,7 @@ class RecordingRows:
         self._pending_answers = []
 
     def _print_shares(self, more: Iterable[Share | Switch]) -> None:
-        """Print shares and turns; a recording of one impact has none unless an option asks for them."""
+        """Print gangue fractions and switches; a recording of one impact has none unless an option requests them."""
         self._pending_shares += more
         if not (self._always or self._settings.asks_for_shares or self.tally.total > 1):
             return

@@ -1,4 +1,4 @@
-"""`cgid calibrate`: learn the modes of your own beam from a recording of impacts that nobody labelled."""
+"""`cgid calibrate`: learn the modes of your beam from a recording of unlabelled impacts."""
 
 from __future__ import annotations
 
@@ -25,38 +25,37 @@ if TYPE_CHECKING:
 @click.command(
     cls=Command,
     short_help="Learn the modes of a beam from a recording of unlabelled impacts.",
-    example="cgid generate tail_beam -n 24 -o blows.h5\ncgid calibrate blows.h5 --scene tail_beam -o site.toml",
+    example="cgid generate tail_beam -n 24 -o impacts.h5\ncgid calibrate impacts.h5 --scene tail_beam -o site.toml",
 )
 @click.argument("recordings", type=PATH, nargs=-1, required=True, metavar="RECORDING...")
-@click.option("--scene", "scene_name", type=SCENE, required=True, help="Take the beam of this scene to start from.")
-@click.option("-o", "--output", type=PATH, required=True, help="Write this scene (.toml), and its modes beside it.")
+@click.option("--scene", "scene_name", type=SCENE, required=True, help="Start from the beam of this scene.")
+@click.option("-o", "--output", type=PATH, required=True, help="Write this scene (.toml), and its modes next to it.")
 @click.option(
     "--start-error",
     default="1 %",
     show_default=True,
-    help="Say how far the scene's natural frequencies may be off (one standard deviation); dampings 10 times as far.",
+    help="Set the standard deviation of the scene's natural frequencies; that of damping is 10 times as large.",
 )
 @click.option(
     "--drift",
     default="0.3 %",
     show_default=True,
-    help="Say the same of a scene that was calibrated before: how far they may have moved since.",
+    help="Set the same for a scene calibrated before: possible changes since then.",
 )
 @click.option(
     "--participation-error",
     default="0 %",
     show_default=True,
-    help="Say how far the strengths of the modes may be off; with 0 they are not learned.",
+    help="Set the uncertainty of the modes' participations; with 0 they are not learned.",
 )
 @click.option(
     "--dimension-error",
     default="0 %",
     show_default=True,
-    help="Say how far the dimensions of a drawing may be off, all or some, as in 'thickness=3 %, ribs.depth=2 %'; they "
-    "are then learned first, with the damping ratio.",
+    help="Set the uncertainty of all or some dimensions, as in 'thickness=3 %, ribs.depth=2 %'; these are fitted.",
 )
 @click.option("--impacts", type=int, default=300, show_default=True, help="Use at most this many impacts.")
-@click.option("--plot", "picture", type=PATH, help="Draw the modes before and after, with deviations, as PNG.")
+@click.option("--plot", "picture", type=PATH, help="Plot the modes before and after, with standard deviations, as PNG.")
 @overwrite_option
 @json_option
 @reading_options
@@ -76,11 +75,10 @@ def calibrate(
 ) -> None:
     """Learn the modes of a beam from RECORDINGs of its impacts, or a dataset of them, and write a scene.
 
-    No labels are needed. A few hundred impacts at unknown places are enough where the scene's beam is nearly right: its
-    frequencies within some per cent, its shapes, the place of the sensor and the region of the blows. Where these come
-    from a drawing, say with --dimension-error how far it may be off. Train through the
-    learned beam with cgid train site.toml. Nothing is written where the beam does not explain the impacts as well as it
-    should.
+    No labels are needed. A few hundred impacts at unknown locations suffice if the scene's beam is approximately
+    correct: its frequencies within a few per cent, its shapes, the position of the sensor and the region of the
+    impacts. If these come from a drawing, give its uncertainty with --dimension-error. Train with the learned beam by
+    cgid train site.toml. Nothing is written if the beam does not explain the impacts sufficiently.
     """
     from cgid import validation
     from cgid.files import check_new
@@ -119,7 +117,7 @@ def calibrate(
 
 
 def _of_each(text: str) -> float | dict[str, float]:
-    """Return the error of all dimensions, or of those that are named."""
+    """Return the error of all dimensions, or of the named ones."""
     if "=" not in text:
         return share_of("--dimension-error", text)
     parts = (part.partition("=") for part in text.split(","))
@@ -134,7 +132,7 @@ def _frames(recordings: tuple[str, ...], scene: Scene, reading: Reading) -> tupl
 
     if any(reading.wants_whole_dataset(path) for path in recordings):
         if len(recordings) > 1:
-            raise InvalidValue(f"{recordings[0]}: a dataset must be given alone, got {len(recordings)} recordings")
+            raise InvalidValue(f"{recordings[0]}: a dataset must be the only input, got {len(recordings)} recordings")
         return _of_dataset(recordings[0], scene)
     events: list[Event] = []
     rate = 0.0
@@ -173,7 +171,7 @@ def _found(recording: Any, scene: Scene, reading: Reading) -> list[Event]:
     if quantity != scene.sensor.quantity:
         raise BadData(
             f"{recording.source}: the recording must be of {scene.sensor.quantity} like scene {scene.name}, got "
-            f"{quantity} [{unit}]; choose another channel, or say --unit"
+            f"{quantity} [{unit}]; choose another channel, or give --unit"
         )
     check_scene(scene, recording.sampling_rate)
     return found_impacts(recording, "vibration", reading, UNITS[quantity][unit])
@@ -234,14 +232,19 @@ def _say(found: SiteCalibration, path: Path, as_json: bool) -> None:
         )
         for own in found.dimensions:
             unit, known_to = "" if own.name.endswith("ratio") else " m", f"{100 * own.deviation:.2g} %"
-            say(f"{own.name}: {own.before:.5g}{unit} before, {own.after:.5g}{unit} after, known to {known_to}")
+            say(
+                f"{own.name}: {own.before:.5g}{unit} before, {own.after:.5g}{unit} after, standard deviation {known_to}"
+            )
         if known.any():
             say(
-                f"natural frequencies moved by {content['frequency_change']:.3%} (median), and are known to "
+                f"natural frequencies changed by {content['frequency_change']:.3%} (median), standard deviation "
                 f"{content['frequency_deviation']:.3%}"
             )
-        say(f"evidence a sample: {found.before:.3g} before, {found.after:.3g} after, {found.expected:.3g} expected")
+        say(
+            f"log-likelihood per sample {found.before:.3g} before, {found.after:.3g} after, "
+            f"expected {found.expected:.3g}"
+        )
     if found.crossings:
-        warn(f"{counted(found.crossings, 'pair')} of neighbouring modes changed places")
+        warn(f"{counted(found.crossings, 'pair')} of neighbouring modes swapped")
     if not found.has_converged:
-        warn("the modes still moved in the last round; more impacts help, or calibrate again")
+        warn("the modes have not converged; use more impacts, or calibrate again")

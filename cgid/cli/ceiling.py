@@ -11,7 +11,7 @@ from cgid.cli.options import SCENE, json_option
 from cgid.cli.output import print_json, progress_bar, say, warn
 from cgid.terminal import counted
 
-#: Signals to train the learner on where there is no limit.
+#: Number of training signals of the learner for scenes without a limit.
 _TRAINING = 10_000
 
 
@@ -20,24 +20,24 @@ _TRAINING = 10_000
 )
 @click.argument("scene", type=SCENE)
 @click.option(
-    "-n", "--signals", "n_signals", type=int, default=20_000, show_default=True, help="Judge on this many signals."
+    "-n", "--signals", "n_signals", type=int, default=20_000, show_default=True, help="Use this many signals."
 )
 @click.option(
     "--seed", type=int, default=1_000_003, show_default=True, help="Choose the random numbers of these signals."
 )
-@click.option("--drop-height", is_flag=True, help="Take the drop height of each rock as known.")
+@click.option("--drop-height", is_flag=True, help="Use the drop height of each rock as an input.")
 @click.option(
     "--learner",
     "n_training",
     type=int,
-    help=f"Train a learner on this many signals, too; {_TRAINING} where there is no limit.",
+    help=f"Also train a learner on this many signals; {_TRAINING} for scenes without a limit.",
 )
 @json_option
 def ceiling(scene: str, n_signals: int, seed: int, drop_height: bool, n_training: int | None, as_json: bool) -> None:
     """Compute the best possible accuracy on SCENE (a .toml file or the name of a shipped one).
 
-    Bayes' rule, which knows the scene, is applied to each of many signals: no classifier can be right more often. Where
-    its integration does not cover the scene (other laws of loss, filters, coloured noise, [randomise]), a learner on
+    Bayes' rule with the scene as prior is applied to many signals: no classifier can be more accurate. If its
+    integration does not cover the scene (other laws of loss, filters, coloured noise, [randomise]), a learner on
     measured signals bounds the limit from below. Acceleration needs the study: python -m studies.ceilings.
     """
     from cgid.ceiling import ceiling as limit_of

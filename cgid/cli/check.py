@@ -14,9 +14,9 @@ from cgid.cli.output import print_json, say, warn
 _BLOCKS = 16
 
 
-@click.command(cls=Command, short_help="Validate a scene and say what it would make.", example="cgid check reference")
+@click.command(cls=Command, short_help="Validate a scene and preview its impacts.", example="cgid check reference")
 @click.argument("scene", type=SCENE, required=False)
-@click.option("--list", "as_list", is_flag=True, help="Print the names of the scenes that come with cgid.")
+@click.option("--list", "as_list", is_flag=True, help="Print the names of the shipped scenes.")
 @seed_option
 @laws_option
 @json_option
@@ -32,14 +32,14 @@ def check(scene: str | None, as_list: bool, seed: int, as_json: bool) -> None:
             say(f"{name:<12}{text}")
         return
     if scene is None:
-        raise click.UsageError("give a SCENE, or --list for those that come with cgid")
+        raise click.UsageError("give a SCENE, or --list for the shipped ones")
     from cgid.scene import load_scene
     from cgid.scene.noise import background_of
     from cgid.scene.plan import plan
 
     loaded = load_scene(scene)
     background_of(loaded)  # raises if its recording cannot be read
-    # Anyone who wrote a scene is warned; what is so in a shipped one is meant.
+    # Warn about scenes of users; in shipped ones it is intended.
     preview = _preview(loaded, seed, "remarks" if scene in shipped.SCENES else "warnings")
     if loaded.stream is not None:
         preview |= _stream(loaded)
@@ -52,7 +52,7 @@ def check(scene: str | None, as_list: bool, seed: int, as_json: bool) -> None:
     rate = "a drawn rate" if "sampling_rate [Hz]" in drawn else f"{loaded.sampling.sampling_rate:g} Hz"
     samples = loaded.sampling.samples
     if loaded.stream is None:
-        say(f"frames: {samples} samples at {rate}, {samples * 4} bytes a signal in float32")
+        say(f"frames: {samples} samples at {rate}, {samples * 4} bytes per signal in float32")
     else:
         summary = ", ".join(f"{name} {value:.6g}" for name, value in preview["stream"].items())
         say(f"recording at {rate}: {summary}")
@@ -67,7 +67,7 @@ def check(scene: str | None, as_list: bool, seed: int, as_json: bool) -> None:
     for name, (low, middle, high) in preview["quantiles_5_50_95"].items():
         say(f"{name:<28} 5 % {low:>11.4g}   median {middle:>11.4g}   95 % {high:>11.4g}")
     for text, share in preview["remarks"].items():
-        say(f"known of this scene: {share:.2%} of the impacts {text.partition(';')[0]}")
+        say(f"note: {share:.2%} of the impacts {text.partition(';')[0]}")
     for text, share in preview["warnings"].items():
         warn(f"{share:.2%} of the impacts {text}")
 
@@ -122,7 +122,7 @@ def _tail_beam(scene: Any) -> dict[str, float]:
 
 
 def _randomised(scene: Any) -> dict[str, tuple[float, float]]:
-    """Return the smallest and largest value of each quantity that is drawn per block."""
+    """Return the smallest and largest value of each quantity sampled per block."""
     if scene.randomise is None:
         return {}
     from cgid.scene.draws import RANDOMISED_UNITS
@@ -132,7 +132,7 @@ def _randomised(scene: Any) -> dict[str, tuple[float, float]]:
 
 
 def _shares(draws: list[Any], values: dict[str, Any], sampling_rate: Any, scene: Any) -> dict[str, float]:
-    """Return the share of the pulses that each warning concerns."""
+    """Return the fraction of the pulses that each warning concerns."""
     import numpy as np
 
     from cgid.measure.pulses import RECOMMENDED_SAMPLES
@@ -142,8 +142,8 @@ def _shares(draws: list[Any], values: dict[str, Any], sampling_rate: Any, scene:
     inelasticity = np.concatenate([d.inelasticity for d in draws])
     end = values.get("onset", 0.0) + np.nan_to_num(values.get("second_hit_delay", 0.0)) + values["contact_duration"]
     beyond = {
-        f"pass Hertz's range (displacement over radius above {HERTZ_LIMIT:g})": strain > HERTZ_LIMIT,
-        f"pass the range of the thin plate (lambda above {INELASTICITY_LIMIT:g}): {BEYOND_THIN_PLATE}": (
+        f"exceed Hertz's range (displacement over radius above {HERTZ_LIMIT:g})": strain > HERTZ_LIMIT,
+        f"exceed the range of the thin plate (lambda above {INELASTICITY_LIMIT:g}): {BEYOND_THIN_PLATE}": (
             inelasticity > INELASTICITY_LIMIT
         ),
         f"have fewer than {RECOMMENDED_SAMPLES} samples on the contact; raise sampling_rate": (

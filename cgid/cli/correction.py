@@ -1,4 +1,4 @@
-"""`cgid train --from`: a model corrected by a few labelled impacts of a site."""
+"""`cgid train --from`: a model corrected by a few labelled impacts."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from cgid.cli.output import accuracy_text, print_json, progress_bar, say, warn
 if TYPE_CHECKING:
     from cgid.identification.manifest import Manifest
 
-#: So many impacts show that the model knows none of a site, before all are measured.
+#: Number of impacts checked for a fit to the model before all are measured.
 _LOOK = 20
 
 
 def correct_model(
     manifest: Manifest, base: str, path: Path, reading: Reading, *, strict: bool, plots: bool, as_json: bool
 ) -> int:
-    """Write a model corrected by labelled impacts, and say how good it is on their site."""
+    """Write a model corrected by labelled impacts, and report its accuracy."""
     from cgid.identification.card import correction_section, write_model
     from cgid.identification.correction import advice, correct, require_correctable, require_known
     from cgid.identification.labelled_recordings import record
@@ -47,14 +47,11 @@ def correct_model(
     if as_json:
         print_json({"model": str(path), "advice": advice(correction), **summary})
     else:
-        say(
-            f"accuracy {accuracy_text(summary)} on this site, each of {summary['n']} impacts judged by what the "
-            "others teach"
-        )
+        say(f"accuracy {accuracy_text(summary)} on this beam, cross-validated over {summary['n']} impacts")
         say(f"before {accuracy_text(summary['before'])}")
         say(f"moved {correction.shift}")
         if summary["n_unknown"]:
-            say(f"unknown {summary['n_unknown']} more, outside of the training of the model: they teach nothing")
+            say(f"unknown {summary['n_unknown']} more, out of distribution for the model and not used")
         for line in advice(correction):
             say(f"cgid: hint: {line}", err=True)
         then = f"cgid predict FILE --model {shlex.quote(str(path))}"

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from cgid.measure.table import ImpactKind
     from cgid.recordings import RecordingFile
 
-#: An interval begins this long before its impact, because a channel may hear it sooner than another [s].
+#: An interval begins this long before its impact, because channels may measure it at different times [s].
 _BEFORE = 2e-3
 
 
@@ -39,8 +39,8 @@ def events(files: tuple[str, ...], output: str, overwrite: bool, strict: bool, r
     """Find the impacts in FILEs, or in the recordings of a folder, and write one row for each.
 
     Fill in the column label (and group, such as a day or a support, if several recordings share one), then train on the
-    table: cgid train events.csv -o mine.npz. Delete the rows that you cannot label. An impact that several channels
-    hear is one row.
+    table: cgid train events.csv -o mine.npz. Delete the rows that you cannot label. An impact measured by several
+    channels is one row.
     """
     from cgid.files import check_new, write_whole
     from cgid.identification.manifest import manifest_text, recordings_in
@@ -49,7 +49,7 @@ def events(files: tuple[str, ...], output: str, overwrite: bool, strict: bool, r
     folder = Path() if path is None else path.parent
     rows: list[dict[str, str]] = []
     every = [str(one) for file in files for one in (recordings_in(Path(file)) if Path(file).is_dir() else [file])]
-    # A recording named twice, such as by its folder, too, has its impacts once.
+    # A recording named twice, such as by its folder, is read once.
     once = {os.path.realpath(file): file for file in reversed(every)}
     _require_trainable(list(reversed(once.values())), reading)
     errors = FileErrors(strict=strict)
@@ -63,7 +63,7 @@ def events(files: tuple[str, ...], output: str, overwrite: bool, strict: bool, r
         for line in text.removesuffix("\n").split("\n"):
             say(line)
         return errors.code
-    # A byte order mark makes a spreadsheet read other letters right.
+    # A byte order mark lets spreadsheets read non-ASCII letters.
     write_whole(path, text.encode("utf-8" if text.isascii() else "utf-8-sig"), overwrite=overwrite)
     train = shlex.join(["cgid", "train", str(path), "-o", "mine.npz"])
     say(f"wrote {path}: {counted(len(rows), 'impact')}; fill in the column label, then {train}", err=True)
@@ -71,7 +71,7 @@ def events(files: tuple[str, ...], output: str, overwrite: bool, strict: bool, r
 
 
 def _require_trainable(files: Sequence[str], reading: Reading) -> None:
-    """Raise an error if no model could be trained on these recordings, before anybody labels their impacts."""
+    """Raise an error if no model could be trained on these recordings, before their impacts are labelled."""
     from cgid.identification.labelled_recordings import require_alike, unit_of
 
     first: RecordingFile | None = None
@@ -84,15 +84,15 @@ def _require_trainable(files: Sequence[str], reading: Reading) -> None:
             continue
         if unit_of(recording) == "FS" and reading.unit is None:
             raise MissingOption(
-                f"{recording.source}: the file does not say what full scale [FS] stands for; give --full-scale '50 g', "
-                "or --full-scale '10 V' and the --sensitivity of the sensor, or say with --unit what 1 stands for"
+                f"{recording.source}: the file does not state full scale [FS]; give --full-scale '50 g', "
+                "or --full-scale '10 V' and the --sensitivity of the sensor, or the unit of the numbers with --unit"
             )
         first = first or recording
         require_alike(recording, first)
         if reading.channel and len(recording.channels) > 1:
             raise InvalidValue(
                 f"{recording.source}: --channel must name one channel, got {'+'.join(reading.channel)}; single impacts "
-                "of several are not taken together: name one, or leave it out to train on a row of each"
+                "use one channel: name one, or leave it out to train on a row of each"
             )
 
 
@@ -166,11 +166,11 @@ def _peak(event: Event) -> Any:
     return max(np.abs(row - np.median(row)).max() for row in frame.astype(float))
 
 
-# -- a row for each recording -----------------------------------------------------------------------------
+# -- one row per recording --------------------------------------------------------------------------------
 
 
 def write_template(data: tuple[str, ...], path: Path, reading: Reading, *, overwrite: bool) -> int:
-    """Write a manifest with a row for each recording, its label empty unless its folder says it."""
+    """Write a manifest with a row for each recording, with a label if its folder is one."""
     from cgid.files import check_new, write_whole
     from cgid.identification.manifest import manifest_text, path_from, recordings_in, row_of
 
@@ -193,7 +193,7 @@ def write_template(data: tuple[str, ...], path: Path, reading: Reading, *, overw
 
 
 def _content(file: Path, reading: Reading) -> tuple[str, int]:
-    """Return what is read of a recording, or why it cannot be, and an exit code."""
+    """Return a description of a recording, or why it is unreadable, and an exit code."""
     from cgid.recordings import open_recording
 
     try:

@@ -20,8 +20,8 @@ from cgid.cli.output import progress_bar, say
 def export(data: str, output: str, overwrite: bool) -> None:
     """Write the dataset DATA, a folder or a file, as one HDF5 file that h5dump, h5py or MATLAB open as it is.
 
-    It holds signals, labels, specimen, parameters and all attributes, uncompressed and with checksums. cgid reads it as
-    a dataset.
+    It contains signals, labels, specimen, parameters and all attributes, uncompressed and with checksums. cgid reads it
+    as a dataset.
     """
     from cgid.store import Dataset
     from cgid.store.dataset import export as export_dataset
@@ -46,9 +46,9 @@ def export(data: str, output: str, overwrite: bool) -> None:
 def export_model(model: str, to: str, output: str, overwrite: bool) -> None:
     """Write MODEL, a file or default, default-drop-height or default-acceleration, for machines without Python.
 
-    What it writes answers to features: probabilities, novelty and label, as cgid predict does. It does not measure
-    them. The head of the C file says which values it needs, in which order and unit, and how to compile it. ONNX needs
-    the extra onnx.
+    The result maps features to probabilities, novelty and label, as cgid predict does; it does not measure them. The
+    head of the C file lists the required values, their order and units, and how to compile it. ONNX needs the extra
+    onnx.
     """
     from pathlib import Path
 

@@ -15,7 +15,7 @@ from cgid.errors import BadData
 from cgid.signals import Signal
 from cgid.terminal import counted
 
-#: Version of the lines that --json prints: since 2 the source is the file alone, beside the channel or the index.
+#: Version of the lines of --json: since 2 the source is the file alone, next to the channel or the index.
 FEATURES_VERSION = 2
 #: Maximum number of unmeasurable impacts or channels, and left-out columns, that are named one by one.
 _MAX_REPORTED = 3
@@ -49,7 +49,7 @@ def features(
     """Print the features of every impact in FILEs as one CSV table, in the unit of the file; - is stdin.
 
     Without --features these are the features of a vibration for motion and sound (acceleration, velocity, displacement,
-    pressure, level), those of a pulse for all else. The first file sets the columns.
+    pressure, level), those of a pulse for everything else. The first file sets the columns.
     """
     from cgid.measure.features import choose
     from cgid.recordings import is_dataset
@@ -75,7 +75,7 @@ def features(
 
 
 def _warn(problems: list[str], source: str, what: str) -> None:
-    """Print the first problems, and how many more impacts or channels have one."""
+    """Print the first problems, and the number of others."""
     for problem in problems[:_MAX_REPORTED]:
         warn(problem)
     more = len(problems) - _MAX_REPORTED
@@ -83,7 +83,7 @@ def _warn(problems: list[str], source: str, what: str) -> None:
         warn(f"{source}: and {counted(more, f'more {what}')} cannot be measured")
 
 
-#: Time of an impact [s], its values, and why it has none.
+#: Time of an impact [s], its values, and the reason if it has none.
 _Impact = tuple[float, list[float], str]
 
 
@@ -244,7 +244,7 @@ class _Rows:
             raise BadData(f"{signal.name}: none of its {n_impacts} can be measured; the first: {failed[0]}")
 
     def _begin(self, source: str, columns: list[Column]) -> None:
-        """Set the columns of the table; a later file's additional ones are left out with a warning."""
+        """Set the columns of the table; additional ones of later files are skipped with a warning."""
         if self.as_json:
             return
         new_columns = tuple(dict.fromkeys(columns))
@@ -253,14 +253,14 @@ class _Rows:
         lacking = [column.title for column in self.table.begin((*head, *new_columns, Column("problem"), *of_datasets))]
         if len(lacking) == len(new_columns):
             raise BadData(
-                f"{source}: its features must be among those of the file before, which has no {lacking[0]}; give it "
-                "in a run of its own, or with --json"
+                f"{source}: its features must be among those of the first file, which has no {lacking[0]}; run it "
+                "separately, or with --json"
             )
         if lacking:
             more = "" if len(lacking) <= _MAX_REPORTED else f" and {len(lacking) - _MAX_REPORTED} more"
             warn(
-                f"{source}: the file before does not have {', '.join(lacking[:_MAX_REPORTED])}{more}; "
-                "left out, a run of its own has all"
+                f"{source}: the first file does not have {', '.join(lacking[:_MAX_REPORTED])}{more}; skipped, a "
+                "separate run has all"
             )
 
     def _report(self, name: str, sampling_rate: float, what: str) -> None:
@@ -286,7 +286,7 @@ def _columns(quantity: str | None, unit: str | None, selected: tuple[str, ...]) 
     """Return the columns of features of a signal, in its unit."""
     from cgid.measure.features import FEATURES
 
-    # The peak of the samples is that of their quantity; one through a beam is a force.
+    # The peak of the samples has their quantity; one inverted through a beam is a force.
     titles = (
         name if FEATURES[name].beam else name.replace("peak_force", f"peak_{quantity or 'signal'}") for name in selected
     )

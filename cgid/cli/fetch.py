@@ -16,8 +16,7 @@ from cgid.cli.output import progress_bar, say
 def fetch(name: str | None, output: str, mirror: str | None) -> None:
     """Download the public dataset NAME, or list all of them without a NAME.
 
-    Each file is checked by its size and SHA-256. Files that are there already are kept. No other command downloads
-    anything.
+    Each file is checked by its size and SHA-256. Existing files are kept. No other command downloads anything.
     """
     from cgid import public
 

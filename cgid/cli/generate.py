@@ -23,7 +23,7 @@ from cgid.cli.options import (
 from cgid.cli.output import print_json, progress_bar, say, warn
 from cgid.terminal import counted
 
-#: Options for tables and their outputs; and the options that choose the columns, with the table that they need.
+#: Options for tables and their outputs; and the options for the columns, with the table that they need.
 _ONLY = {"features_only": "features", "closed_form_only": "closed-form", "parameters_only": "parameters"}
 _WHICH = {"features": "features_only", "quantities": "closed_form_only"}
 #: Options for stored signals.
@@ -77,21 +77,21 @@ _OF_DATASETS = (*_OF_RECORDINGS, "shard_signals", "compression", "jobs", "schedu
     help="Compress the signals; every program reads gzip, zstd and blosc2 need the extra compression.",
 )
 @overwrite_option
-@click.option("--resume", is_flag=True, help="Go on with an unfinished run, to the bytes it would have made.")
+@click.option("--resume", is_flag=True, help="Continue an unfinished run, to the same bytes.")
 @click.option("--features-only", is_flag=True, help="Write a table of features instead of signals.")
 @click.option("--features", help="Tabulate only these features, separated by commas; by default those of a model.")
-@click.option("--closed-form-only", is_flag=True, help="Write a table of what the impacts are, without their pulses.")
+@click.option("--closed-form-only", is_flag=True, help="Write a table of closed-form quantities, without pulses.")
 @click.option(
     "--quantities", help="Tabulate only these quantities of --closed-form-only, separated by commas; by default all."
 )
-@click.option("--parameters-only", is_flag=True, help="Write a table of the drawn parameters.")
-@click.option("--explain", is_flag=True, help="Print the plan: what would run, what would not, and why.")
+@click.option("--parameters-only", is_flag=True, help="Write a table of the sampled parameters.")
+@click.option("--explain", is_flag=True, help="Print the plan: which stages would run, which would not, and why.")
 @json_option
 @click.pass_context
 def generate(context: click.Context, /, scene: str, **options: Any) -> None:
     """Make a dataset of signals from SCENE: a .toml file, or the name of a shipped one such as reference.
 
-    With --features-only, --closed-form-only or --parameters-only no signals are kept: a table is written.
+    With --features-only, --closed-form-only or --parameters-only a table is written instead of signals.
     A scene that randomises its sampling rate makes no dataset: train on it directly, or tabulate its features. A scene
     with a stream makes recordings, each with the truth of its impacts.
     """
@@ -103,8 +103,7 @@ def generate(context: click.Context, /, scene: str, **options: Any) -> None:
     if loaded.stream is not None:
         if output != "frames":
             raise click.UsageError(
-                f"scene {loaded.name} is a stream of recordings, of which there are no tables; leave every --...-only "
-                "out",
+                f"scene {loaded.name} is a stream of recordings, which has no tables; leave out every --...-only",
                 context,
             )
         _require_recordings(loaded, options)
@@ -123,7 +122,7 @@ def generate(context: click.Context, /, scene: str, **options: Any) -> None:
 
 
 def _checked_output(context: click.Context) -> str:
-    """Return the requested output; refuse contradictory options before any work is done."""
+    """Return the requested output; refuse contradictory options before any work."""
     options = context.params
     given = given_flags(context)
     only = [name for name in _ONLY if options[name]]
@@ -137,7 +136,7 @@ def _checked_output(context: click.Context) -> str:
         raise click.UsageError("--json needs --explain: it prints the plan; give both or neither", context)
     if only and options["resume"]:
         raise click.UsageError(
-            f"--resume is for signals and recordings, a table ({_flag(only[0])}) is written whole or not at all; "
+            f"--resume is for signals and recordings, a table ({_flag(only[0])}) is written completely or not at all; "
             "leave --resume out",
             context,
         )
@@ -196,7 +195,7 @@ def _write_dataset(synthesis_plan: Any, options: dict[str, Any]) -> None:
         path = generate_dataset(scene, progress=progress, **{name: options[name] for name in _OF_DATASETS})
     seconds = time.perf_counter() - start
     megabytes = n_signals * synthesis_plan.signal_bytes / 1e6
-    # A run that is resumed makes only what was missing.
+    # A resumed run makes only the missing files.
     speed = f": {n_signals / seconds:.0f} signals/s, {megabytes / seconds:.0f} MB/s" if not options["resume"] else ""
     text = f"{counted(n_signals, 'signal')} of {counted(scene.sampling.samples, 'sample')}"
     say(f"{path}: {text} in {seconds:.1f} s{speed}", err=True)
@@ -214,7 +213,7 @@ def _warn_of_plate(scene: Any, seed: int) -> None:
     largest = draw(scene, require_seed(seed), 0).inelasticity.max(initial=0.0)
     if largest > INELASTICITY_LIMIT:
         warn(
-            f"{scene.name}: lambda of the thin plate reaches {largest:.3g}, Zener's theory holds to "
+            f"{scene.name}: lambda of the thin plate reaches {largest:.3g}, Zener's theory is valid up to "
             f"{INELASTICITY_LIMIT:g}: {BEYOND_THIN_PLATE}"
         )
 

@@ -1,4 +1,4 @@
-"""The pages of --help: options and commands under headings, by their names, and one example that works."""
+"""The pages of --help: options and commands under headings, and one working example."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import click
 from cgid.cli import output
 
 _OTHERS = "Other"
-#: Heading -> the options below it; "command --option" where a command uses the name for something else.
+#: Heading -> the options below it; "command --option" if a command uses the name differently.
 _OPTIONS = {
     "Task": "--sample --list --explain --features-only --closed-form-only --parameters-only --repair --scene "
     "--template",
@@ -46,9 +46,9 @@ _COMMANDS = {
     "Models": "train export-model",
     "Datasets and scenes": "generate check ceiling tap calibrate verify export fetch",
 }
-#: Former option -> its name now; the former one still works, with a warning.
+#: Former option -> its new name; the former one still works, with a warning.
 RENAMED = {"--cost": "--miss-cost", "--gangue-cost": "--dilution-cost", "--striker": "--impactor"}
-#: One line for the start file of each shell.
+#: One line for the startup file of each shell.
 _COMPLETION = (
     ("bash", 'eval "$(_CGID_COMPLETE=bash_source cgid)"'),
     ("zsh", 'eval "$(_CGID_COMPLETE=zsh_source cgid)"'),
@@ -71,7 +71,7 @@ class Command(click.Command):
         self.example = example
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        """Read the arguments, former options under their present names."""
+        """Read the arguments, with former options under their new names."""
         flags = {flag for option in self.params for flag in option.opts}
         output.flags = {str(one.name): max(one.opts, key=len) for one in self.params if isinstance(one, click.Option)}
         for number, argument in enumerate(args):
@@ -96,12 +96,12 @@ class Command(click.Command):
         super().format_epilog(ctx, formatter)
         if self.example:
             with formatter.section("Example"):
-                for line in self.example.splitlines():  # not wrapped, it is to be copied
+                for line in self.example.splitlines():  # not wrapped, so that it can be copied
                     formatter.write(f"{'':>{formatter.current_indent}}{line}\n")
 
 
 class Group(Command, click.Group):
-    """The commands under headings, and how to get them completed by the shell."""
+    """The commands under headings, and how to enable completion by the shell."""
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the commands, then the options."""
@@ -117,7 +117,7 @@ class Group(Command, click.Group):
     def format_epilog(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the example, and the line for each shell."""
         super().format_epilog(ctx, formatter)
-        with formatter.section("Completion by the shell, for its start file"):
+        with formatter.section("Completion by the shell, for its startup file"):
             formatter.write_dl(_COMPLETION)
 
     def _rows(self, names: Iterable[str]) -> list[tuple[str, str]]:

@@ -1,4 +1,4 @@
-"""What to do where most impacts are unknown, the beam has changed or the scale is wrong: commands, words of a table."""
+"""What to do if most impacts are unknown, the beam has changed or the scale is wrong: commands and texts."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ if TYPE_CHECKING:
     from cgid.identification.diagnosis import Finding
     from cgid.identification.model import Model
 
-#: The shipped scene with a beam, and its sampling rate [Hz], which a recording to calibrate it by must have.
+#: The shipped scene with a beam, and its sampling rate [Hz], which recordings for its calibration must have.
 SCENE, SCENE_RATE = "tail_beam", 25_600.0
-#: Minimum number of impacts that calibrate a scene, and that one recording trains on (in blocks of its time, with two
+#: Minimum number of impacts to calibrate a scene, and to train on one recording (in blocks of its time, with two
 #: labels).
 CALIBRATED, _TRAINED = 20, 16
-#: Decades by which an amplitude may miss the unit that explains it: it is known to a quarter of a decade.
+#: Tolerance of an amplitude for a unit [decades]: it is estimated to a quarter of a decade.
 _SAME_UNIT = 0.3
 
 
 class Hints(Diagnosis):
-    """Diagnose the answers of a recording, and say which commands help."""
+    """Diagnose the predictions of a recording, and suggest commands."""
 
     # `source` is the file as the next commands name it; `options` are those that all commands need to read it,
     # `answering` those of `cgid predict` alone, such as `--model mine.npz`; `labelled`: whether the file is a dataset.
@@ -71,11 +71,11 @@ class Hints(Diagnosis):
         )
 
     def level_warning(self, *, live: bool = False) -> str | None:
-        """Return one line if the levels are not those of the training, None if they are or a hint says why not."""
+        """Return one line if the levels differ from those of the training and no hint explains it, else None."""
         factors = self.wrong_scales(live=live)
         return scale_warning(factors, self.model, name_channels=len(self.channels) > 1) if factors else None
 
-    # -- words ----------------------------------------------------------------------------------------
+    # -- texts ----------------------------------------------------------------------------------------
 
     def _words(self, finding: Finding, has_steps: bool) -> tuple[str, str]:
         """Return reason and advice."""
@@ -121,7 +121,7 @@ class Hints(Diagnosis):
     # -- steps ----------------------------------------------------------------------------------------
 
     def _steps(self, finding: Finding) -> tuple[tuple[str, ...], tuple[str, ...]]:
-        """Return the next steps, and others in their place."""
+        """Return the next steps, and alternatives."""
         ways: list[tuple[str, ...]]
         match finding.cause:
             case "upside_down":
@@ -149,13 +149,13 @@ class Hints(Diagnosis):
         return shlex.join(["cgid", "predict", self._source, *options, *more])
 
     def _predict_with(self, model: str) -> str:
-        """Return the command for a model made here; what only the former one asks for is left out."""
+        """Return the command for a model made here, without options for the former one."""
         is_for_all = self.model.together > 1 or self.channels.keys() >= set(self._all_channels)
         options = self._options if is_for_all else self._for_one()  # others may be of another quantity
         return shlex.join(["cgid", "predict", self._source, *options, "--model", model])
 
     def _turned(self) -> tuple[str, ...]:
-        """Return the command that turns the signal over, without the channels that need it not."""
+        """Return the command that inverts the signal, for the channels that need it."""
         options = [*self._options, *self._answering]
         turned, channels = self.upside_down, self.channels
         if channels.keys() - turned and self.model.together == 1:
@@ -171,7 +171,7 @@ class Hints(Diagnosis):
         return (shlex.join(["cgid", "predict", self._source, *options]),)
 
     def _in_other_unit(self, factor: float) -> tuple[str, ...]:
-        """Return the command with the unit that makes the signal so many times as small; none if no unit does."""
+        """Return the command with the unit that scales the signal by this factor; none if no unit does."""
         given = dict(pairwise(self._options)).get("--unit", "")
         units = UNITS[self.model.quantity]
         if given not in units or self._is_converted("--unit"):
@@ -181,7 +181,7 @@ class Hints(Diagnosis):
         return (self._predict("--unit", nearest),) if away[nearest] < _SAME_UNIT else ()
 
     def _correction(self, flag: str) -> str:
-        """Return how to correct what an option says: the option, or the file, which no option may contradict."""
+        """Return how to correct a value: by the option, or in the file, which no option may contradict."""
         if self._is_converted(flag):
             flag = "--sensitivity"
         return f"correct it with {flag}" if flag in self._options else "correct it in the file"
@@ -191,11 +191,11 @@ class Hints(Diagnosis):
         return flag == "--unit" and "--sensitivity" in self._options
 
     def _for_one(self) -> tuple[str, ...]:
-        """Return the options that read one channel alone: that with the most impacts to learn from."""
+        """Return the options to read one channel: that with the most usable impacts."""
         if len(self._all_channels) < 2:
             return self._options
         best = self._best()
-        # Channels that are looked at together have one name.
+        # Channels used together have one name.
         name = next((one for one in self._all_channels if best == one or best.startswith(f"{one}+")), best)
         return (*_without(self._options, ("--channel",)), "--channel", name)
 
@@ -207,7 +207,7 @@ class Hints(Diagnosis):
         return self._labelled or self.channels[self._best()].n_usable >= n_impacts
 
     def _training(self) -> tuple[str, ...]:
-        """Return the steps that make a model of this recording's own; none if it is too short for that."""
+        """Return the steps to train a model on this recording; none if it is too short."""
         if self._kind == "window":
             return self._training_on_windows()
         if not self._has_usable(_TRAINED):
@@ -227,7 +227,7 @@ class Hints(Diagnosis):
         )
 
     def _training_on_windows(self) -> tuple[str, ...]:
-        """Return the steps that make a model of parts of this recording; none if train cannot read it alike."""
+        """Return the steps to train a model on parts of this recording; none if train cannot read it."""
         if {"--variable", "--invert"} & set(self._options):
             return ()
         table, model = _unused("parts", ".csv"), _unused("mine", ".npz")
@@ -239,7 +239,7 @@ class Hints(Diagnosis):
         )
 
     def _calibration(self) -> tuple[str, ...]:
-        """Return the steps that make a model of this recording's beam; none if the shipped scene cannot start them."""
+        """Return the steps to calibrate this recording's beam; none if the shipped scene does not suit."""
         if not self._has_usable(CALIBRATED) or abs(self._rate / SCENE_RATE - 1) > 1e-3:
             return ()
         name = _unused("site", ".toml", "-modes.csv", ".npz")
@@ -251,7 +251,7 @@ class Hints(Diagnosis):
 
 
 def _unused(stem: str, *endings: str) -> str:
-    """Return the name of a file that is not there yet, or of several without their endings."""
+    """Return an unused file name, or one for several files without suffixes."""
     names = chain([stem], (f"{stem}_{number}" for number in count(2)))
     name = next(one for one in names if not any(Path(one + ending).exists() for ending in endings))
     return name + endings[0] if len(endings) == 1 else name

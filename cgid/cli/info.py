@@ -21,13 +21,13 @@ _LOCAL_HEAD, _HEADER = 30, b"header.npy"
 
 
 @click.command(
-    cls=Command, short_help="Say what is in a dataset, a model or a recording.", example="cgid info datasets/sample.csv"
+    cls=Command, short_help="Describe a dataset, a model or a recording.", example="cgid info datasets/sample.csv"
 )
 @click.argument("file", type=PATH)
 @reading_options_for("sampling_rate", "unit", "variable", "format", *CHAIN)
 @json_option
 def info(file: str, as_json: bool, reading: Reading) -> None:
-    """Say what is in FILE: a dataset, a table, a model, or a recording (every channel)."""
+    """Describe FILE: a dataset, a table, a model, or a recording (every channel)."""
     from cgid.recordings import is_dataset
     from cgid.store.table import is_table
 
@@ -109,7 +109,7 @@ def _model(file: str) -> dict[str, Any]:
     header = model.header
     training = header.pop("training")
     metrics = training.pop("metrics", {})
-    for table in ("selection", "domain_shift", "beside_force"):  # the model card prints these
+    for table in ("selection", "domain_shift", "beside_force"):  # the model card contains these
         training.pop(table, None)
     shown = ("accuracy", "accuracy_interval_95", "recall", "brier_score", "expected_calibration_error")
     return {
@@ -148,8 +148,8 @@ def _recording(file: str, as_json: bool, **reading: Any) -> dict[str, Any]:
     return {"kind": "recording", "file": file, **about, **_made(file)}
 
 
-#: What the text says of the impacts of a channel without a quantity; null in JSON.
-_NOT_COUNTED = "not counted, for pulses and vibrations differ; give --unit, such as --unit N or --unit m/s^2"
+#: Text for the impacts of a channel without a quantity; null in JSON.
+_NOT_COUNTED = "not counted, since pulses and vibrations differ; give --unit, such as --unit N or --unit m/s^2"
 
 
 def _channels(recording: Any, as_json: bool) -> dict[str, Any]:
@@ -157,7 +157,7 @@ def _channels(recording: Any, as_json: bool) -> dict[str, Any]:
     import numpy as np
 
     from cgid.errors import BadData
-    from cgid.identification.detection import TURN_OVER, ImpactDetector
+    from cgid.identification.detection import INVERT_HINT, ImpactDetector
     from cgid.measure.features import kind_for
     from cgid.signals import channel_name
 
@@ -167,7 +167,7 @@ def _channels(recording: Any, as_json: bool) -> dict[str, Any]:
         limit = np.stack([signal.samples for signal in recording.signals()])
     lowest, highest = np.full(len(names), np.inf), np.full(len(names), -np.inf)
     total, n_samples, dtype = np.zeros(len(names)), 0, ""
-    # A channel of no known quantity may hold pulses or vibrations.
+    # A channel of unknown quantity may contain pulses or vibrations.
     is_known = [channel.quantity not in (None, "level") for channel in names]
     detectors = [ImpactDetector(rate, kind=kind_for(channel.quantity)) for channel in names]
     impacts = [0] * len(names)
@@ -176,14 +176,14 @@ def _channels(recording: Any, as_json: bool) -> dict[str, Any]:
         total += block.sum(axis=1, dtype=np.float64)
         n_samples, dtype = n_samples + block.shape[1], block.dtype.name
         for row, detector in compress(enumerate(detectors), is_known):
-            # A short recording is described even if its numbers are too large to look for impacts.
+            # A short recording is described even if its numbers are too large to detect impacts.
             with suppress(*(() if limit is None else (BadData,))):
                 impacts[row] += len(detector.feed(block[row]))
     described = {}
     for row, (channel, detector) in enumerate(zip(names, detectors, strict=True)):
         impacts[row] += len(detector.finish())
-        if is_known[row] and not impacts[row] and TURN_OVER in detector.why_silent():
-            warn(f"{channel_name(recording.source, channel.name)}: no impact: {TURN_OVER}")
+        if is_known[row] and not impacts[row] and INVERT_HINT in detector.why_silent():
+            warn(f"{channel_name(recording.source, channel.name)}: no impact: {INVERT_HINT}")
         middle = {"mean": total[row] / n_samples} if limit is None else {"median": np.median(limit[row])}
         described[f"channel {channel.name}"] = {
             "samples": n_samples,
@@ -202,7 +202,7 @@ def _channels(recording: Any, as_json: bool) -> dict[str, Any]:
 
 
 def _made(file: str) -> dict[str, Any]:
-    """Return what a recording made by cgid says about itself; empty for any other."""
+    """Return the attributes of a recording made by cgid; empty for any other."""
     from collections import Counter
 
     from cgid.store.description import is_hdf5

@@ -53,7 +53,7 @@ _MEMORY_SHORT = (
 )
 @click.version_option(__version__, prog_name="cgid")
 def cli() -> None:
-    """Tell coal from gangue by how a falling rock hits steel."""
+    """Tell coal from gangue by the impact of falling rocks on steel."""
 
 
 for command in (
@@ -102,7 +102,7 @@ def run(arguments: list[str] | None = None) -> int:
         say_error(error)
         return error.exit_code
     except (click.Abort, KeyboardInterrupt):
-        say("cgid: interrupted; nothing half-written is left", err=True)
+        say("cgid: interrupted; no partial files remain", err=True)
         return exit_code_of_interruption()
     except (BrokenPipeError, SystemExit):
         # The reader of our output has closed it; click turns that into SystemExit.
@@ -112,14 +112,15 @@ def run(arguments: list[str] | None = None) -> int:
         if _memory_is_short(error):
             return _report_memory(error)
         if _folder_is_gone():
-            say("cgid: error: the current folder must exist, it has been removed; go to another one", err=True)
+            say("cgid: error: the current folder must exist, it has been removed; change to another one", err=True)
             return _NO_INPUT
         # Our own files raise a CgidError, so this is the standard output.
         with contextlib.suppress(OSError, AttributeError):
             sys.stdout.flush()
         drop(sys.stdout)
         say(
-            f"cgid: error: output: writing failed ({error.strerror or error}); make room or choose another place",
+            f"cgid: error: output: writing failed ({error.strerror or error}); free some space or choose another "
+            "folder",
             err=True,
         )
         return _OUTPUT_FAILED
@@ -153,7 +154,7 @@ def _memory_is_short(error: BaseException | None) -> bool:
 def _report_memory(error: BaseException) -> int:
     text = " ".join(str(error).split()) if isinstance(error, MemoryError) else ""
     say(
-        f"cgid: error: memory ran short{f' ({text})' if text else ''}; give a smaller input, ask for fewer signals or "
+        f"cgid: error: out of memory{f' ({text})' if text else ''}; give a smaller input, ask for fewer signals or "
         "--jobs at once, or raise the limit (ulimit -v)",
         err=True,
     )

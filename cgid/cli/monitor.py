@@ -38,13 +38,13 @@ if TYPE_CHECKING:
     from cgid.identification.prediction_settings import PredictionSettings
     from cgid.plant import PlantOutputs
 
-#: Most data in the queue [bytes].
+#: Maximum amount of data in the queue [bytes].
 MAX_WAITING = 128 << 20
-#: Most data taken at once [bytes], because processing takes many times more memory.
+#: Maximum amount of data taken at once [bytes], because processing takes many times more memory.
 MAX_READ = 8 << 20
-#: Blocks are joined until they last this long [s], because short ones cost more than they contain,
+#: Blocks are joined up to this duration [s], because short ones are inefficient,
 MIN_INTERVAL = 0.05
-#: but for at most this time [s].
+#: for at most this time [s].
 _TIMEOUT = 0.1
 
 
@@ -140,25 +140,23 @@ class Inbox:
         return blocks[0] if len(blocks) == 1 else np.concatenate(blocks, axis=1)
 
 
-#: A share is printed this many times per window.
+#: A gangue fraction is printed this many times per window.
 _STEPS = 10
-#: Answers less than this far behind keep up [s].
+#: Maximum delay of predictions that keep up [s].
 _BEHIND = 1.0
 
 
 @click.command(
     cls=Command,
-    short_help="Identify impacts in a live stream, and say when to shut the window.",
+    short_help="Identify impacts in a live stream, and report when to shut the window.",
     example="python -c \"import numpy; numpy.loadtxt('datasets/sample.csv', 'f4', skiprows=2).tofile('sample.f32')\"\n"
     "cgid monitor sample.f32 --rate 200000 --channels 1 --sample-format f32le --unit N",
 )
 @click.argument("stream", type=PATH, default="-")
 @click.option("--rate", "sampling_rate", type=float, help="Set the sampling rate [Hz] of raw numbers.")
 @click.option("--channels", "n_channels", type=int, help="Set the number of channels of raw numbers.")
-@click.option(
-    "--sample-format", help="Say how raw numbers are written: u8, s16le, s24le, s32le, f32le, ..., or with be."
-)
-@click.option("--unit", help="Set the unit of the numbers: of floats as they are, of integers scaled to -1 to 1.")
+@click.option("--sample-format", help="Set the format of raw numbers: u8, s16le, s24le, s32le, f32le, ..., or with be.")
+@click.option("--unit", help="Set the unit of the numbers: of floats unchanged, of integers scaled to -1 to 1.")
 @reading_options_for("invert", "milliseconds", *CHAIN)
 @answering_options
 @json_option
@@ -176,15 +174,15 @@ def monitor(
     outputs: dict[str, str],
     **options: Any,
 ) -> None:
-    """Identify the impacts in STREAM as they come: raw numbers or WAV; - is stdin.
+    """Identify the impacts in STREAM as they arrive: raw numbers or WAV; - is stdin.
 
     Plant outputs (pip install 'cgid[plant]') send the lines to brokers, PLCs, commands and web pages, without delay.
 
-    Stdout is one CSV table, a row an impact. All else goes to stderr: each channel is a support with a gangue fraction
-    of its own, printed ten times within its window and once in a pause. A line SHUT says that going on costs more than
-    it brings, with 95 % (--evidence): drawn gangue (--dilution-cost) against lost coal (1); OPEN, that it pays again,
-    after a window at the earliest (--hold). Nothing is dropped: where answers are slower than the stream, a
-    warning says how far behind they are.
+    Stdout is one CSV table, one row per impact. Everything else goes to stderr: each channel is a support with its own
+    gangue fraction, printed ten times per window and once in a pause. SHUT is printed when continuing costs more than
+    it brings with probability 95 % (--evidence): drawn gangue (--dilution-cost) against lost coal (1); OPEN when it
+    pays again, after at least a window (--hold). Nothing is dropped: if predictions are slower than the stream, a
+    warning reports the delay.
     """
     from cgid.identification.prediction_settings import SHARE_TIME
     from cgid.recordings.chain import Chain
@@ -223,7 +221,7 @@ def _plant_outputs(given: dict[str, str]) -> AbstractContextManager[PlantOutputs
 def _follow(
     live: Any, models: Models, settings: PredictionSettings, lines: AnswerLines, outputs: PlantOutputs | None = None
 ) -> None:
-    """Print the answers for a stream until it ends or is interrupted."""
+    """Print the predictions for a stream until it ends or is interrupted."""
     from cgid.cli.hints import Hints
     from cgid.identification.stream import factors_for, identify_blocks
     from cgid.recordings.chain import scaled
@@ -282,13 +280,13 @@ class DelayReport:
         behind = inbox.behind
         if behind >= max(_BEHIND, 2 * self._reported_at):
             self._reported_at = behind
-            self._lines.delay(self._source, behind, "answers come later than the stream; nothing is dropped")
+            self._lines.delay(self._source, behind, "predictions are slower than the stream; nothing is dropped")
         elif self._reported_at and behind < _BEHIND / 2:
             self._reported_at = 0.0
-            self._lines.delay(self._source, behind, "the answers have caught up with the stream")
+            self._lines.delay(self._source, behind, "the predictions have caught up with the stream")
         if inbox.is_held_up and behind and not self._is_held_up:
             self._is_held_up = True
-            self._lines.delay(self._source, behind, "no more fits into memory: whatever writes the stream has to wait")
+            self._lines.delay(self._source, behind, "memory is full: the source of the stream has to wait")
 
 
 @contextmanager

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from cgid.recordings import RecordingFile
 
 F = TypeVar("F", bound=Callable[..., Any])
-#: Longest dead time [ms]; no struck body rings for longer.
+#: Maximum dead time [ms]; no ring-down lasts longer.
 MAX_DEAD_TIME = 1e4
 
 
@@ -43,7 +43,7 @@ class PathName(click.types.StringParamType):
         return super().convert(value, param, ctx)
 
     def shell_complete(self, ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
-        """Let the shell offer its files, and what comes with cgid."""
+        """Let the shell complete files, and the names of shipped ones."""
         names = [name for name in self._shipped if name.startswith(incomplete)]
         # Behind the files: bash forgets what came before them.
         return [CompletionItem(incomplete, type="file"), *map(CompletionItem, names)]
@@ -74,7 +74,7 @@ def require_one_executor(context: click.Context) -> None:
 
 
 def warn_of_volts(recording: RecordingFile) -> None:
-    """Say how volts and coulombs become what the sensor measured, where it is not known."""
+    """Explain how volts and coulombs are converted to the measured quantity, if unknown."""
     from cgid.errors import MissingOption
     from cgid.recordings.chain import require_measured
 
@@ -87,7 +87,7 @@ def warn_of_volts(recording: RecordingFile) -> None:
 
 @dataclass(frozen=True, kw_only=True)
 class Reading:
-    """How to read an input: the values of `reading_options`, as far as a command has them."""
+    """Settings for reading an input: the values of `reading_options` of a command."""
 
     sampling_rate: float | None = None
     unit: str | None = None
@@ -103,12 +103,12 @@ class Reading:
 
     @property
     def chain(self) -> dict[str, tuple[str, ...] | None]:
-        """The measuring chain, as `open_recording` takes it."""
+        """The measuring chain, as arguments of `open_recording`."""
         return {name: getattr(self, name) or None for name in CHAIN}
 
     @property
     def common(self) -> dict[str, Any]:
-        """What holds for any file, as `open_recording` and the reading of manifests take it."""
+        """Settings for any file, as arguments of `open_recording` and of manifests."""
         return {"sampling_rate": self.sampling_rate, "unit": self.unit, "format": self.format, **self.chain}
 
     @property
@@ -121,7 +121,7 @@ class Reading:
         return self.milliseconds * 1e-3
 
     def of_manifest(self, *, strict: bool) -> ManifestReading:
-        """Return how to read the recordings of a manifest that do not say it themselves."""
+        """Return the settings for recordings of a manifest that do not state them."""
         from cgid.identification.labelled_recordings import Reading as ManifestReading
 
         return ManifestReading(channels=self.channel or None, strict=strict, failed=say_error, **self.common)
@@ -138,7 +138,7 @@ class Reading:
             given |= {"--variable": self.variable, "--format": self.format, "--mass": mass}
         for flag, value in given.items():
             if value is not None:
-                raise InvalidValue(f"{path}: {flag} is for recordings, a dataset says it itself; leave {flag} out")
+                raise InvalidValue(f"{path}: {flag} is for recordings, a dataset states it; leave {flag} out")
         return self.index is None
 
     def recording(self, path: str) -> RecordingFile:
@@ -187,7 +187,7 @@ def _options(*options: Callable[[Any], Any]) -> Callable[[F], F]:
 def _bundle(
     name: str, make: Callable[..., Any], options: Mapping[str, Callable[[Any], Any]]
 ) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
-    """Return a decorator that adds options, of whose values the command receives what is made, as `name`."""
+    """Return a decorator that adds options; the command receives the object made from their values as `name`."""
 
     def add(command: Callable[..., Any]) -> Callable[..., Any]:
         @wraps(command)
@@ -202,7 +202,7 @@ def _bundle(
 json_option = click.option("--json", "as_json", is_flag=True, help="Print JSON, one object per line.")
 strict_option = click.option("--strict", is_flag=True, help="Stop at the first file that fails.")
 overwrite_option = click.option(
-    "--overwrite", is_flag=True, help="Replace an existing file or folder, with all that is in it."
+    "--overwrite", is_flag=True, help="Replace an existing file or folder, with all its contents."
 )
 seed_option = click.option(
     "--seed",
@@ -218,7 +218,7 @@ worker_options = _options(
     click.option("--jobs", type=int, default=1, show_default=True, help="Use this many worker processes."),
     click.option(
         "--scheduler",
-        help="Let the workers of a dask cluster do the work: its address, such as tcp://192.168.0.7:8786.",
+        help="Use the workers of a dask cluster with this address, such as tcp://192.168.0.7:8786.",
     ),
 )
 laws_option = click.option(
@@ -228,7 +228,7 @@ laws_option = click.option(
     is_eager=True,
     expose_value=False,
     callback=_add_laws,
-    help="Add the contact laws of a module of your own, by its name or the path of its file.",
+    help="Add the contact laws of your own module, by its name or the path of its file.",
 )
 #: Options for reading a recording: field of `Reading` -> option.
 _READING: dict[str, Callable[[Any], Any]] = {
@@ -245,26 +245,25 @@ _READING: dict[str, Callable[[Any], Any]] = {
         multiple=True,
         help="Read only this channel: its name, or its number from 1; for several give 1+2, or the option again.",
     ),
-    "variable": click.option("--variable", help="Choose an array, table or group if the file holds several."),
+    "variable": click.option("--variable", help="Choose an array, table or group if the file contains several."),
     "format": click.option(
         "--format",
         metavar="NAME",
-        help="Read recordings as this format, such as WAV, text, or the reader of another package; by default the "
-        "content shows it.",
+        help="Read recordings as this format, such as WAV, text, or the reader of a package; by default detected.",
     ),
     "index": click.option("--index", type=int, help="Read only this signal of a dataset, counted from 0."),
-    "invert": click.option("--invert", is_flag=True, help="Turn the signal upside down; impacts must point upwards."),
+    "invert": click.option("--invert", is_flag=True, help="Invert the signal; impacts must point upwards."),
     "milliseconds": click.option(
         "--dead-time",
         "milliseconds",
         type=float,
-        help="Set how long a blow rings [ms], by default 2 for pulses and 5 for vibrations.",
+        help="Set the ring-down time of an impact [ms], by default 2 for pulses and 5 for vibrations.",
     ),
     "sensitivity": click.option(
         "--sensitivity",
         multiple=True,
         metavar="[NAME=]VALUE",
-        help="Give the sensitivity of a sensor whose samples are in volts: '10.2 mV/g', '2.3 mV/N', '3.1 pC/g'; "
+        help="Set the sensitivity of a sensor with samples in volts: '10.2 mV/g', '2.3 mV/N', '3.1 pC/g'; "
         "for one channel as 2=VALUE.",
     ),
     "gain": click.option(
@@ -277,7 +276,7 @@ _READING: dict[str, Callable[[Any], Any]] = {
         "--full-scale",
         multiple=True,
         metavar="[NAME=]VALUE",
-        help="Say what full scale is in a sound file or in integers: '10 V', '50 g', '10 V at 24 bit'.",
+        help="Set full scale of a sound file or of integers: '10 V', '50 g', '10 V at 24 bit'.",
     ),
 }
 
@@ -289,7 +288,7 @@ def reading_options_for(*names: str) -> Callable[[Callable[..., Any]], Callable[
 
 reading_options = reading_options_for(*_READING)
 CHAIN = ("sensitivity", "gain", "full_scale")
-#: Plant outputs; the command receives those that were given as `outputs`, arguments of `PlantOutputs`.
+#: Plant outputs; the command receives the given ones as `outputs`, arguments of `PlantOutputs`.
 plant_options = _bundle(
     "outputs",
     lambda **given: {name: value for name, value in given.items() if value is not None},
@@ -298,11 +297,13 @@ plant_options = _bundle(
             "--mqtt", metavar="URL", help="Publish each line below mqtt://HOST[:PORT]/TOPIC (mqtts: TLS)."
         ),
         "modbus": click.option(
-            "--modbus", metavar="HOST:PORT", help="Serve state, share and counts as Modbus TCP registers."
+            "--modbus", metavar="HOST:PORT", help="Serve state, gangue fraction and counts as Modbus TCP registers."
         ),
         "prometheus": click.option("--prometheus", metavar="[HOST]:PORT", help="Serve metrics at /metrics."),
         "live": click.option(
-            "--live", metavar="[HOST]:PORT|FILE", help="Show waveform, share and decision on a page, or in FILE.html."
+            "--live",
+            metavar="[HOST]:PORT|FILE",
+            help="Show waveform, gangue fraction and decision on a page, or in FILE.html.",
         ),
         "on_shut": click.option(
             "--on-shut", metavar="COMMAND", help="Run this command at each SHUT; it gets the line on stdin."
@@ -310,24 +311,24 @@ plant_options = _bundle(
         "on_open": click.option("--on-open", metavar="COMMAND", help="Run this command at each OPEN."),
     },
 )
-#: Options that choose the model and its settings, as `settings_of` takes them.
+#: Options for the model and its settings, as arguments of `settings_of`.
 answering_options = _options(
     click.option(
         "--model",
         "model_path",
         type=MODEL,
-        help="Use this model: a file, or a shipped one such as default-acceleration; by default it follows the unit.",
+        help="Use this model: a file, or a shipped one such as default-acceleration; by default chosen by the unit.",
     ),
     click.option(
-        "--mass", type=float, help="Give the mass of the accelerated impactor [kg]: force = mass x acceleration."
+        "--mass", type=float, help="Set the mass of the accelerated impactor [kg]: force = mass x acceleration."
     ),
-    click.option("--drop-height", type=float, help="Say how far the rocks fell [m], for a model that needs to know."),
+    click.option("--drop-height", type=float, help="Set the drop height of the rocks [m], for a model that needs it."),
     click.option(
         "--miss-cost",
         "costs",
         multiple=True,
         metavar="LABEL=COST",
-        help="Say what it costs to miss this label, by default 1.",
+        help="Set the cost of missing this label, by default 1.",
     ),
     click.option(
         "--coverage",
@@ -335,13 +336,13 @@ answering_options = _options(
         help="Reject impacts whose prediction set at this coverage (0.9) is not a single label.",
     ),
     click.option(
-        "--class-conditional", is_flag=True, help="Let the coverage hold for each label, not only for their mix."
+        "--class-conditional", is_flag=True, help="Guarantee the coverage for each label, not only for their mixture."
     ),
     click.option(
         "--vote",
         "vote_time",
         type=float,
-        help="Decide on windows together over this time [s], by default 0.5; with 0, each alone.",
+        help="Set the time over which windows vote [s], by default 0.5; with 0, no vote.",
     ),
     click.option(
         "--sensor",
@@ -351,24 +352,24 @@ answering_options = _options(
         help="Name the sensor among those of the model's reference runs; once, or once per channel.",
     ),
     click.option(
-        "--window", "share_time", type=float, help="Let the gangue share look back this long [s], by default 10."
+        "--window", "share_time", type=float, help="Set the window of the gangue fraction [s], by default 10."
     ),
     click.option(
-        "--gangue", multiple=True, metavar="LABEL", help="Count this label as gangue, or several, one an option."
+        "--gangue", multiple=True, metavar="LABEL", help="Count this label as gangue; repeat the option for several."
     ),
     click.option(
         "--dilution-cost",
         type=float,
-        help="Say what drawn gangue costs, in units of lost coal, by default 1; it decides when to shut.",
+        help="Set the cost of drawn gangue in units of lost coal, by default 1; it decides when to shut.",
     ),
     click.option(
-        "--evidence", type=float, help="Say SHUT or OPEN when it is right with this probability, by default 0.95."
+        "--evidence", type=float, help="Print SHUT or OPEN when it is right with this probability, by default 0.95."
     ),
     click.option(
-        "--hold", type=float, help="Keep to SHUT or OPEN at least this long [s], by default as long as the window."
+        "--hold", type=float, help="Hold SHUT or OPEN for at least this time [s], by default the length of the window."
     ),
     click.option(
-        "--give-up", type=float, help="Give up a channel that stays unreadable for this long [s], by default 10."
+        "--give-up", type=float, help="Give up a channel that is unreadable for this long [s], by default 10."
     ),
 )
 
@@ -394,12 +395,12 @@ def _cost(text: str) -> tuple[str, float]:
         raise click.UsageError(f"--miss-cost must be LABEL=COST such as gangue=3, got {text!r}") from None
 
 
-#: Options that a repeated command leaves out, because they say where its output goes.
+#: Options of outputs, which suggested commands omit.
 _OUTPUT = ("as_json", "strict", "report", "output", "overwrite", "sample")
 
 
 def given_options() -> tuple[list[str], list[str]]:
-    """Return the options of the current command line: those for reading a recording, and those for answering."""
+    """Return the options of the current command line: those for reading a recording, and those for prediction."""
     context = click.get_current_context()
     found: tuple[list[str], list[str]] = ([], [])
     given = given_flags(context)
@@ -470,13 +471,13 @@ def warn_of_model(source: str, name: str, sampling_rate: float, model: Model, se
     if model.sensors and not settings.sensors:
         known = ", ".join(model.sensors)
         warn(
-            f"{source}: the model knows the response of some sensors, nothing makes up for that of "
-            f"this one; give --sensor NAME if it is one of {known}"
+            f"{source}: the model corrects the responses of known sensors only; give --sensor NAME if this is one of "
+            f"{known}"
         )
     if model.is_of_few:
         warn(
-            f"{source}: the model knows few recordings of each label; its probabilities hold for "
-            "recordings like those, the next day may be much worse"
+            f"{source}: the model knows few recordings of each label; its probabilities are valid for recordings like "
+            "those; expect lower accuracy on another day"
         )
     low, high = model.sampling_rates
     if not model.covers(sampling_rate):
@@ -485,7 +486,7 @@ def warn_of_model(source: str, name: str, sampling_rate: float, model: Model, se
 
 
 def share_of(flag: str, text: str) -> float:
-    """Return a share such as "1 %"."""
+    """Return a fraction such as "1 %"."""
     from cgid.units import parse
 
     try:

@@ -1,4 +1,4 @@
-"""The standard streams of a command, its errors and progress, and interruptions; all printing goes through `say`."""
+"""The standard streams of a command, errors, progress and interruptions; all printing uses `say`."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ import click
 from cgid.errors import CannotCreate, CgidError, InvalidValue, WriteFailed
 from cgid.terminal import printable
 
-#: Version of the lines that --json prints.
+#: Version of the lines of --json.
 JSON_VERSION = 1
 #: Up to this total a progress bar shows plain numbers, above it 1.2k, 3.4M.
 _COUNTED_EXACTLY = 100_000
-#: Files that a library reads in this process, and trusts.
+#: Files read in this process by a library that trusts them.
 _TRUSTED_BY_LIBRARIES = (".h5", ".hdf5", ".mat")
 #: Signals that asked to stop: Python loses KeyboardInterrupt in callbacks of weak references, of which h5py has many.
 _noted: list[int] = []
@@ -75,7 +75,7 @@ def warn(warning: object) -> None:
 
 @dataclass
 class FileErrors(AbstractContextManager[None]):
-    """Report the error of one file and go on with the next; `code` is the exit code of the first that failed."""
+    """Report the error of one file and continue with the next; `code` is the exit code of the first that failed."""
 
     # If `strict`, or with one output for all files an error of writing it, an error ends the work: it would lack rows.
     strict: bool = False

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 @click.command(
     cls=Command,
-    short_help="Draw a recording: waveform, spectrogram, spectrum and impacts.",
+    short_help="Plot a recording: waveform, spectrogram, spectrum and impacts.",
     example="cgid plot datasets/sample.csv -o sample.png",
 )
 @click.argument("file", type=PATH)
@@ -36,14 +36,14 @@ if TYPE_CHECKING:
     metavar="PICTURE",
     help="Write this picture, ending in .png, .svg or .pdf.",
 )
-@click.option("--events/--no-events", default=True, show_default=True, help="Mark the impacts that are found.")
+@click.option("--events/--no-events", default=True, show_default=True, help="Mark the detected impacts.")
 @click.option(
     "--kind",
     type=click.Choice(["pulse", "vibration"]),
-    help="Say what an impact looks like; by default motion and sound are vibrations, all else pulses.",
+    help="Set the type of impacts; by default motion and sound are vibrations, everything else pulses.",
 )
-@click.option("--from", "begin", type=float, default=0.0, metavar="SECONDS", help="Draw what comes after this.")
-@click.option("--to", "end", type=float, metavar="SECONDS", help="Draw what comes before this.")
+@click.option("--from", "begin", type=float, default=0.0, metavar="SECONDS", help="Plot only after this time.")
+@click.option("--to", "end", type=float, metavar="SECONDS", help="Plot only before this time.")
 @overwrite_option
 @json_option
 @reading_options
@@ -58,13 +58,13 @@ def plot(
     as_json: bool,
     reading: Reading,
 ) -> None:
-    """Draw the recording FILE: waveform, spectrogram and spectrum of each channel, and the impacts found in it.
+    """Plot the recording FILE: waveform, spectrogram and spectrum of each channel, and detected impacts.
 
-    The length of the recording does not matter: it is read block by block. Impacts are searched for in each channel by
-    itself, as cgid predict does it.
+    The recording may be of any length, since it is read block by block. Impacts are detected separately in each
+    channel, as in cgid predict.
     """
     from cgid.files import write_whole
-    from cgid.identification.detection import TURN_OVER
+    from cgid.identification.detection import INVERT_HINT
     from cgid.measure.overview import OverviewStream
     from cgid.plots import picture
     from cgid.plots.figure import FORMATS, new_picture
@@ -90,7 +90,7 @@ def plot(
             finder.feed(drawn)
     marks = [] if finder is None else finder.finish()
     for name in [] if finder is None else finder.upside_down():
-        warn(f"{recording.source} channel {name}: no impact: {TURN_OVER}")
+        warn(f"{recording.source} channel {name}: no impact: {INVERT_HINT}")
     for warning in recording.warnings:
         warn(warning)
     overview = stream.overview()

@@ -1,4 +1,4 @@
-"""`cgid predict`: a table of the impacts found, the gangue fraction, a summary; and the page for --report."""
+"""`cgid predict`: a table of detected impacts, the gangue fraction, a summary; and the page of --report."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def _report(
     model_name: str,
     rows: RecordingRows,
 ) -> Report:
-    """Return what a page shows of a recording: its pictures, and the answers that were printed."""
+    """Return the page content of a recording: its pictures, and the printed predictions."""
     from cgid.report import Report, model_facts, recording_facts
 
     return Report(
@@ -71,7 +71,7 @@ def _report(
 
 @dataclass(frozen=True, kw_only=True)
 class _Prediction:
-    """The settings for all files; `reports` collects what a page shows of each recording, if one is requested."""
+    """The settings for all files; `reports` collects the page content of each recording, if requested."""
 
     models: Models
     settings: PredictionSettings
@@ -79,7 +79,7 @@ class _Prediction:
     reports: list[Report] | None
 
     def recording(self, recording: RecordingFile) -> None:
-        """Print the answers for a recording, read block by block, once for each model that its channels need."""
+        """Print the predictions for a recording, read block by block, once for each model that its channels need."""
         groups: dict[int, tuple[Model, list[int]]] = {}
         for number, channel in enumerate(recording.channels):
             model = self.models.of(channel.quantity)
@@ -96,12 +96,12 @@ class _Prediction:
                 self.lines.warning(recording.source, warning)
         if len(errors) == len(groups):
             raise errors[0]
-        # Channels of another quantity must not hide those with answers.
+        # Channels of another quantity must not hide those with predictions.
         for unanswered in errors:
             self.lines.warning(recording.source, str(unanswered))
 
     def _channels(self, recording: RecordingFile, model: Model, numbers: list[int]) -> None:
-        """Print the answers for the channels of a recording that use this model."""
+        """Print the predictions for the channels of a recording that use this model."""
         from cgid.cli.hints import Hints
         from cgid.identification.stream import factors_for, identify_blocks
         from cgid.recordings.chain import scaled
@@ -123,7 +123,7 @@ class _Prediction:
             pictures = OverviewStream(rate, len(channels))
             blocks = pictures.watching(blocks)
         steps = identify_blocks(scaled(blocks, factors), rate, model, names, settings, source)
-        # The next command cannot read what came through a pipe.
+        # The next command cannot read a pipe again.
         file = "RECORDING" if source == "stdin" else source
         hints = Hints(model, rate, file, *given_options(), channels=[channel.name for channel in recording.channels])
         rows = RecordingRows(source, model, names, settings, self.lines, keep=pictures is not None, hints=hints)
@@ -141,7 +141,7 @@ class _Prediction:
             self.reports.append(_report(recording, channels, pictures.overview(), model, name, rows))
 
     def dataset(self, path: str) -> None:
-        """Print the answer for every signal of a dataset, and how many are right."""
+        """Print the prediction for every signal of a dataset, and the accuracy."""
         from cgid.cli.hints import Hints
         from cgid.errors import BadData
         from cgid.identification.answers import identify_frames
@@ -185,7 +185,7 @@ class _Prediction:
             self.lines.warning(path, f"{path}: {level}")
 
     def dataset_signal(self, path: str, index: int, signal: Signal) -> None:
-        """Print the answer for one signal of a dataset."""
+        """Print the prediction for one signal of a dataset."""
         import numpy as np
 
         from cgid.errors import BadData
@@ -216,7 +216,7 @@ class _Prediction:
 
 @dataclass
 class _Tally:
-    """Counts of the answers for the labelled impacts of a dataset."""
+    """Counts of the predictions for the labelled impacts of a dataset."""
 
     measured: int = 0
     right: int = 0
@@ -232,13 +232,13 @@ class _Tally:
         if not answer.probabilities:
             return
         self.measured += 1
-        # The most probable label counts, so that the figure agrees with the model card.
+        # The most probable label is used, so that the accuracy agrees with the model card.
         self.right += max(answer.probabilities, key=lambda label: answer.probabilities[label]) == truth
         if answer.prediction_set is not None:
             self.covered = (self.covered or 0) + (truth in answer.prediction_set)
 
     def summary(self, n_impacts: int) -> str:
-        """Return the figures in one line."""
+        """Return the counts in one line."""
         from cgid.identification.share import wilson_interval
 
         share = self.right / self.measured
@@ -246,14 +246,14 @@ class _Tally:
         low, high = wilson_interval(share, min(self.measured, len(self.specimens)))
         text = (
             f"accuracy of the most probable label {share:.4f} (95 % interval {low:.4f} to {high:.4f}) "
-            f"on {self.measured} of {counted(n_impacts, 'labelled impact')}; {self.unknown} answered unknown"
+            f"on {self.measured} of {counted(n_impacts, 'labelled impact')}; {self.unknown} unknown"
         )
         if self.covered is None:
             return text
         answered = n_impacts - self.unknown
         others = counted(answered, "other answer")
         right = f", {self.answered_right / answered:.4f} of the {others} are right" if answered else ""
-        return f"{text}{right}; prediction sets hold the truth in {self.covered / self.measured:.4f}"
+        return f"{text}{right}; prediction sets contain the truth in {self.covered / self.measured:.4f}"
 
 
 @click.command(
@@ -263,19 +263,22 @@ class _Tally:
 @click.option("--sample", is_flag=True, help="Use the bundled sample recording.")
 @answering_options
 @click.option(
-    "--report", type=PATH, metavar="PAGE", help="Write one page (.html) with pictures and answers of the recordings."
+    "--report",
+    type=PATH,
+    metavar="PAGE",
+    help="Write one page (.html) with pictures and predictions of the recordings.",
 )
 @click.option(
     "--impactor",
     type=SCENE,
     metavar="SCENE",
-    help="Say mass, radius and speed of what struck, with 90 % intervals, among the rocks of this scene.",
+    help="Estimate mass, radius and speed of the impactors with 90 % intervals, among the rocks of this scene.",
 )
 @click.option(
     "--masses",
     type=PATH,
     metavar="PICTURE",
-    help="Draw the distribution of masses (.png, .svg, .pdf), corrected for what is not found; with --impactor.",
+    help="Plot the distribution of masses (.png, .svg, .pdf), corrected for undetected impacts; with --impactor.",
 )
 @output_options
 @reading_options
@@ -295,12 +298,11 @@ def predict(
 ) -> int:
     """Identify the material of every impact in FILEs: recordings or datasets; - is stdin.
 
-    Without --model a force is answered by the default model of pulses, an acceleration by that of vibrations; with
-    --mass an acceleration is that of the impactor, and becomes a force. A model of windows answers for each window.
+    Without --model, forces use the default model of pulses and accelerations that of vibrations; with --mass an
+    acceleration is that of the impactor, and is converted to a force. A model of windows predicts each window.
 
-    Stdout is one CSV table, with the probability of each label as p_LABEL. The label is "unknown" when the impact lies
-    outside of what the model was trained on (novelty above 1), or with --coverage when several labels, or none, are
-    left.
+    Stdout is one CSV table, with the probability of each label as p_LABEL. The label is "unknown" if the impact is out
+    of distribution (novelty above 1), or with --coverage if several labels, or none, remain.
 
     Recordings of several impacts have a gangue fraction over a sliding window, with the interval that holds it with 95
     %, a line SHUT where going on surely (--evidence) costs more than it brings, and a summary; these go to stderr. With
@@ -310,7 +312,7 @@ def predict(
     from cgid.recordings import is_dataset
 
     if not files and not sample:
-        raise click.UsageError("give at least one FILE, or --sample for the one that comes with cgid")
+        raise click.UsageError("give at least one FILE, or --sample for the shipped one")
     impactors, picture = _impactors(impactor, masses, overwrite=overwrite)
     models, settings = settings_of(reading, **options, impactors=impactors)
     if sample:
@@ -355,7 +357,7 @@ def _impactors(scene: str | None, masses: str | None, *, overwrite: bool) -> tup
     """Return what says what struck, where that is requested, and the picture of its masses."""
     if scene is None:
         if masses is not None:
-            raise click.UsageError("--masses needs to know what can have struck; give --impactor SCENE, too")
+            raise click.UsageError("--masses needs the possible impactors; give --impactor SCENE, too")
         return None, None
     from cgid.impactor import ImpactorColumns
     from cgid.plots.figure import FORMATS, new_picture

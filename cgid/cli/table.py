@@ -19,16 +19,16 @@ from cgid.errors import BadData
 from cgid.terminal import counted
 from cgid.units import column_title
 
-#: Endings of table files.
+#: Suffixes of table files.
 ENDINGS = (".csv", ".jsonl", ".parquet", ".h5", ".hdf5")
-#: Longest line of JSON that is read as a row [characters].
+#: Maximum line of JSON that is read as a row [characters].
 _MAX_LINE_LENGTH = 1 << 20
-#: More than the names of the first columns take in CSV [characters].
+#: Upper bound of the length of the first column names in CSV [characters].
 _MAX_HEAD_LENGTH = 40
 
 
 class Column(NamedTuple):
-    """A column of a table, of texts unless told; `form` is how CSV writes its numbers, with the digits that matter."""
+    """A column of a table, of texts by default; `form` is the format of numbers in CSV."""
 
     name: str
     unit: str = ""
@@ -41,7 +41,7 @@ class Column(NamedTuple):
         return column_title(self.name, self.unit)
 
     def cell(self, value: Any) -> str:
-        """Return a value as CSV holds it; empty if it is missing."""
+        """Return a value for CSV; empty if missing."""
         if value is None:
             return ""
         if self.dtype == "bool":
@@ -55,7 +55,7 @@ def numbers(name: str, unit: str = "", form: str = ".8g") -> Column:
 
 
 def times(name: str) -> Column:
-    """Return a column of times [s], which tell samples apart up to 5 MHz."""
+    """Return a column of times [s], distinct for samples up to 5 MHz."""
     return numbers(name, "s", ".7f")
 
 
@@ -100,7 +100,7 @@ class TableOutput:
         return [column for column in new_columns if column not in self.columns]
 
     def add(self, row: Mapping[str, Any]) -> None:
-        """Write a row, given by the titles of its columns; what it lacks stays empty."""
+        """Write a row, given by the titles of its columns; missing ones are empty."""
         if self._write is None:
             self._write = self._opened()
         self._write([_plain(row.get(title)) for title in self._titles])
@@ -111,14 +111,14 @@ class TableOutput:
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
         if error is None and self.columns and self._write is None:
             with self._files:
-                self._opened()  # no row, but which columns there would have been
+                self._opened()  # no rows, but the columns
         else:
             self._files.__exit__(kind, error, at)
         if error is None and self.columns and self._path is not None:
             say(f"wrote {self._path}", err=True)
 
     def _opened(self) -> Callable[[list[Any]], object]:
-        """Write the head of the table, and return what writes a row."""
+        """Write the head of the table, and return the function that writes a row."""
         titles, columns = self._titles, self.columns
         if self._path is None:
             return _csv_writer(_print_line, columns)
@@ -139,14 +139,14 @@ class TableOutput:
 
 
 class WrittenTable(NamedTuple):
-    """A table that `cgid predict` or `cgid features` has written: what its rows are, its columns, and their number."""
+    """A table written by `cgid predict` or `cgid features`: type of its rows, columns, and number of rows."""
 
     kind: str
     columns: list[str]
     n_rows: int
 
 
-#: What these tables begin with; before version 0.2 the time had its unit in brackets, or none in HDF5.
+#: First columns of these tables; before version 0.2 the time had its unit in brackets, or none in HDF5.
 _HEADS = tuple(("source", "channel", time) for time in ("time_s", "time [s]", "time"))
 
 
@@ -158,7 +158,7 @@ def written_table(path: str) -> WrittenTable | None:
     try:
         read = readers.get(file.suffix.lower()) if file.is_file() else None
         columns, n_rows = ([], 0) if read is None else read(file)
-    except OSError:  # anyone who opens it next says why
+    except OSError:  # opening it later reports the error
         return None
     if not any(set(head) <= set(columns) for head in _HEADS):
         return None
@@ -215,7 +215,7 @@ def _hdf5_table(file: Path) -> tuple[list[str], int]:
 
 
 def _damaged(file: Path, fault: str) -> BadData:
-    return BadData(f"{file}: the table must be as it was written, {fault}; write it again")
+    return BadData(f"{file}: the table must be unchanged, {fault}; write it again")
 
 
 def _print_line(line: str) -> None:
@@ -225,7 +225,7 @@ def _print_line(line: str) -> None:
 
 
 def _csv_writer(put: Callable[[str], object], columns: Sequence[Column]) -> Callable[[list[Any]], None]:
-    """Put the titles of a CSV table, and return what puts a row, without the end of the line."""
+    """Write the titles of a CSV table, and return the function that writes a row, without the end of the line."""
 
     def put_row(texts: Iterable[str]) -> None:
         line = io.StringIO()

@@ -1,4 +1,4 @@
-"""`cgid tap`: the modes of a beam from a recording of taps on it."""
+"""`cgid tap`: the modes of a beam from a recording of hammer taps."""
 
 from __future__ import annotations
 
@@ -20,36 +20,38 @@ if TYPE_CHECKING:
 
 @click.command(
     cls=Command,
-    short_help="Find the modes of a beam in a recording of taps on it.",
+    short_help="Find the modes of a beam in a recording of hammer taps.",
     example="cgid tap taps.csv --channel 1 --hammer 2 -o modes.csv --plot modes.png",
 )
 @click.argument("recording", type=PATH)
 @click.option("-o", "--output", type=PATH, required=True, help="Write the modes to this table (.csv).")
 @click.option("--hammer", metavar="CHANNEL", help="Read the force of the hammer from this channel: its name or number.")
-@click.option(
-    "--band", nargs=2, type=float, metavar="LOW HIGH", help="Keep to natural frequencies from LOW to HIGH [Hz]."
-)
+@click.option("--band", nargs=2, type=float, metavar="LOW HIGH", help="Limit natural frequencies to LOW to HIGH [Hz].")
 @click.option(
     "--max-order",
     type=int,
     default=24,
     show_default=True,
-    help="Give the model at most this many modes in each of the narrow bands that are fitted one by one.",
+    help="Fit at most this many modes in each of the narrow bands.",
 )
 @click.option(
-    "--contact", type=float, default=2.0, show_default=True, help="Say how long a hammer without channel stays on [ms]."
+    "--contact",
+    type=float,
+    default=2.0,
+    show_default=True,
+    help="Set the contact time of a hammer without channel [ms].",
 )
-@click.option("--taps", "table", type=PATH, help="Use only the taps of this table (.csv) with a column 'time_s'.")
 @click.option(
-    "--scene", "scene_name", type=SCENE, help="Write the modes of this scene's beam, corrected where the taps say more."
+    "--taps", "table", type=PATH, help="Use only the taps listed in this table (.csv) in the column 'time_s'."
 )
+@click.option("--scene", "scene_name", type=SCENE, help="Write the modes of this scene's beam, corrected by the taps.")
 @click.option(
     "--start-error",
     default="1 %",
     show_default=True,
-    help="Say how far the scene's natural frequencies may be off (one standard deviation).",
+    help="Set the uncertainty of the scene's natural frequencies (one standard deviation).",
 )
-@click.option("--plot", "picture", type=PATH, help="Draw the poles of all orders of the model as PNG.")
+@click.option("--plot", "picture", type=PATH, help="Plot the poles of all orders of the model as PNG.")
 @overwrite_option
 @json_option
 @reading_options
@@ -68,11 +70,11 @@ def tap(
     as_json: bool,
     reading: Reading,
 ) -> None:
-    """Find natural frequencies, damping ratios and participations of a beam in a RECORDING of taps on it.
+    """Find natural frequencies, damping ratios and participations of a beam in a RECORDING of hammer taps.
 
-    Tap some five to ten times at one place with a second or more between taps, with any hammer; an accelerometer on the
-    beam records. With an instrumented hammer, name its channel by --hammer: then participations are in 1/kg. The table
-    is one for tail_beam.modes of a scene and, with --scene, for tail_beam.learned.
+    Tap five to ten times at one point, a second or more apart, with any hammer; an accelerometer on the beam records.
+    With an instrumented hammer, name its channel by --hammer: then participations are in 1/kg. The table is one for
+    tail_beam.modes of a scene and, with --scene, for tail_beam.learned.
     """
     from cgid.files import check_new
     from cgid.site.tapping import read_times, save_learned, tap_test
@@ -116,7 +118,7 @@ def tap(
 
         write_whole(drawing, stabilisation_picture(test), overwrite=overwrite)
     if len(test.used) == 1:
-        warn("one tap: what differs from tap to tap is in no deviation; tap some five times")
+        warn("one tap: the standard deviations omit the variation between taps; tap about five times")
     _say(test, path, scene_name, known, as_json)
 
 
@@ -133,7 +135,7 @@ def _modes_of(name: str) -> tuple[Floats, Floats]:
     modes = scene.tail_beam.learned_modes or beam_modes(scene)
     if (np.diff(modes.frequency) < 0).any():
         raise InvalidValue(
-            f"scene {scene.name}: natural frequencies must ascend to be matched; take out its learned ones"
+            f"scene {scene.name}: natural frequencies must ascend to be matched; remove the learned ones"
         )
     return modes.frequency, modes.damping_ratio
 
@@ -188,7 +190,7 @@ def _samples(recording: Any) -> Any:
 
 
 def _say(test: TapTest, path: Path, scene: str | None, known: Any, as_json: bool) -> None:
-    """Print what was found, and what to do with it."""
+    """Print the modes, and how to use them."""
     content = _content(test, path, known)
     if as_json:
         print_json(content)
@@ -219,7 +221,7 @@ def _say(test: TapTest, path: Path, scene: str | None, known: Any, as_json: bool
         say(f"{int(known.sum())} of {known.size} modes of {scene} corrected")
         say(
             f'cgid: hint: put learned = "{path.name}" below [tail_beam] of {scene}, then cgid calibrate shift.wav '
-            "--scene with it teaches the other modes",
+            "--scene with it learns the other modes",
             err=True,
         )
 

@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from cgid.signals import Batch
     from cgid.store import Dataset
 
-#: Options for recordings only, for datasets and scenes only, and for whatever trains instead of correcting a model.
+#: Options for recordings only, for datasets and scenes only, and for training rather than correction.
 _OF_RECORDINGS = (
     "--by --window --hop --level-free --rate --unit --channel --format --sensitivity --gain --full-scale --dead-time "
     "--strict"
@@ -60,11 +60,9 @@ _OF_TRAINING = (
     "-o",
     "--output",
     type=PATH,
-    help="Write this model file, ending in .npz; the model card is written beside it as .md.",
+    help="Write this model file, ending in .npz; the model card is written next to it as .md.",
 )
-@click.option(
-    "--template", type=PATH, metavar="FILE.csv", help="Write a manifest of the recordings, for you to fill in."
-)
+@click.option("--template", type=PATH, metavar="FILE.csv", help="Write a manifest of the recordings to fill in.")
 @click.option(
     "--family",
     type=click.Choice(["logistic", "boosting", "network", "linear"]),
@@ -73,28 +71,27 @@ _OF_TRAINING = (
 @click.option("--features", "names", help="Use only these features, separated by commas.")
 @click.option("--class-weights", help="Weight the rows of each label: balanced, or such as coal=1,gangue=3.")
 @click.option(
-    "--test-share", type=float, default=0.25, show_default=True, help="Keep this share of the specimens for the test."
+    "--test-share", type=float, default=0.25, show_default=True, help="Set the fraction of the specimens for the test."
 )
 @click.option(
     "--calibration-share",
     type=float,
     default=0.1,
     show_default=True,
-    help="Keep this share of the specimens to calibrate the prediction sets.",
+    help="Set the fraction of the specimens to calibrate the prediction sets.",
 )
 @click.option(
     "--sensor",
     "sensors",
     multiple=True,
     metavar="X,Y",
-    help="Take sensors at these points [m] of a scene's beam together: the recording's channels, in this order.",
+    help="Use sensors at these points [m] of a scene's beam together: the recording's channels, in this order.",
 )
-@click.option("--drop-height", is_flag=True, help="Give the model the drop height of each rock, too.")
+@click.option("--drop-height", is_flag=True, help="Use the drop height of each rock as an input.")
 @click.option(
     "--start-error",
     metavar="SHARE",
-    help="Say how far the natural frequencies of a scene's beam may be off (one standard deviation), if nothing has "
-    "taught them; dampings 10 times as far.",
+    help="Set the standard deviation of an uncalibrated scene's natural frequencies; damping has 10 times as much.",
 )
 @click.option(
     "-n",
@@ -109,12 +106,12 @@ _OF_TRAINING = (
     "--from",
     "base",
     metavar="MODEL",
-    help="Correct this model by ten or more labelled impacts of a site, instead of training one.",
+    help="Correct this model by ten or more labelled impacts instead of training one.",
 )
 @click.option(
     "--by",
     type=click.Choice(["window", "impact"]),
-    help="Choose what the model decides on in recordings, by default impacts if silence lies between them.",
+    help="Choose impacts or windows of recordings, by default impacts if there is silence between them.",
 )
 @click.option(
     "--window", "window_time", type=float, default=0.1, show_default=True, help="Set the length of a window [s]."
@@ -122,7 +119,7 @@ _OF_TRAINING = (
 @click.option(
     "--hop", "hop_time", type=float, help="Set the time from one window to the next [s], by default half a window."
 )
-@click.option("--level-free", is_flag=True, help="Use only features in which the gain of a sensor cancels.")
+@click.option("--level-free", is_flag=True, help="Use only features independent of the gain of a sensor.")
 @reading_options_for("sampling_rate", "unit", "channel", "format", "milliseconds", *CHAIN)
 @strict_option
 @seed_option
@@ -130,9 +127,9 @@ _OF_TRAINING = (
 @click.option(
     "--shuffle-labels",
     is_flag=True,
-    help="Check the method: with shuffled labels, the accuracy must be that of guessing.",
+    help="Shuffle the labels as a check: the accuracy must then be that of guessing.",
 )
-@click.option("--plots", is_flag=True, help="Draw confusion, reliability and ROC pictures, too (extra plot).")
+@click.option("--plots", is_flag=True, help="Plot confusion matrix, reliability diagram and ROC curve (extra plot).")
 @overwrite_option
 @json_option
 @click.pass_context
@@ -150,8 +147,8 @@ def train(
 ) -> int:
     """Train a model on DATA: labelled recordings, datasets made by cgid generate, or scenes.
 
-    Recordings are named by a manifest, or by a folder that holds one, or whose subfolders are the labels:
-    coal/a.wav, gangue/b.wav. A scene is a .toml file or the name of a shipped one; its signals never touch the disk.
+    Recordings are named by a manifest, by a folder that contains one, or by a folder with labels as subfolders:
+    coal/a.wav, gangue/b.wav. A scene is a .toml file or the name of a shipped one; its signals are not written to disk.
 
     A manifest is a .csv file with the columns path and label (and as needed start, end, group, channel, sensor,
     reference, rate, unit, variable, format, sensitivity, gain, full_scale, invert), or a .toml file with a
@@ -181,7 +178,7 @@ def train(
         raise click.UsageError("Missing option '-o' / '--output'.", context)
     path = check_model_output(Path(output), plots=plots, overwrite=overwrite)
     if (base := options.pop("base")) is not None:
-        refuse(context, _OF_TRAINING, "--from corrects a model and trains none")
+        refuse(context, _OF_TRAINING, "--from corrects a model instead of training one")
         return _correct(data, base, path, reading, strict=options["strict"], plots=plots, as_json=as_json)
     names = options.pop("names")
     options["features"] = None if names is None else choose([name.strip() for name in names.split(",")])
@@ -195,7 +192,7 @@ def train(
         refuse(context, _OF_RECORDINGS, "there is no manifest of recordings")
     require_one_executor(context)
     if len(recorded) > 1:
-        raise InvalidValue(f"{recorded[1]}: there must be one manifest, got {len(recorded)}; put all into one")
+        raise InvalidValue(f"{recorded[1]}: give one manifest, got {len(recorded)}; merge them into one file")
     if options["by"] is None:
         options["by"] = _requested_windows(context, others, options["features"])
     manifest = _manifest(recorded[0]) if recorded else None
@@ -216,7 +213,7 @@ def _correct(data: tuple[str, ...], base: str, path: Path, reading: Reading, **g
     from cgid.cli.correction import correct_model
 
     if len(data) != 1 or not _recorded(data[0]):
-        raise BadData(f"{data[-1]}: with --from there must be one table of labelled impacts; cgid events makes it")
+        raise BadData(f"{data[-1]}: --from needs one table of labelled impacts, as written by cgid events")
     return correct_model(_manifest(data[0]), base, path, reading, **given)
 
 
@@ -252,7 +249,7 @@ def _manifest(item: str) -> Manifest:
 
 
 def _requested_windows(context: click.Context, others: list[str], features: Any) -> Literal["window", "impact"] | None:
-    """Return what other options say of impacts and windows; None if that is left to the recordings."""
+    """Return the slicing given by other options; None to choose from the recordings."""
     if features is not None:
         return None
     given = given_flags(context)
@@ -341,7 +338,7 @@ def _with_synthetic(data: list[str], recorded: Any, options: dict[str, Any]) -> 
 
     if recorded.kind == "window":
         raise InvalidValue(
-            f"{data[0]}: scenes hold single impacts; give --by impact to train on both, or leave them out"
+            f"{data[0]}: scenes contain single impacts; give --by impact to train on both, or leave them out"
         )
     batches = _batches(_sources(data), options)
     first = next(batches, None)
@@ -351,7 +348,7 @@ def _with_synthetic(data: list[str], recorded: Any, options: dict[str, Any]) -> 
         names = supported(recorded.names, first.sampling_rate, first.signals.shape[1])
         if not names:
             raise BadData(
-                f"{data[0]}: frames of {first.signals.shape[1]} samples at {first.sampling_rate:g} Hz hold no feature "
+                f"{data[0]}: frames of {first.signals.shape[1]} samples at {first.sampling_rate:g} Hz have no feature "
                 "of the recordings; make longer ones"
             )
         recorded = recorded.only(names)
@@ -361,14 +358,14 @@ def _with_synthetic(data: list[str], recorded: Any, options: dict[str, Any]) -> 
 
 
 def print_training(training: Any, path: Path, written: list[Path], as_json: bool) -> None:
-    """Print what a training has achieved, and warn of what it lacks."""
+    """Print the results of a training, with warnings."""
     metrics, about = training.metrics, training.model.training
     if about["n_left_out"]:
         what = "windows" if training.model.kind == "window" else "impacts"
-        warn(f"{about['n_left_out']} {what} could not be measured and were left out")
+        warn(f"{about['n_left_out']} {what} could not be measured and were excluded")
     without = about.get("recorded", {}).get("synthetic", {}).get("accuracy_without")
     if without is not None and without > metrics["accuracy"]:
-        summary = f"{metrics['accuracy']:.4f} of the recorded impacts are answered right, without them {without:.4f}"
+        summary = f"{metrics['accuracy']:.4f} accuracy on the recorded impacts, without them {without:.4f}"
         warn(f"with synthetic impacts {summary}; leave the scenes out")
     if as_json:
         print_json({"model": str(path), **metrics})
@@ -416,13 +413,13 @@ def _point(text: str) -> tuple[float, float]:
 
 
 def _beam(sources: list[Scene | Dataset], options: dict[str, Any]) -> Any:
-    """Return the beam that scenes and datasets share, if the features, or the default, look through it."""
+    """Return the beam shared by scenes and datasets, if the features, or the default, need it."""
     from cgid.measure.features import any_through_beam, kind_for
     from cgid.scene import Scene
     from cgid.scene.through_beam import shared_beam
 
     features, sensors = options["features"], options["sensors"]
-    beam, why = None, "the features that are asked for need no beam"
+    beam, why = None, "the requested features need no beam"
     if features is None or any_through_beam(features):
         beam, why = shared_beam(sources, sensors)
     if sensors and (beam is None or len(sources) > 1 or not isinstance(sources[0], Scene)):
@@ -436,7 +433,7 @@ def _beam(sources: list[Scene | Dataset], options: dict[str, Any]) -> Any:
 
 
 def _means_scene(item: str) -> bool:
-    """Return whether data is a scene; a name that resembles a shipped one is a mistyped one, unless it exists."""
+    """Return whether data is a scene; a non-existing name similar to a shipped one is taken as a misspelling."""
     from cgid import shipped
 
     named = bool(item in shipped.SCENES or validation.suggestion(item, shipped.SCENES))
@@ -444,13 +441,15 @@ def _means_scene(item: str) -> bool:
 
 
 def _sources(data: list[str], start_error: float | None = None) -> list[Any]:
-    """Return scenes and datasets; with an error, the beam of a scene is known no better."""
+    """Return scenes and datasets; with an error, the modes of a scene have at least this uncertainty."""
     from cgid.scene import load_scene
     from cgid.store import Dataset
 
     made = next((item for item in data if not _means_scene(item)), None)
     if start_error is not None and made is not None:
-        raise InvalidValue(f"{made}: --start-error must be left out, the signals of a dataset are made; give its scene")
+        raise InvalidValue(
+            f"{made}: --start-error must be left out, the signals of a dataset exist already; give its scene"
+        )
     sources: list[Any] = [load_scene(item) if _means_scene(item) else Dataset(item) for item in data]
     if start_error is None:
         return sources

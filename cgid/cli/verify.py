@@ -1,4 +1,4 @@
-"""`cgid verify`: find damage in datasets, recordings, tables and models, and repair what cgid has made."""
+"""`cgid verify`: find damage in datasets, recordings, tables and models, and repair those made by cgid."""
 
 from __future__ import annotations
 
@@ -20,25 +20,24 @@ _NO_SUM = "no checksum, "
 
 @click.command(
     cls=Command,
-    short_help="Say what is damaged in data or models, and repair datasets.",
+    short_help="Find damage in data or models, and repair datasets.",
     example="cgid verify models/default.npz datasets/sample.csv",
 )
 @click.argument("data", type=PATH, nargs=-1, required=True, metavar="DATA...")
-@click.option("--repair", is_flag=True, help="Make again what is damaged, and remove what stopped runs have left.")
-@click.option("--scene", type=SCENE, help="Give the scene file of a dataset, if that names a recorded background.")
+@click.option("--repair", is_flag=True, help="Regenerate damaged files, and remove leftovers of stopped runs.")
+@click.option("--scene", type=SCENE, help="Use this scene file of a dataset, if it names a recorded background.")
 @reading_options_for("variable", "format")
 @json_option
 def verify(data: tuple[str, ...], repair: bool, scene: str | None, as_json: bool, reading: Reading) -> int:
     """Say what is damaged in DATA: datasets (folders or files), recordings, tables, models; the exit code is 65 then.
 
     The files of a folder are compared with its SHA256SUMS, single files with their own checksums. A recording of
-    another program (TDMS, WAV, CSV, ...) has none: it is read to its end, as are all in a folder. With --repair what is
-    damaged or missing in a folder is made again from its description, to the same bytes, and nothing else is touched;
-    of a single file it says how to make it again. Files that do not belong to a dataset are reported, and are no
-    damage.
+    another program (TDMS, WAV, CSV, ...) has none: it is read to its end, as are all in a folder. With --repair damaged
+    or missing files of a folder are regenerated from its description, to the same bytes, and nothing else is changed;
+    for a single file the command is printed. Files that do not belong to a dataset are reported, but are not damage.
     """
     if scene is not None and not repair:
-        raise click.UsageError("--scene needs --repair: it says what to make files again from; give both or neither")
+        raise click.UsageError("--scene needs --repair, for which it is the source; give both or neither")
     from cgid.cli.info import is_model
 
     given = None
@@ -62,7 +61,7 @@ def verify(data: tuple[str, ...], repair: bool, scene: str | None, as_json: bool
 
 
 def _recordings_of(path: str) -> list[str]:
-    """Return the recordings in a folder that cgid has not made, sorted; none for anything else."""
+    """Return the recordings of other programs in a folder, sorted; none for anything else."""
     from cgid.errors import CgidError
     from cgid.identification.manifest import recordings_in
     from cgid.store.folder import is_dataset_folder
@@ -71,13 +70,13 @@ def _recordings_of(path: str) -> list[str]:
     try:
         if folder.is_dir() and not is_dataset_folder(folder) and not any(folder.glob("recording-*.h5")):
             return [str(file) for file in recordings_in(folder)]
-    except (CgidError, OSError):  # what is wrong with it is said where it is looked into
+    except (CgidError, OSError):  # the error is reported on reading
         pass
     return []
 
 
 def _verify_rows(path: str, as_json: bool) -> bool:
-    """Report a whole table of answers or features, or raise its damage; return whether it is one."""
+    """Report an intact table of predictions or features, or raise its damage; return whether it is one."""
     from cgid.cli.table import written_table
     from cgid.errors import BadData
 
@@ -116,7 +115,7 @@ def _is_file(path: str) -> bool:
 
 
 def _is_foreign(path: str) -> bool:
-    """Return whether this is a file that cgid has not written, and so a recording of another program."""
+    """Return whether this is a recording of another program."""
     from cgid.recordings import is_dataset
     from cgid.store.description import is_hdf5
     from cgid.store.reading import is_recording
@@ -130,7 +129,7 @@ def _is_foreign(path: str) -> bool:
 
 
 def _verify_foreign(path: str, reading: Reading, as_json: bool) -> None:
-    """Report a recording without checksums that can be read to its end, or raise what is broken."""
+    """Report a recording without checksums that is readable to its end, or raise its damage."""
     from cgid.errors import BadData
 
     source = Path(path)
@@ -146,7 +145,7 @@ def _verify_foreign(path: str, reading: Reading, as_json: bool) -> None:
     state = "damaged" if damage else "readable"
     _tell(path, "recording", 1, lines, not damage, as_json, f"{_NO_SUM}{state}: {content}")
     if damage:
-        raise BadData(f"{path}: must be whole, {damage[0]}; copy or export it again, this is no file of cgid")
+        raise BadData(f"{path}: must be complete, {damage[0]}; copy or export it again, this is not a file of cgid")
 
 
 def _read(path: str, reading: Reading) -> tuple[RecordingFile, int]:
@@ -183,7 +182,7 @@ def _verify_data(path: str, repair: bool, scene: Any, as_json: bool) -> None:
             told = str(error)
         after = find(path)
         still, left = {finding.file for finding in after.findings}, after.damage
-        # What stopped the repair is told once, with the file that it is about.
+        # An error of the repair is reported once, with its file.
         stuck = [finding.file for finding in found.findings if finding.file in still and finding.problem != "foreign"]
         about = next((file for file in stuck if told.startswith(f"{file}: ")), next(iter(stuck), None))
         for line, finding in zip(lines, found.findings, strict=True):
@@ -193,10 +192,10 @@ def _verify_data(path: str, repair: bool, scene: Any, as_json: bool) -> None:
     _tell(path, found.kind, found.n_files, lines, not left, as_json)
     if left:
         files = f"{len(left)} of its files are" if len(left) > 1 else f"{left[0].file.name} is"
-        hint = "see above how to make them again" if repair else "cgid verify --repair makes again what can be"
+        hint = "see above how to make them again" if repair else "cgid verify --repair regenerates what it can"
         if all(finding.problem == "unfinished" for finding in left):
-            hint = "go on with cgid generate ... --resume"
-        raise BadData(f"{path}: must be whole, {files} damaged, missing or unfinished; {hint}")
+            hint = "continue with cgid generate ... --resume"
+        raise BadData(f"{path}: must be complete, {files} damaged, missing or unfinished; {hint}")
 
 
 def _line(file: Path, problem: str, what: str) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""The answer for an impact: its label, the probabilities, and whether it lies in the training range of the model."""
+"""The prediction for an impact: its label, the probabilities, and whether it is in the training range of the model."""
 
 from __future__ import annotations
 
@@ -32,15 +32,15 @@ __all__ = ["Answer", "identify", "identify_frames", "suited"]
 
 @dataclass(frozen=True, kw_only=True)
 class Answer:
-    """The model's answer for one impact or one window.
+    """The prediction of a model for one impact or window.
 
     Attributes
     ----------
     time, end : float [s]
-        Begin and end of the impact or window in the recording; the end is nan where it is not known.
+        Begin and end of the impact or window in the recording; the end is nan if unknown.
     label : str
-        The decision; "unknown" for an impact that is outside of the training range, unmeasurable, or rejected by the
-        prediction set.
+        The decision; "unknown" for an impact outside the training range, unmeasurable, or rejected by the prediction
+        set.
     probabilities : mapping of str to float
         Probability of each label; empty when the impact could not be measured.
     novelty : float
@@ -152,7 +152,7 @@ def factor_to(model: Model, unit: str | None, name: str, mass: float | None = No
     """Return the factor from samples in a unit to those that a model takes; raises as `suited`, with a name."""
     if unit is None:
         raise MissingOption(
-            f"{name}: the unit must be known, neither header nor option says it; give --unit, such as "
+            f"{name}: the unit must be known, neither header nor option states it; give --unit, such as "
             f"{_unit_options(model)}, and for integers --full-scale, too, such as --full-scale '500 g'"
         )
     quantity, factor = quantity_of(unit), 1.0
@@ -167,7 +167,7 @@ def factor_to(model: Model, unit: str | None, name: str, mass: float | None = No
         elif quantity == "level":
             example = "500 g" if model.quantity == "acceleration" else "2 kN"
             hint = (
-                f"say what full scale is, as in --full-scale '{example}', or with --full-scale '10 V' "
+                f"state full scale, as in --full-scale '{example}', or with --full-scale '10 V' "
                 f"and the --sensitivity of the sensor; floats may be in a unit as they are: {_unit_options(model)}"
             )
         raise BadData(
@@ -186,7 +186,7 @@ def _unit_options(model: Model) -> str:
 
 @renamed_arguments(question="settings")
 def identify(signal: Signal, model: Model, settings: PredictionSettings | None = None, **fields: Any) -> list[Answer]:
-    """Return one answer for each impact in a recording.
+    """Return one prediction for each impact in a recording.
 
     Parameters
     ----------
@@ -194,9 +194,9 @@ def identify(signal: Signal, model: Model, settings: PredictionSettings | None =
         In the quantity and unit of the model; see `suited`.
     model : Model
     settings : PredictionSettings, optional
-        Costs, coverage, drop height and more; by default the most probable label is the answer.
+        Costs, coverage, drop height and more; by default the most probable label is predicted.
     **fields
-        Fields that replace those of the settings, such as `costs={"gangue": 3.0}` or `drop_height=1.5` [m].
+        Override fields of the settings, such as `costs={"gangue": 3.0}` or `drop_height=1.5` [m].
 
     Returns
     -------
@@ -223,7 +223,7 @@ def identify(signal: Signal, model: Model, settings: PredictionSettings | None =
     settings = replace(settings or PredictionSettings(), **fields)
     if model.kind == "window":
         raise InvalidValue(
-            f"{signal.name}: model must be one of impacts, this one answers for windows; give a whole recording"
+            f"{signal.name}: model must be one of impacts, this one is for windows; give a complete recording"
         )
     events = find_impacts(signal, kind=model.kind, dead_time=settings.dead_time)
     if (shortest := min(len(event.samples) for event in events)) >= MINIMUM_FRAME:
@@ -239,11 +239,11 @@ def identify_events(
     channels: Sequence[str] = ("1",),
     beam: BeamStream | None = None,
 ) -> list[Answer]:
-    """Return one answer for each detected impact, in order; `beam` holds what a stream has shown."""
+    """Return one prediction for each detected impact, in order; `beam` is the state of a stream."""
     if model.kind != "window" and any(np.atleast_2d(event.samples).shape[0] != model.together for event in events):
         raise BadData(
-            f"channels must be {model.together}, one for each sensor that this model looks through its beam with, in "
-            "the order of its training; give a whole recording of them, or take a model of one sensor"
+            f"channels must be {model.together}, one for each sensor of this model, in the order of its training; give "
+            "a complete recording of them, or use a model of one sensor"
         )
     sensors = settings.sensors_for(model, channels)
     known = known_columns(model.known, 1, settings.drop_height)
@@ -263,7 +263,7 @@ def identify_events(
                 detection_limit=event.detection_limit,
                 equalisation=None if sensor is None else model.equalisation(sensor)[0],
                 beam=beam,
-                # After a gap, a channel counts as another one.
+                # After a gap, a channel counts as a new one.
                 channel=np.array([events[k].since * len(channels) + events[k].channel for k in numbers]),
             )
             answers |= zip(numbers, part, strict=True)
@@ -294,7 +294,7 @@ def identify_frames(
     detection_limit: float = DETECTION_LIMIT,
     equalisation: Equalisation | None = None,
 ) -> list[Answer]:
-    """Return one answer for each frame of a single impact.
+    """Return one prediction for each frame of a single impact.
 
     Parameters
     ----------
@@ -303,20 +303,20 @@ def identify_frames(
     sampling_rate : float [Hz]
     model : Model
     settings : PredictionSettings, optional
-        Only its settings of decision count, such as costs and coverage.
+        Only the settings of the decision are used, such as costs and coverage.
     pre_trigger : int or None
-        Samples before onset, which show baseline and noise; None if they follow from the pulse itself.
+        Samples before onset, for baseline and noise; None to determine them from the pulse.
     drop_height : float or array_like, (n_signals,), optional [m]
         For a model that needs it.
     detection_limit : float
-        Least height of a pulse over the standard deviation of the noise.
+        Minimum height of a pulse over the standard deviation of the noise.
     equalisation : Equalisation, optional
         Corrects the sensor's response.
 
     Returns
     -------
     list of Answer
-        One for each frame; the times count from the start of the frame.
+        One for each frame; times count from the start of the frame.
 
     Raises
     ------
@@ -353,7 +353,7 @@ def _identified(
     beam: BeamStream | None = None,
     channel: NDArray[np.intp] | None = None,
 ) -> list[Answer]:
-    """Return one answer for each frame; `known` are the inputs of the model beside the features."""
+    """Return one prediction for each frame; `known` are inputs of the model besides the features."""
     if frames.shape[-1] < MINIMUM_FRAME:
         short = f"a frame must contain at least {MINIMUM_FRAME} samples, got {frames.shape[-1]}"
         return [unmeasured(short)] * len(frames)
@@ -421,5 +421,5 @@ def answers_from(
 
 
 def unmeasured(problem: str, time: float = 0.0) -> Answer:
-    """Return the answer for an impact or window that cannot be measured."""
+    """Return the prediction for an impact or window that cannot be measured."""
     return Answer(time=time, label=UNKNOWN, probabilities={}, novelty=float("nan"), problem=problem)

@@ -18,15 +18,16 @@ from cgid.measure.ar_noise import ORDER
 from cgid.measure.beam import GRID, Beam, Singles, filtered, gain, respond_on_average, sides_of
 from cgid.validation import Floats
 
-#: Min frequencies, and limits of the response to a force of 1 N: squares keep to single precision.
+#: Minimum number of frequencies, and limits of the response to a force of 1 N, whose squares fit single precision.
 _MIN_BINS, _LOUDNESS = 17, (1e-12, 1e11)
-#: Rows, modes or locations at a time: their responses fit into the cache of a processor.
+#: Rows, modes or locations processed at once: their responses fit in the processor's cache.
 ROWS = 64
-#: Bands of frequency, each with mixtures of the modes of its own.
+#: Frequency bands, each with its own mixtures of the modes.
 _BANDS = 4
-#: Ratio of the squares of forces for which errors of the modes have tables of their own, and the least weight.
+#: Ratio of the squared forces with separate tables for errors of the modes, and the minimum weight.
 STRONGER, _MIN_WEIGHT = 16.0, 1e-30
-#: Share of the energy of an impact below which errors of the modes do not count, as after calibration with 300 impacts.
+#: Fraction of the energy of an impact below which errors of the modes are neglected, as after calibration with 300
+#: impacts.
 _NEGLIGIBLE = 1e-4
 
 
@@ -97,13 +98,13 @@ class ModeErrors:
         return cls(turn.astype(np.float32), np.maximum(power, 0.0).ravel(), diagonal.ravel(), energy)
 
     def turned(self, coefficients: NDArray[Any], turn: Singles | None = None) -> NDArray[Any]:
-        """Return Fourier coefficients (..., n_coefficients) turned, or what another matrix makes of them."""
+        """Return Fourier coefficients (..., n_coefficients) times the rotation, or another matrix."""
         turn = self.turn if turn is None else turn
         parts = coefficients.reshape(-1, len(turn), turn.shape[1]).swapaxes(0, 1) @ turn
         return np.ascontiguousarray(parts.swapaxes(0, 1)).reshape(coefficients.shape)
 
     def strength(self, samples: Singles, weight: Singles) -> Floats:
-        """Return the square of the force that samples of weights suggest, each (n, n_coefficients), over the noise."""
+        """Return the squared force estimated from samples and weights, each (n, n_coefficients), over the noise."""
         energy = np.sum(np.square(samples, dtype=np.float64) * weight, axis=1) - (weight > 0).sum(axis=1)
         return np.asarray(np.maximum(energy, 1.0) / np.maximum(weight @ self.energy, 1e-300))
 
@@ -118,7 +119,7 @@ class ModeErrors:
 class ResponseTable:
     """Responses of a beam to force shapes, band by band, with principal mixtures in place of the modes."""
 
-    # Modes beyond a band respond almost alike in it, so fewer mixtures give the same response.
+    # Modes beyond a band respond almost equally in it, so fewer mixtures give the same response.
 
     beam: Beam  # with the participation of the mixtures, band after band
     kept: NDArray[np.intp]  # (n_kept,), numbers of the coefficients, band after band
@@ -164,7 +165,7 @@ class ResponseTable:
         return np.concatenate(parts, axis=1).reshape(len(samples), -1, self.n_shapes)
 
     def powers(self, at: Singles, root: Singles) -> tuple[Floats, Singles]:
-        """Return powers (n_locations, n_shapes) and directions of the force that coefficients times `root` indicate."""
+        """Return powers (n_locations, n_shapes) and directions of the force from coefficients times `root`."""
         gram = np.empty((len(at), self.n_shapes, self.n_shapes), np.float32)
         for first in range(0, len(at), ROWS):
             response = self.of_shapes(at[first : first + ROWS], root)
@@ -189,14 +190,14 @@ class BeamResponses:
 
     @cached_property
     def bins(self) -> slice:
-        """Frequencies that count: above 0, up to where the filters leave 1 % or, without them, below half the rate."""
+        """The frequencies used: above 0, up to the 1 % point of the filters or, without any, below half the rate."""
         frequencies = np.fft.rfftfreq(self.n_samples, 1 / self.beam.sampling_rate)
         passed = (np.abs(gain(self.beam.filters, frequencies)) > 0.01) & (frequencies <= self.limit)
         return slice(1, min(max(int(np.flatnonzero(passed)[-1]) + 1, _MIN_BINS), (self.n_samples + 1) // 2))
 
     @property
     def n_bins(self) -> int:
-        """Number of frequencies that count."""
+        """Number of frequencies used."""
         return int(self.bins.stop - self.bins.start)
 
     def transformed(self, samples: Floats) -> Singles:
@@ -232,7 +233,7 @@ class BeamResponses:
         loudest = float(np.abs(self.beam.participation).max()) * max(float(out.max()), -float(out.min()))
         if not _LOUDNESS[0] < loudest < _LOUDNESS[1]:
             raise BadData(
-                f"a beam must ring between {_LOUDNESS[0]:g} and {_LOUDNESS[1]:g} for a force of 1 N, got {loudest:g}; "
+                f"a beam must respond by {_LOUDNESS[0]:g} to {_LOUDNESS[1]:g} to a force of 1 N, got {loudest:g}; "
                 "train the model again"
             )
         table = out.reshape(n_modes, len(self.forces), -1)
@@ -243,7 +244,7 @@ class BeamResponses:
 
     @cached_property
     def errors(self) -> ModeErrors | None:
-        """The errors of the modes; None if these are known well enough."""
+        """The errors of the modes; None if negligible."""
         errors = None if self.beam.errors is None else self._responses[1]
         return errors if errors is not None and errors.power.sum() > _NEGLIGIBLE * errors.energy.sum() else None
 
@@ -300,7 +301,7 @@ class BeamResponses:
             weight /= 1 + weight * observations.error
         quiet = np.square(observations.level[:, None] / observations.noise).astype(np.float32)
         weight *= quiet[:, :, None] * self.counts(observations.limit)
-        # An uninformative sensor has no colour either.
+        # An uninformative sensor has white noise.
         informs = np.isfinite(observations.noise)
         exponent = np.sum(exponent, axis=1, where=informs) / informs.sum(axis=1)
         return weight.reshape(len(weight), -1), exponent
@@ -310,7 +311,7 @@ class BeamResponses:
         return np.ones(len(samples)) if self.errors is None else self.errors.strength(samples, weight)
 
     def with_errors(self, weight: Singles, strength: Floats) -> Singles:
-        """Return the weights of Fourier coefficients with the errors of the modes as noise of each by itself."""
+        """Return the weights of Fourier coefficients with the errors of the modes as independent noise of each."""
         if self.errors is None:
             return weight
         return np.asarray(weight / (1 + weight * (strength[:, None] * self.errors.diagonal)), np.float32)
@@ -330,7 +331,7 @@ def cut(frames: NDArray[Any], start: NDArray[np.intp], n_samples: int) -> Floats
 
 
 def grid_numbers(beam: Beam, every: int = 1) -> NDArray[np.intp]:
-    """Return the numbers of the locations of the grid, or of every so many along and across, (n_x, n_y)."""
+    """Return the numbers of the locations of the grid, or of a coarser one, (n_x, n_y)."""
     sides = sides_of(beam.region, GRID)
     return np.arange(np.prod(sides)).reshape(sides)[::every, ::every]
 

@@ -1,4 +1,4 @@
-"""Write models with their cards: the needs, the quality and the limits of a model, in Markdown."""
+"""Write models with their cards: requirements, quality and limits of a model, in Markdown."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ __all__ = ["write_card"]
 Record = Mapping[str, Any]
 #: Title and lines of a section.
 Section = tuple[str, list[str]]
-#: The pictures that belong to a model.
+#: The pictures of a model.
 PICTURES = ("confusion", "reliability", "roc")
 #: Maximum number of features that a card lists.
 _MAX_NAMES = 60
@@ -111,7 +111,7 @@ def _part(block: str, fields: Record) -> str:
 
 
 def _blocks(model: Model, pictures: tuple[str, ...]) -> Iterator[str]:
-    """Yield the blocks of the template that hold for a model, in their order."""
+    """Yield the blocks of the template that apply to a model, in order."""
     recorded, metrics = model.training.get("recorded"), model.training["metrics"]
     shown = {
         "shuffled": model.training["labels_shuffled"],
@@ -141,7 +141,7 @@ def _blocks(model: Model, pictures: tuple[str, ...]) -> Iterator[str]:
 
 
 def _fields(model: Model, name: str, pictures: tuple[str, ...]) -> dict[str, Any]:
-    """Return what stands in the braces of the template."""
+    """Return the values of the placeholders of the template."""
     training, labels = model.training, list(map(plain, model.labels))
     metrics, is_window = training["metrics"], model.kind == "window"
     guards = zip(model.guards, model.guard_limits, strict=True)
@@ -196,11 +196,11 @@ def _fields_of_recordings(recorded: Record, metrics: Record) -> dict[str, Any]:
     if isinstance(weights, Mapping):
         weights = ", ".join(f"{plain(label)} {weight:g}" for label, weight in weights.items())
     else:
-        weights = plain(weights or "all rows count the same")
+        weights = plain(weights or "all rows have equal weights")
     judged = [
         (f"one {recorded['by']}", metrics),
         *((f"running vote over {row['time']:g} s", row) for row in metrics.get("running", []) if row["n"]),
-        *([("vote of a whole recording", recordings)] if recordings["rows"] else []),
+        *([("vote of a complete recording", recordings)] if recordings["rows"] else []),
     ]
     shares = (
         (name, f"{row['accuracy']:.4f}", _interval(row), row.get("n", metrics["n_impacts"])) for name, row in judged
@@ -257,7 +257,7 @@ def _sets(model: Model) -> str:
 
 
 def correction_section(correction: Record) -> Section:
-    """Return the section of a model that labelled impacts of a site corrected."""
+    """Return the section of a model corrected by labelled impacts."""
     rows = (
         (
             name,

@@ -28,17 +28,17 @@ from cgid.identification.families import Contrast, Linear, Neighbourhood, Networ
 from cgid.validation import Floats
 from cgid.workers import SERIAL, Workers
 
-#: Maximum number of rows of either side that a contrast learns from, and its iterations.
+#: Maximum number of rows of either side in the training of a contrast, and its iterations.
 _MAX_CONTRASTED, _CONTRAST_ITERATIONS = 100_000, 300
-#: Share of the known rows inside the limit of a contrast: of `anything`, .86 instead of .81 are strange if .3 % of the
-#: known are, and not .1 %.
+#: Fraction of the known rows inside the limit of a contrast: .86 instead of .81 of `anything` are rejected if .3 %
+#: instead of .1 % of the known rows are.
 _INSIDE = 0.997
 
 Weights = Mapping[str, float] | str | None
 
 
 class ShrunkenDiscriminant(ClassifierMixin, BaseEstimator):  # type: ignore[misc]
-    """Linear discriminant analysis with a shrunken covariance: as scikit-learn's, in a fifth of the time."""
+    """Linear discriminant analysis with a shrunken covariance: that of scikit-learn in a fifth of the time."""
 
     # A nested cross-validation fits it a thousand times on many features and few recordings.
 
@@ -136,21 +136,21 @@ def _network(settings: ImpactClassifier) -> Any:
     )
 
 
-def contrast_of(known: Floats, strangers: Floats, linear: tuple[int, ...], seed: int) -> Contrast:
+def contrast_of(known: Floats, others: Floats, linear: tuple[int, ...], seed: int) -> Contrast:
     """Return a contrast of known and other rows (n, n_features); its limit holds 99.7 % of the known."""
     pick = np.random.default_rng(seed)
-    rows = [part[pick.permutation(len(part))[:_MAX_CONTRASTED]] for part in (known, strangers)]
-    inputs, stranger = np.concatenate(rows), np.repeat([0, 1], [len(part) for part in rows])
+    rows = [part[pick.permutation(len(part))[:_MAX_CONTRASTED]] for part in (known, others)]
+    inputs, other = np.concatenate(rows), np.repeat([0, 1], [len(part) for part in rows])
     with threadpool_limits(1):
         standardiser = Standardiser.fit(inputs, linear)
         network = _Perceptron(
             (32, 32), activation="tanh", solver="lbfgs", alpha=0.1, max_iter=_CONTRAST_ITERATIONS, random_state=seed
-        ).fit(standardiser.apply(inputs), stranger)
+        ).fit(standardiser.apply(inputs), other)
         contrast = Contrast(standardiser, Network(Network.export(network), inputs.shape[1], 2), 0.0)
         return replace(contrast, limit=float(np.quantile(contrast.scores(known), _INSIDE)))
 
 
-#: Powers over that of noise [dB] beyond which more or less makes no difference; ridge of the regression, per row.
+#: Powers over that of noise [dB] beyond which the level is clipped; ridge of the regression, per row.
 _NOISE_RANGE, _NOISE_RIDGE = (-10.0, 25.0), 0.2
 
 
@@ -202,7 +202,7 @@ class ImpactClassifier(ClassifierMixin, BaseEstimator):  # type: ignore[misc]
         Only if `rejects`.
     """
 
-    #: Family -> function that makes its estimator from a classifier's settings.
+    #: Family -> function that returns its estimator for a classifier's settings.
     ESTIMATORS: ClassVar[Mapping[str, Callable[[Any], Any]]] = {
         "logistic": _logistic,
         "boosting": _boosting,
@@ -239,7 +239,7 @@ class ImpactClassifier(ClassifierMixin, BaseEstimator):  # type: ignore[misc]
     ) -> ImpactClassifier:
         """Fit to features (n_impacts, n_features) and labels (n_impacts,).
 
-        A fold never divides one of the `groups` (n_impacts,), usually specimens. The `workers` fit the folds with one
+        A fold never splits one of the `groups` (n_impacts,), usually specimens. The `workers` fit the folds with one
         thread each, because the number of threads would change the last digits of sums.
 
         Parameters
@@ -251,12 +251,12 @@ class ImpactClassifier(ClassifierMixin, BaseEstimator):  # type: ignore[misc]
         groups : array_like, (n_impacts,), optional
             Number of the specimen of each impact; those of one specimen stay together.
         workers : Workers
-            Processes that fit.
+            Processes for the fits.
 
         Returns
         -------
         ImpactClassifier
-            Itself, fitted.
+            The fitted estimator.
         """
         validation.choice("family", self.family, tuple(self.ESTIMATORS))
         validation.plain("X", X)

@@ -64,7 +64,7 @@ def _threshold(scores: Floats, coverage: float) -> float:
     rank = math.ceil(round((n + 1) * coverage, 9))
     if rank > n:
         raise InvalidValue(
-            f"coverage must be at most {n / (n + 1):.4g} with {n} calibration impacts (of a label, if it is to hold "
-            f"for each), got {coverage:g}; ask for less, or train on more specimens"
+            f"coverage must be at most {n / (n + 1):.4g} with {n} calibration impacts (of each label if conditional), "
+            f"got {coverage:g}; ask for less, or train on more specimens"
         )
     return float(np.partition(scores, rank - 1)[rank - 1])

@@ -1,15 +1,15 @@
-"""What a model answers to rocks of either kind, so that a share can be corrected for the model's mistakes.
+"""Predictions of a model for rocks of either label, to correct the gangue fraction for errors of the model.
 
 A rock strikes, bounces and strikes again; some impacts are missed, some answers are unknown. So the unit is the rock: a
-rock of label k makes the model answer with a probability in bin b, `rates[k, b]` times in the mean. Of the answers at a
-share q of gangue rocks, bin b holds
+rock of label k gives on average `rates[k, b]` predictions with a probability in bin b. Of the answers at a share q of
+gangue rocks, bin b holds
 
     phi_b(q) = ((1 - q) rates[0, b] + q rates[1, b]) / sum over all bins
 
 This is the likelihood of an answer. Its maximum over q is the adjusted count of Forman 2008 with every bin as a
-threshold. Bounces, which look like coal, count with what they tell. Answers of one rock are not independent: the
-logarithm of the likelihood is divided by `overdispersion` (McCullagh & Nelder 1989, 4.5). It is that about the share of
-the rocks that came; these are drawn themselves, from a share that is known less well.
+threshold. Bounces, which look like coal, are included. Answers of one rock are not independent: the
+logarithm of the likelihood is divided by `overdispersion` (McCullagh & Nelder 1989, 4.5). This is the variance about
+the fraction of the rocks that came, which are themselves a sample.
 """
 
 from __future__ import annotations
@@ -27,22 +27,22 @@ from cgid.validation import Floats
 if TYPE_CHECKING:
     from cgid.identification.families import Arrays
 
-#: Probabilities are kept this far from 0 and 1: a single wrong certain answer would outweigh all others.
+#: Probabilities are clipped this far from 0 and 1: otherwise a single wrong prediction could outweigh all others.
 SUREST = 1e-3
-#: Answers of the rarer label in a bin, at least; and bins, at most.
+#: Minimum number of predictions of the rarer label in a bin, and maximum number of bins.
 _A_BIN, _MAX_BINS = 25, 24
-#: Answers that are added to each label, spread like those of both: an empty bin rules nothing out.
+#: Predictions added to each label, distributed like those of both, so that an empty bin excludes nothing.
 _ADDED = 2.0
-#: Windows in which answers scatter together [s].
+#: Length of the windows for the scatter of predictions [s].
 _WINDOW = 10.0
-#: Least deviation of the share from stream to stream (assumed): no site is just like its simulation. Another seam and
-#: place move the share by this much (`benchmarks/streams.py`).
+#: Minimum standard deviation of the fraction from stream to stream (assumed): a mine differs from its simulation.
+#: Another seam and location move the fraction by this much (`benchmarks/streams.py`).
 MIN_SCATTER = 0.035
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class StreamAnswers:
-    """What was measured of a recording with known rocks."""
+    """Predictions for a recording with known rocks."""
 
     logits: Floats  # (n,) of the probability of the second label; nan for unknown impacts
     second: NDArray[np.bool_]  # (n,) whether the rock has the second label
@@ -53,7 +53,7 @@ class StreamAnswers:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Confusion:
-    """How often rocks of two labels make a model answer what."""
+    """Rates of the predictions of a model for rocks of two labels."""
 
     edges: Floats  # (n_bins - 1,) of the logit of the probability of the second label, ascending
     rates: Floats  # (2, n_bins) answers in each bin a rock of the first and of the second label
@@ -95,7 +95,7 @@ class Confusion:
 
     @classmethod
     def counted(cls, logits: Floats, second: NDArray[np.bool_], n_rocks: tuple[float, float]) -> Self | None:
-        """Return the confusion that answers (n,) to rocks show; None with too few to tell.
+        """Return the confusion estimated from predictions (n,) for rocks; None with too few.
 
         `second` says which answers are about the second label, and `n_rocks` how many rocks of each there were.
         """
@@ -105,13 +105,13 @@ class Confusion:
         n_bins = min(rarer // _A_BIN, _MAX_BINS)
         if n_bins < 2:
             return None
-        # Bins hold equally many answers of both labels together, with equal weights of the labels.
+        # Bins contain equally many predictions of both labels together, with equal weights of the labels.
         weights = np.where(second, 1 / second.sum(), 1 / (~second).sum())
         order = np.argsort(logits, kind="stable")
         shares = np.cumsum(weights[order]) / weights.sum()
         quantiles = logits[order][np.searchsorted(shares, np.arange(1, n_bins) / n_bins)]
         edges, _ = np.unique(quantiles, return_counts=True)  # without counts, it would import numpy.ma
-        edges = edges[edges > logits.min()]  # where many are as sure as can be, nothing lies below the first edge
+        edges = edges[edges > logits.min()]  # if many are at the limit, none is below the first edge
         bins = np.searchsorted(edges, logits, side="right")
         counts = np.stack([np.bincount(bins[second == k], minlength=edges.size + 1) for k in (False, True)])
         pooled = counts.sum(axis=0) / counts.sum()
@@ -120,7 +120,7 @@ class Confusion:
 
     @classmethod
     def of_streams(cls, streams: Sequence[StreamAnswers]) -> Self | None:
-        """Return the confusion of streams of known shares, with its overdispersion and scatter; None with too few."""
+        """Return the confusion from streams of known fractions, with overdispersion and scatter; None with too few."""
         plain = cls.counted(
             np.concatenate([one.logits for one in streams]),
             np.concatenate([one.second for one in streams]),
@@ -137,7 +137,7 @@ class Confusion:
             curvature = plain.information(one.share) * counts
             error = pull.sum() / curvature.sum()
             squared_residuals = (pull - curvature * error)[counts > 0] ** 2 / curvature[counts > 0]
-            # The part of it that is due to the rocks: theirs is a share of its own in each window.
+            # The part of it that is due to the rocks, whose fraction differs between windows.
             due = curvature.sum() * one.share * (1 - one.share) / sum(one.n_rocks)
             inside.append((squared_residuals.sum(), squared_residuals.size - 1, due * (squared_residuals.size - 1)))
             errors.append(error)
@@ -153,21 +153,21 @@ class Confusion:
 
     @property
     def abundance(self) -> float:
-        """Answers a rock of the second label makes for each of one of the first."""
+        """Number of predictions per rock of the second label over that of the first."""
         return float(self.rates[1].sum() / self.rates[0].sum())
 
     def ratios(self, logits: Floats) -> Floats:
-        """Return how many times as often rocks of the second label make such answers, (n,)."""
+        """Return the likelihood ratio of predictions, second over first label, (n,)."""
         return np.asarray((self.rates[1] / self.rates[0])[np.searchsorted(self.edges, logits, side="right")])
 
     def slopes(self, logits: Floats, share: float) -> Floats:
-        """Return the slope of the log likelihood of each answer at a share of rocks, (n,)."""
+        """Return the slope of the log-likelihood of each prediction at a fraction of rocks, (n,)."""
         ratios, abundance = self.ratios(logits), self.abundance
         slope = (abundance - 1) / (1 + share * (abundance - 1))
         return np.asarray((ratios - 1) / (1 + share * (ratios - 1)) - slope)
 
     def information(self, share: float) -> float:
-        """Return the information of one answer about a share of rocks (Fisher 1925): the variance of its slope."""
+        """Return the Fisher information of one prediction about a fraction of rocks: the variance of its slope."""
         bins = (1 - share) * self.rates[0] + share * self.rates[1]
         centres = np.append(self.edges, np.inf)  # one logit within each bin, counted from below
         slopes = self.slopes(np.nextafter(centres, -np.inf), share)
@@ -185,5 +185,5 @@ class Confusion:
 
 def logit(probabilities: Floats) -> Floats:
     """Return the logarithm of the odds; probabilities are kept `SUREST` away from 0 and 1; nan stays nan."""
-    sure = np.clip(probabilities, SUREST, 1.0 - SUREST)
-    return np.asarray(np.log(sure / (1.0 - sure)))
+    confident = np.clip(probabilities, SUREST, 1.0 - SUREST)
+    return np.asarray(np.log(confident / (1.0 - confident)))

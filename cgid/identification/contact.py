@@ -1,8 +1,9 @@
-"""The pulse family fitted to a force that is known in principal shapes, as from the acceleration of a beam.
+"""The pulse family fitted to a force in principal shapes, such as that from the acceleration of a beam.
 
-The samples indicate of the force no more than a quadratic form in some 16 coefficients (`ForceEstimate.information`). A
-pulse of the family has such coefficients, too: its spectrum is a table in shape and in frequency times width, and the
-projection onto the shapes is linear. So a pulse is fitted in 16 numbers, whatever the length of the signal was.
+The information of the samples about the force is a quadratic form in some 16 coefficients
+(`ForceEstimate.information`). A pulse of the family has such coefficients, too: its spectrum is a table in shape and in
+frequency times width, and the projection onto the shapes is linear. So a pulse is fitted in 16 numbers, whatever the
+length of the signal was.
 """
 
 from __future__ import annotations
@@ -30,43 +31,43 @@ from cgid.validation import Floats
 #: its transform.
 _SHAPES = np.linspace(np.log(0.06), 1.2, 41)
 _POINTS, _LENGTH = 96, 1 << 14
-#: Least and largest width [s] (impulse over peak), and how far the onset may lie outside of its slack [samples].
+#: Smallest and largest width [s] (impulse over peak), and how far the onset may be outside its slack [samples].
 _WIDTHS, _BEYOND = (25e-6, 1.6e-3), 2.0
-#: Pulses of the table by ln width, shape and onset; every so many are tried first.
+#: Pulses of the table by ln width, shape and onset, and the stride of those tried first.
 _NODES, _FIRST = (48, _SHAPES.size, 45), (2, 5, 2)
-#: The best of this many shapes take few steps, and the best of these takes more, all between the pulses of the table; a
-#: step that gains less of the logarithm of the likelihood is the last.
-_KEPT, _FEW, _MORE, _MIN_GAIN = 6, 3, 7, 1e-3
-#: Least variance of ln peak, ln width and shape.
+#: Number of best shapes refined in few steps, and in more steps for the best of these, by interpolation of the table;
+#: the gain in log-likelihood that ends the steps.
+_N_STARTS, _FEW, _MORE, _MIN_GAIN = 6, 3, 7, 1e-3
+#: Minimum variance of ln peak, ln width and shape.
 _MIN_VARIANCE = 1e-20
-#: Prior mean and deviation of the shape, and of the onset [samples].
-_SHAPE_PRIOR, _TOUCH_PRIOR = (-0.9, 1.5), (TOUCH / 2, TOUCH / 2)
-#: Rows at a time.
+#: Prior mean and standard deviation of the shape, and of the onset [samples].
+_SHAPE_PRIOR, _ONSET_PRIOR = (-0.9, 1.5), (TOUCH / 2, TOUCH / 2)
+#: Rows processed at once.
 _ROWS = 64
-#: The onset lies at most so long before the first sample that rises above the noise [s]: waves take that long.
+#: Maximum time of the onset before the first sample above the noise [s]: the travel time of waves.
 REACH = 1.2e-3
-#: Recorders within this share have the same sampling rate; of others the band up to this share of the lower rate tells.
+#: Relative tolerance of equal sampling rates; with others, the band up to this fraction of the lower rate is used.
 _SAME_RATE, _TOP = 1e-6, 0.41
 _MAX_RATIO = 1000
-#: A onset within this of the ends of the table of forces is sought so much further on [samples].
+#: An onset this close to the ends of the table of forces is searched this much further [samples].
 _EDGE, _BESIDE = 0.35, 4
-#: Where more than this share of the energy is unexplained, and the misfit is above this, onset is sought so much
+#: With more than this fraction of the energy unexplained, and a misfit above this, the onset is searched this much
 #: later [samples].
 _MUCH, _LATER = (0.01, 1.3), (4, 8, 12, -6, 20)
-#: In a stream: the share of energy that a foreign beam leaves unexplained, of so many impacts in the median; by so many
-#: the filter is settled; so many test again what is settled, and a noise that is so many times as loud asks for that.
+#: In a stream: median unexplained fraction of energy on a foreign beam, and number of impacts for it; number of impacts
+#: that settle the filter; number that test it again, and ratio of noise that triggers this.
 _FOREIGN, _RECENT, _SETTLED, _TESTS, _LOUDER = 0.05, 200, 60, 8, 4.0
-#: Decisions fall after these numbers of impacts, then every so many.
+#: Numbers of impacts before decisions, and the later interval between decisions.
 _DECISIONS, _EVERY = (8, 16, 32), 64
-#: Maximum number of channels, before and after gaps, of which this is known.
+#: Maximum number of channels, before and after gaps, with such a state.
 _REMEMBERED = 4096
-#: Noise alone leaves a misfit of less than this: five deviations of chi-square of the coefficients of a frame.
+#: Maximum misfit of noise: five standard deviations of chi-square of the coefficients of a frame.
 _BY_NOISE = 1.28
-#: Samples before onset that show ringing: fewest and most.
+#: Minimum and maximum number of samples before onset to estimate ring-down.
 _MIN_QUIET, _MAX_QUIET = 64, 256
-#: Samples at a limit share their value within this, and are at least so many.
-_SAME, _SHARED, _ALIKE = 1e-6, 2, 0.01
-#: Least noise over the signal.
+#: Samples at a limit are equal within this, and are at least this many.
+_SAME, _SHARED, _TOLERANCE = 1e-6, 2, 0.01
+#: Minimum noise over the signal.
 _FLOOR = 1e-3
 
 
@@ -111,9 +112,9 @@ class ContactFit:
     def _frequencies(self) -> Floats:
         n_points = self.forces.shape[1]
         found = np.fft.rfftfreq(2 * n_points, 1 / (FINE * self.beam.sampling_rate))
-        heard = np.abs(gain(self.beam.filters, found)) > 5e-3
-        # Beyond half the sampling rate, too: what the filters leave there is folded into the samples.
-        return np.asarray(found[: min(int(np.flatnonzero(heard)[-1]) + 1, found.size // 4)], np.float64)
+        folded = np.abs(gain(self.beam.filters, found)) > 5e-3
+        # Beyond half the sampling rate, too: residual energy there is folded into the samples.
+        return np.asarray(found[: min(int(np.flatnonzero(folded)[-1]) + 1, found.size // 4)], np.float64)
 
     @cached_property
     def _projection(self) -> NDArray[np.complex128]:
@@ -184,7 +185,7 @@ class ContactFit:
 
     @cached_property
     def _tried(self) -> tuple[Floats, NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
-        """Return the starting pulses, shape by shape: parameters, -ln prior, coefficients and their products."""
+        """Return the initial pulses, shape by shape: parameters, -ln prior, coefficients and their products."""
         sides = [
             np.linspace(low, high, n)[::every] for low, high, n, every in zip(*_LIMITS, _NODES, _FIRST, strict=True)
         ]
@@ -197,34 +198,35 @@ class ContactFit:
         return at, _cost_of_prior(at).ravel().astype(np.float32), flat, flat[first] * flat[second]
 
     def fit(self, estimate: ForceEstimate) -> Contact:
-        """Return the pulses that agree best with recovered forces."""
+        """Return the pulses that fit recovered forces best."""
         parts = [
             self._fit(estimate.information[rows], estimate.vector[rows])
             for rows in (slice(first, first + _ROWS) for first in range(0, max(len(estimate.vector), 1), _ROWS))
         ]
         at, peak, own, covariance = (np.concatenate(part) for part in zip(*parts, strict=True))
-        apart = estimate.coefficients - own
-        misfit = np.einsum("nk,nkl,nl->n", apart, estimate.information, apart) / max(own.shape[1] - 4, 1)
-        # True pulses are not quite of the family, as strong impacts tell; Birge (1932, Phys. Rev. 40, 207) widens so.
+        spacing = estimate.coefficients - own
+        misfit = np.einsum("nk,nkl,nl->n", spacing, estimate.information, spacing) / max(own.shape[1] - 4, 1)
+        # True pulses are not exactly of the family, as strong impacts show; widened as by Birge (1932, Phys. Rev. 40,
+        # 207).
         covariance *= np.maximum(misfit, 1.0)[:, None, None]
         return Contact(peak * estimate.noise, np.exp(at[:, 0]), at[:, 1], at[:, 2], covariance, own, misfit)
 
     def _fit(self, information: Floats, vector: Floats) -> tuple[Floats, Floats, Floats, Floats]:
         """Return ln width, shape and onset [samples]; peak over noise, coefficients, and covariance as in `Contact`."""
         starts = self._starts(information, vector)
-        rows = np.repeat(np.arange(len(starts)), _KEPT)
+        rows = np.repeat(np.arange(len(starts)), _N_STARTS)
         at, products = self._descended(starts.reshape(-1, 3), information[rows], vector[rows], _FEW)
-        best = np.argmin(products[:, 4, 4].reshape(-1, _KEPT), axis=1)
+        best = np.argmin(products[:, 4, 4].reshape(-1, _N_STARTS), axis=1)
         at = at.reshape(*starts.shape)[np.arange(len(starts)), best]
         at = self._descended(at, information, vector, _MORE)[0]
         peak, products = self._products(at, information, vector)
         covariance = np.linalg.inv(products[:, :4, :4])[:, :3, :3]
-        # Rounding may leave a variance below 0 where a force is far too large.
+        # Rounding may make a variance negative if a force is far too large.
         covariance[:, range(3), range(3)] = np.maximum(covariance[:, range(3), range(3)], _MIN_VARIANCE)
         return at, peak, self.table_coefficients(at)[:, 0] * peak[:, None], np.asarray(covariance, np.float64)
 
     def _starts(self, information: Floats, vector: Floats) -> Floats:
-        """Return the most probable pulses tried, of the best shapes one each, (n, n_starts, 3)."""
+        """Return the most probable pulses tried, one for each of the best shapes, (n, n_starts, 3)."""
         at, prior, bank, products = self._tried
         first, second = np.triu_indices(len(bank))
         both = np.where(first == second, 2.0, 4.0) * information[:, first, second]
@@ -235,7 +237,7 @@ class ContactFit:
         gained = gained.reshape(len(gained), len(at), -1)
         best = np.argmax(gained, axis=2)
         top = np.take_along_axis(gained, best[:, :, None], axis=2)[:, :, 0]
-        shapes = np.argsort(-top, axis=1)[:, :_KEPT]
+        shapes = np.argsort(-top, axis=1)[:, :_N_STARTS]
         return np.asarray(at[shapes, np.take_along_axis(best, shapes, axis=1)])
 
     def exact_coefficients(self, at: Floats) -> tuple[Floats, Floats]:
@@ -270,7 +272,7 @@ class ContactFit:
         out = np.empty((len(at), 5, 5))
         out[:, :4, :4] = power * np.square(peak)[:, None, None]
         out[:, [1, 2, 3], [1, 2, 3]] += _PRIOR
-        # Never singular, even where nothing is told.
+        # Never singular, even for uninformative samples.
         out[:, range(4), range(4)] = out[:, range(4), range(4)] * (1 + 1e-9) + 1e-30
         out[:, :4, 4] = peak[:, None] * (along - peak[:, None] * power[:, 0])
         out[:, 1:4, 4] -= (at - _MIDDLE) * _PRIOR
@@ -287,7 +289,7 @@ class ContactFit:
             return np.clip(at + np.nan_to_num(step[:, 1:]), *_LIMITS)
 
         small = np.full(len(at), 2 * _MIN_GAIN)
-        with np.errstate(over="ignore", invalid="ignore"):  # where nothing is told
+        with np.errstate(over="ignore", invalid="ignore"):  # for uninformative samples
             return least_squares(at.copy(), equations, moved, small, n_steps)[:2]
 
 
@@ -298,13 +300,13 @@ _LIMITS = (
 )
 #: The same of ln width and shape alone.
 LOWEST, HIGHEST = tuple(_LIMITS[0][:2].tolist()), tuple(_LIMITS[1][:2].tolist())
-#: Powers of a place between four nodes -> weight of each, and its slope.
+#: Powers of a position between four nodes -> weight of each, and its slope.
 _POWERS = np.linalg.inv(np.vander(np.arange(4.0), increasing=True))
 _POWERS = np.concatenate([_POWERS, np.arange(1, 5)[:, None] * np.roll(_POWERS, -1, axis=0)], axis=1)
 _POWERS[3, 4:] = 0
 #: Whether the weights of an axis (ln width, shape, onset) are slopes, in the value and in each of the three slopes.
 _IS_SLOPE = np.eye(4, dtype=np.intp)[1:]
-_MIDDLE, _PRIOR = np.array([0.0, _SHAPE_PRIOR[0], _TOUCH_PRIOR[0]]), np.array([0, _SHAPE_PRIOR[1], _TOUCH_PRIOR[1]])
+_MIDDLE, _PRIOR = np.array([0.0, _SHAPE_PRIOR[0], _ONSET_PRIOR[0]]), np.array([0, _SHAPE_PRIOR[1], _ONSET_PRIOR[1]])
 _PRIOR[1:] **= -2
 
 
@@ -313,7 +315,7 @@ def _cost_of_prior(at: Floats) -> Floats:
 
 
 def _cubic(place: NDArray[np.floating]) -> NDArray[np.floating]:
-    """Return the weights of nodes 0 to 3 at places, and their slopes, (..., 2, 4)."""
+    """Return the weights of nodes 0 to 3 at positions, and their slopes, (..., 2, 4)."""
     square = place * place
     powers = np.stack([np.ones_like(place), place, square, square * place], axis=-1)
     return (powers @ _POWERS.astype(place.dtype)).reshape(*place.shape, 2, 4)
@@ -329,7 +331,7 @@ def clipped_samples(frames: Floats, shared: int = _SHARED) -> NDArray[np.bool_] 
     for extreme, other in ((high, low), (low, high), (high, low)):
         at = np.abs(frames - extreme[:, None]) <= _SAME * np.abs(extreme)[:, None]
         limit = (at.sum(axis=1) >= shared) & (np.abs(extreme) >= 0.5 * np.abs(other)) & (high > low)
-        limit |= beyond & (np.abs(extreme + other) <= _ALIKE * np.abs(extreme))
+        limit |= beyond & (np.abs(extreme + other) <= _TOLERANCE * np.abs(extreme))
         beyond |= limit
         out |= at & limit[:, None]
     return out if out.any() else None
@@ -365,10 +367,10 @@ class ThroughBeam:
         return self.features(vibrations, *self.look(vibrations))
 
     def features(self, vibrations: VibrationBatch, estimate: ForceEstimate, contact: Contact) -> dict[str, Floats]:
-        """Return the features of vibrations by name, from what was found for them."""
+        """Return the features of vibrations by name, from their estimates."""
         deviation = np.sqrt(contact.covariance[:, range(3), range(3)])
         correlation = np.clip(contact.covariance / (deviation[:, :, None] * deviation[:, None]), -1.0, 1.0)
-        # Noise leaves no more than chance; what was there before onset, such as ringing, may go on beside its model.
+        # Subtract what noise and earlier vibration can explain.
         surely = np.maximum(estimate.misfit - _BY_NOISE, 0.0) / np.maximum(estimate.misfit - 1, 1e-9)
         event = vibrations.event[:, : round(SPAN_TIME * vibrations.sampling_rate)]
         before = np.square(self._loudest(vibrations.noise)) * event.shape[1]
@@ -393,15 +395,15 @@ class ThroughBeam:
         }
 
     def _loudest(self, values: Floats) -> Floats:
-        """Return the largest value of the sensors of each blow."""
+        """Return the largest value of the sensors of each impact."""
         return np.asarray(values.reshape(-1, self.n_sensors).max(axis=1))
 
     def look(self, vibrations: VibrationBatch) -> tuple[ForceEstimate, Contact]:
         """Return the forces behind vibrations at any sampling rate, and the pulses fitted to them."""
         n = len(vibrations.samples) // self.n_sensors
-        return self.look_as(vibrations, np.ones((n, 2), bool), np.ones(n, bool))[:2]
+        return self.at_other_filter(vibrations, np.ones((n, 2), bool), np.ones(n, bool))[:2]
 
-    def look_as(
+    def at_other_filter(
         self, vibrations: VibrationBatch, filters: NDArray[np.bool_], again: NDArray[np.bool_]
     ) -> tuple[ForceEstimate, Contact, Floats]:
         """Return force, pulse, and misfit of each filter (n, 2), infinite if not tried; `again` tries other onsets."""
@@ -426,12 +428,12 @@ class ThroughBeam:
     def _estimated(
         self, vibrations: VibrationBatch, filters: float, rows: NDArray[np.intp], again: NDArray[np.bool_]
     ) -> tuple[ForceEstimate, Contact]:
-        """Return the same of some rows, for a recorder whose anti-alias filter is so many times that of the beam."""
+        """Return the same for some rows and an anti-alias filter at another ratio to that of the beam."""
         observations, onset = self._prepared(vibrations, filters, rows)
         estimate = self.inversion.invert(observations, onset)
         contact = self.fit.fit(estimate)
-        # Where the onset lies at the edge of the table of forces, look there, at the same location. Where it is taken
-        # too early, the force is not found, and much stays unexplained: compare others.
+        # If the onset is at the edge of the table of forces, search there, at the same location. If it is too early,
+        # much stays unexplained: compare others.
         edge = np.where(contact.touch < _EDGE, -_BESIDE, np.where(contact.touch > TOUCH - _EDGE, _BESIDE, 0))
         start = estimate.later(edge)
         lost = np.flatnonzero(again & (estimate.unexplained > _MUCH[0]) & (estimate.misfit > _MUCH[1]))
@@ -449,7 +451,7 @@ class ThroughBeam:
         return estimate, contact
 
     def _before(self, observations: Observations, first: NDArray[np.intp], last: NDArray[np.intp]) -> Floats:
-        """Return what a window that begins at the last sample leaves out, in units of the misfit of the whole, (n,)."""
+        """Return the energy outside a window that begins at the last sample, in units of the total misfit, (n,)."""
         columns = np.arange(min(observations.frames.shape[2], int(last.max(initial=0))))
         out = (columns >= first[:, None]) & (columns < last[:, None])
         power = np.square(observations.frames[:, :, : columns.size] / observations.noise[:, :, None])
@@ -493,7 +495,7 @@ class ThroughBeam:
         return np.asarray(np.arange(best.size) * self.n_sensors + best)
 
     def _together(self, found: Observations, vibrations: VibrationBatch) -> Observations:
-        """Return rows of vibrations as impacts; a sensor without an impact tells nothing of one that others hear."""
+        """Return rows of vibrations as impacts; a sensor without an impact is uninformative."""
         if self.n_sensors == 1:
             return found.by_sensor()
         silent = np.zeros(len(found.noise), bool)
@@ -516,12 +518,12 @@ class ThroughBeam:
         for n_quiet, sensor in sorted(set(zip(lengths.tolist(), sensors.tolist(), strict=True))):
             if (n_quiet, sensor) not in self._ring_down:
                 self._ring_down[n_quiet, sensor] = RingDown(self.inversion, n_quiet, sensor)
-            ringing, own = self._ring_down[n_quiet, sensor], rows[(lengths == n_quiet) & (sensors == sensor)]
+            ring_down, own = self._ring_down[n_quiet, sensor], rows[(lengths == n_quiet) & (sensors == sensor)]
             before = np.stack([frames[row, quiet[row] - n_quiet : quiet[row]] for row in own])
-            found, level, own_error, rings = ringing.after(before, colour.innovation[own])
+            found, level, own_error, rings = ring_down.after(before, colour.innovation[own])
             error = np.zeros((len(frames), own_error.shape[1])) if error is None else error
             for number in np.flatnonzero(rings).tolist():
-                part = frames[own[number], quiet[own[number]] : quiet[own[number]] + ringing.n_samples]
+                part = frames[own[number], quiet[own[number]] : quiet[own[number]] + ring_down.n_samples]
                 part -= found[number, : part.size]
             colour.coefficients[own[rings]] = 0.0
             noise[own[rings]], error[own[rings]] = level[rings], own_error[rings]
@@ -535,11 +537,11 @@ class ThroughBeam:
             before = np.arange(frames.shape[1]) < quiet[:, None]
             power = np.sum(np.square(frames), axis=1, where=before) / np.maximum(quiet, 1)
             found = np.sqrt(power * self.beam.sampling_rate / 2 / limit)
-        # Without any noise: what a table of the beam is worth.
+        # Without noise: the accuracy of a table of the beam.
         return np.asarray(np.maximum(found, _FLOOR * np.sqrt(np.mean(np.square(frames), axis=1)) + 1e-300))
 
     def resampled(self, frames: Floats, rate: float, filters: float) -> Floats:
-        """Return frames at the rate of the beam, with its filters instead of others, `filters` times as high."""
+        """Return frames at the rate of the beam, with its filters instead of those at `filters` times the frequency."""
         own = self.beam.sampling_rate
         ratio = Fraction(own / rate).limit_denominator(_MAX_RATIO)
         n = -(-frames.shape[1] // ratio.denominator) * ratio.denominator
@@ -548,8 +550,8 @@ class ThroughBeam:
         frequency = np.fft.rfftfreq(n, 1 / rate)
         inside = frequency <= _TOP * min(rate, own)
         low_pass = np.abs(self.beam.filters) < np.pi * own
-        theirs = np.where(low_pass, self.beam.filters * filters, self.beam.filters)
-        change = np.where(inside, gain(self.beam.filters, frequency) / gain(theirs, frequency), 0.0)
+        recorder_gain = np.where(low_pass, self.beam.filters * filters, self.beam.filters)
+        change = np.where(inside, gain(self.beam.filters, frequency) / gain(recorder_gain, frequency), 0.0)
         out = np.zeros((len(frames), n_out // 2 + 1), complex)
         kept = min(out.shape[1], spectrum.shape[1])
         out[:, :kept] = (spectrum * change)[:, :kept]
@@ -557,15 +559,15 @@ class ThroughBeam:
 
 
 class _Channel:
-    """What the impacts of a channel have shown, and how the next ones are fitted."""
+    """State of a channel from its impacts, which determines the fit of the next ones."""
 
-    # Decisions are made after fixed numbers of impacts, so they do not depend on how many arrive together.
+    # Decisions are made after fixed numbers of impacts, so they do not depend on the batches.
 
     def __init__(self) -> None:
         self.reset()
 
     def reset(self) -> None:
-        """Forget what the impacts have shown."""
+        """Reset the state."""
         self.n, self.n_tests, self.lost, self.level = 0, 0, 0, 0.0
         self.unexplained: deque[float] = deque(maxlen=_RECENT)
         self.ratios: list[float] = []
@@ -584,7 +586,7 @@ class _Channel:
         return tests[:, None] | self.filters, tests | self.again
 
     def learn(self, unexplained: Floats, misfit: Floats, level: Floats) -> None:
-        """Take what the next impacts leave unexplained, their misfits for both filters (n, 2), and their noise."""
+        """Add the unexplained energy of the next impacts, their misfits for both filters (n, 2), and their noise."""
         decides = self.n_next == len(level)
         self.n += len(level)
         self.unexplained.extend(unexplained.tolist())
@@ -608,10 +610,10 @@ class _Channel:
 
 
 class BeamStream:
-    """What the impacts of each channel of a stream have shown, so that it is not tried again with every impact."""
+    """State of each channel of a stream, so that not every impact tries all filters and onsets."""
 
-    # On a foreign beam another onset is no better, and a recorder keeps its filter. Both are tried again after a gap, a
-    # change of level, or as many unexplained impacts as it took to settle them.
+    # On a foreign beam another onset is no better, and a recorder has one filter. Both are tried again after a gap, a
+    # change of level, or as many unexplained impacts as settled them.
 
     def __init__(self, through: ThroughBeam) -> None:
         self.through = through
@@ -641,7 +643,7 @@ class BeamStream:
             parts.append(of_all[order])
             part = vibrations.rows(np.add.outer(parts[-1] * n_sensors, np.arange(n_sensors)).ravel())
             filters, again = (np.concatenate(one)[order] for one in zip(*plans, strict=True))
-            estimate, contact, misfit = self.through.look_as(part, filters, again)
+            estimate, contact, misfit = self.through.at_other_filter(part, filters, again)
             found.append(self.through.features(part, estimate, contact))
             for state, own in zip(states, rows, strict=True):
                 own = np.searchsorted(parts[-1], own)

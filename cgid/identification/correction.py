@@ -1,12 +1,12 @@
-"""Correct a model with a few labelled impacts of another beam: its bias and slope, and the gain of its sensor.
+"""Correct bias, slope and sensor gain of a model with a few labelled impacts on another beam.
 
-Ten to fifty impacts can move only a few parameters, each held by a prior: the bias of each label (standard deviation
+Ten to fifty impacts determine only a few parameters, each with a prior: the bias of each label (standard deviation
 0.7), ln of the slope of the scores (0.3), and ln of the gain of the sensor (0.2), which divides features with the unit
-of the signal. With prior probability 3/4 nothing needs correction; the result is the mean over the alternatives,
+of the signal. With prior probability 3/4 no correction is needed; the result is the mean over the alternatives,
 weighted by their evidence. `benchmarks/site_correction.py` checks these assumed numbers.
 
 The corrected probabilities are softmax(a s + b) of the scores s at the corrected features, folded into temperature,
-last intercepts and standardiser: a corrected model is a model like any other.
+last intercepts and standardiser, so a corrected model is an ordinary model.
 """
 
 from __future__ import annotations
@@ -30,28 +30,28 @@ from cgid.measure.features import FEATURES
 from cgid.units import quantity_of
 from cgid.validation import Floats
 
-#: Minimum number of labelled impacts inside the training of the model; of fewer the interval of the accuracy says
-#: nothing.
-MIN_LUMPS = 10
-#: Prior deviations of a bias, of ln of the slope, and of ln of the gain.
+#: Minimum number of labelled impacts inside the training of the model; with fewer the interval of the accuracy is
+#: meaningless.
+MIN_LABELLED = 10
+#: Prior standard deviations of a bias, of ln slope, and of ln gain.
 _BIAS, _SLOPE, _GAIN = 0.7, 0.3, 0.2
-#: Prior probability that there is nothing to correct.
+#: Prior probability that no correction is needed.
 _NOTHING = 0.75
-#: Logarithms of gains that are tried, over the prior deviation.
+#: Logarithms of the gains tried, over the prior standard deviation.
 _GAINS = np.linspace(-2.0, 2.0, 9)
 #: The array that holds the intercept of each score, by family.
 _INTERCEPTS = {"boosting": "baseline", "linear": "intercepts", "logistic": "intercepts", "network": "biases_3"}
-#: Metrics that a model keeps of the site it was corrected for.
+#: Metrics of the correction stored in a model.
 _REPORTED = ("accuracy", "accuracy_interval_95", "recall", "confusion", "log_loss", "expected_calibration_error")
 #: Maximum number of folds of held-out impacts: up to this number of impacts each is one.
 _MAX_FOLDS = 50
-#: Half width of an interval that is wished for.
+#: Half width of an acceptable interval.
 _NARROW = 0.05
 
 
 @dataclass(frozen=True)
 class Shift:
-    """What a correction moves: the bias of each of the labels, (n_labels,), the slope of the scores, and the gain."""
+    """A correction: the bias of each label, (n_labels,), the slope of the scores, and the gain."""
 
     labels: tuple[str, ...]
     bias: Floats
@@ -59,7 +59,7 @@ class Shift:
     gain: float = 1.0
 
     def __str__(self) -> str:
-        """Say what is moved."""
+        """Describe the correction."""
         biases = ", ".join(f"{label} {bias:+.2f}" for label, bias in zip(self.labels, self.bias, strict=True))
         slope = f"; slope {self.slope:.2f}" * (self.slope != 1)
         return f"bias {biases}{slope}" + f"; gain {self.gain:.2f}" * (self.gain != 1)
@@ -71,32 +71,32 @@ class Shift:
 
 @dataclass(frozen=True)
 class Correction:
-    """A model corrected for a site, and how good it and the former one are there."""
+    """A corrected model, and its accuracy and that of the original model."""
 
     model: Model
     shift: Shift
-    # `before`, `after`: what `cgid.identification.metrics.evaluate` measures, of the former model, and of the corrected
-    # one with each impact judged by a correction that the others teach
+    # `before`, `after`: results of `cgid.identification.metrics.evaluate` for the original model, and for the corrected
+    # one by cross-validation
     before: Mapping[str, Any]
     after: Mapping[str, Any]
     labels: NDArray[np.str_]  # (n_lumps,)
-    probabilities: Floats  # (n_lumps, n_labels) of each impact by a correction that the others teach
-    n_unknown: int  # labelled impacts outside of the training, which teach nothing
+    probabilities: Floats  # (n_lumps, n_labels), cross-validated
+    n_unknown: int  # labelled impacts outside the training, which are not used
 
 
 def correct(model: Model, rows: Rows) -> Correction:
-    """Return a model corrected by labelled impacts of a site."""
+    """Return a model corrected by labelled impacts."""
     require_correctable(model)
-    _require_lumps(model, rows)
+    _require_impacts(model, rows)
     features, guards = rows.columns(model.features), rows.columns(model.guards)
     known = model.novelty(features, guards) <= 1
-    if int(known.sum()) < MIN_LUMPS:
+    if int(known.sum()) < MIN_LABELLED:
         raise _too_few_known(int(known.sum()), len(known))
     labels = rows.labels[known]
     _require_labels(labels, model, " within its training")
-    lumps = _Lumps.of(model, features[known], np.array([model.labels.index(label) for label in labels]))
-    shift, probabilities = lumps.learned()
-    before = evaluate(labels, softmax(lumps.logs[lumps.middle]), model.labels)
+    impacts = _LabelledImpacts.of(model, features[known], np.array([model.labels.index(label) for label in labels]))
+    shift, probabilities = impacts.learned()
+    before = evaluate(labels, softmax(impacts.logs[impacts.middle]), model.labels)
     after = evaluate(labels, probabilities, model.labels)
     n, n_unknown = len(labels), int((~known).sum())
     correction = {
@@ -110,7 +110,7 @@ def correct(model: Model, rows: Rows) -> Correction:
         "before": {name: before[name] for name in _REPORTED},
         "sources": list(rows.digests),
     }
-    # The metrics stay those of the training, of thousands; prediction sets promise nothing of another site.
+    # The metrics remain those of the training, of thousands; prediction sets have no guarantee for another beam.
     metrics = {**model.training.get("metrics", {}), "prediction_sets": []}
     training = {**model.training, "metrics": metrics, "correction": correction}
     return Correction(
@@ -121,33 +121,33 @@ def correct(model: Model, rows: Rows) -> Correction:
 def require_correctable(model: Model) -> None:
     """Raise `InvalidValue` unless impacts can correct the model."""
     if model.kind == "window":
-        raise InvalidValue("--from must name a model of impacts, this one decides on windows; train it again with more")
+        raise InvalidValue("--from must name a model of impacts, this one is for windows; train it again with more")
     if model.known:
         raise InvalidValue(
-            f"--from must name a model of the signal alone, this one must know {', '.join(model.known)}; take another"
+            f"--from must name a model without further inputs, this one needs {', '.join(model.known)}; use another"
         )
 
 
 def require_known(model: Model, rows: Rows) -> None:
-    """Raise `BadData` if no impact of a sample of a site lies within the training of the model."""
+    """Raise `BadData` if no impact of a sample is within the training of the model."""
     if not (model.novelty(rows.columns(model.features), rows.columns(model.guards)) <= 1).any():
         raise _too_few_known(0, len(rows.labels))
 
 
 def _too_few_known(n_known: int, n: int) -> BadData:
     return BadData(
-        f"labelled impacts must be within the training of the model, {MIN_LUMPS} at least, got {n_known} of {n}; "
+        f"labelled impacts must be within the training of the model, {MIN_LABELLED} at least, got {n_known} of {n}; "
         "calibrate the beam (cgid calibrate RECORDING --channel CHANNEL) or train without --from"
     )
 
 
-def _require_lumps(model: Model, rows: Rows) -> None:
+def _require_impacts(model: Model, rows: Rows) -> None:
     for label in np.unique(rows.labels).tolist():
         validation.choice("label", label, model.labels)
     _require_labels(rows.labels, model)
-    if len(rows.labels) < MIN_LUMPS:
+    if len(rows.labels) < MIN_LABELLED:
         raise BadData(
-            f"labelled impacts must be {MIN_LUMPS} at least to correct a model, got {len(rows.labels)}; label more"
+            f"labelled impacts must be {MIN_LABELLED} at least to correct a model, got {len(rows.labels)}; label more"
         )
     if quantity_of(rows.unit) != model.quantity:
         raise BadData(
@@ -166,19 +166,17 @@ def _require_labels(labels: NDArray[np.str_], model: Model, where: str = "") -> 
 
 
 def advice(correction: Correction) -> list[str]:
-    """Return what would raise the accuracy, and narrow its interval; one line each."""
-    accuracy, n = float(correction.after["accuracy"]), len(correction.labels)
+    """Return ways to raise the accuracy and narrow its interval, one line each."""
+    accuracy = float(correction.after["accuracy"])
     low, high = correction.after["accuracy_interval_95"]
     lines = []
     if high - low > 2 * _NARROW:
         p = min(max(accuracy, 0.5), 0.95)
         n_required = int(np.ceil(p * (1 - p) * (1.96 / _NARROW) ** 2 / 10) * 10)
-        lines.append(
-            f"{n_required} labelled impacts would narrow the interval to +- {_NARROW:g}, {n} leave it this wide"
-        )
+        lines.append(f"{n_required} labelled impacts would narrow the interval to +- {_NARROW:g}")
     lines.append(
-        "more labels raise the accuracy little, they correct a threshold; a model of this site's beam and rocks raises "
-        "it (cgid calibrate, then cgid train SITE.toml)"
+        "more labels hardly raise the accuracy, since they correct a threshold; a model of this beam and its rocks "
+        "does (cgid calibrate, then cgid train SITE.toml)"
     )
     return lines
 
@@ -187,7 +185,7 @@ def advice(correction: Correction) -> list[str]:
 
 
 @dataclass(frozen=True)
-class _Lumps:
+class _LabelledImpacts:
     """Labelled impacts: log-probabilities at each gain that is tried (n_gains, n, n_labels), and true labels (n,)."""
 
     labels: tuple[str, ...]
@@ -196,7 +194,7 @@ class _Lumps:
     gains: Floats
 
     @classmethod
-    def of(cls, model: Model, features: Floats, truth: NDArray[np.intp]) -> _Lumps:
+    def of(cls, model: Model, features: Floats, truth: NDArray[np.intp]) -> _LabelledImpacts:
         factors, addends = _gained(model, np.e)
         gains = np.exp(_GAIN * _GAINS) if (factors != 1).any() or addends.any() else np.ones(1)
         gained = [_gained(model, gain) for gain in gains]
@@ -209,7 +207,7 @@ class _Lumps:
         return len(self.gains) // 2
 
     def learned(self) -> tuple[Shift, Floats]:
-        """Return the shift, and the probabilities of each impact by the shift that the others teach."""
+        """Return the shift, and the cross-validated probabilities of each impact."""
         fold = np.arange(len(self.truth)) % _MAX_FOLDS
         probabilities = np.empty(self.logs.shape[1:])
         for k in range(fold.max() + 1):
@@ -255,7 +253,7 @@ def fit_bias_and_slope(logs: Floats, truth: NDArray[np.intp]) -> tuple[Floats, f
     effects = np.concatenate([np.broadcast_to(np.eye(n_labels), (n, n_labels, n_labels)), slope * logs[:, :, None]], 2)
     centred = effects - np.einsum("ik,ikp->ip", probabilities, effects)[:, None]
     curvature = np.einsum("ik,ikp,ikq->pq", probabilities, centred, centred)
-    curvature[-1, -1] -= precision[-1] * optimum.x[-1]  # the exponential bends, too: at the maximum by this much
+    curvature[-1, -1] -= precision[-1] * optimum.x[-1]  # curvature of the exponential at the maximum
     size = np.linalg.slogdet(np.eye(n_labels + 1) + curvature / precision[:, None])[1]
     return np.append(optimum.x[:-1] - optimum.x[:-1].mean(), optimum.x[-1]), -float(optimum.fun) - 0.5 * float(size)
 
@@ -264,11 +262,11 @@ def fit_bias_and_slope(logs: Floats, truth: NDArray[np.intp]) -> tuple[Floats, f
 
 
 def _gained(model: Model, gain: float) -> tuple[Floats, Floats]:
-    """Return the factor and the addend (n_features,) that a gain of the sensor has in each feature."""
+    """Return the factor and the addend (n_features,) of a sensor gain in each feature."""
     factors, addends = np.ones(len(model.features)), np.zeros(len(model.features))
     for k, name in enumerate(model.features):
         unit = FEATURES[name].unit
-        is_force = FEATURES[name].beam and unit == "N"  # the force that shakes the beam is as the signal
+        is_force = FEATURES[name].beam and unit == "N"  # the force on the beam scales with the signal
         power = 2.0 if "U^2" in unit else float("U" in unit or is_force)
         if unit.startswith("log10"):
             addends[k] = power * np.log10(gain)
@@ -278,11 +276,11 @@ def _gained(model: Model, gain: float) -> tuple[Floats, Floats]:
 
 
 def shifted(model: Model, shift: Shift) -> Model:
-    """Return the model with a shift folded into its arrays; its prediction sets hold no longer, so it has none."""
+    """Return the model with a shift folded into its arrays, without prediction sets, which are no longer valid."""
     arrays = {name: array for name, array in model.arrays.items() if not name.startswith("conformal.")}
     gained = _gained(model, shift.gain)
     arrays |= _after(Standardiser.from_arrays(arrays, STANDARDISER), *gained).arrays(STANDARDISER)
-    if model.contrast is not None:  # it sees the guards, too, which no gain changes
+    if model.contrast is not None:  # its inputs include the guards, which no gain changes
         n_guards = len(model.guards)
         factors, addends = np.append(gained[0], np.ones(n_guards)), np.append(gained[1], np.zeros(n_guards))
         arrays |= _after(model.contrast.standardiser, factors, addends).arrays(Contrast.PREFIX)
@@ -293,7 +291,7 @@ def shifted(model: Model, shift: Shift) -> Model:
 
 
 def _after(standardiser: Standardiser, factors: Floats, addends: Floats) -> Standardiser:
-    """Return the standardiser of features f x + a of the features x of another one, both (n_features,)."""
+    """Return the standardiser for features f x + a, given that for x, both (n_features,)."""
     logarithmic, mean, scale = standardiser.logarithmic, standardiser.mean, standardiser.scale
     return Standardiser(
         logarithmic,

@@ -26,29 +26,29 @@ from cgid.measure.vibration import MIN_EVENT
 from cgid.signals import Signal
 from cgid.validation import Floats, require_rate
 
-#: Later samples within this time belong to the same impact, because a struck body rings [s].
+#: Later samples within this time belong to the same impact, because of its ring-down [s].
 DEAD_TIME = 2e-3
-#: The same for vibrations. If the next impact follows sooner, too little is left to measure.
+#: The same for vibrations. If the next impact follows sooner, too few samples remain to measure.
 VIBRATION_DEAD_TIME = MIN_EVENT
 #: Highest sampling rate [Hz]; no recorder of impacts is faster, and frames would fill the memory.
 FASTEST = 2e7
 #: Approximate number of samples processed together, so that they and their derived arrays fit into the cache.
 _TOGETHER = 1 << 16
-#: A recording is clipped throughout if more than this share of its samples lies at its limits.
+#: A recording is clipped throughout if more than this fraction of its samples is at its limits.
 _CLIPPED_SHARE = 0.5
 #: Every 64th sample is checked for clipping.
 _EVERY = 64
 #: A signal is upside down if it falls this many times as far as it rises.
 _UPSIDE_DOWN = 3.0
 #: The remedy for a signal that is upside down.
-TURN_OVER = "turn it over with --invert, for pulses must point upwards"
+INVERT_HINT = "invert it with --invert, since pulses must point upwards"
 
 
 class ImpactDetector:
     """Find impacts in a recording of one or more channels, fed in blocks of any size.
 
     The result does not depend on the blocks, because all processing happens in chunks counted from the first sample.
-    Memory holds some tenths of a second, however long the recording is.
+    Memory use is some tenths of a second of samples, for recordings of any length.
 
     Parameters
     ----------
@@ -95,7 +95,7 @@ class ImpactDetector:
         rate = require_rate(sampling_rate)
         if rate > FASTEST:
             raise InvalidValue(
-                f"sampling_rate must be at most {FASTEST:g} Hz where impacts are looked for, got {rate:g} Hz; check it"
+                f"sampling_rate must be at most {FASTEST:g} Hz to detect impacts, got {rate:g} Hz; check it"
             )
         n_channels = validation.count("n_channels", n_channels)
         if dead_time is None:
@@ -117,7 +117,7 @@ class ImpactDetector:
         self._taken, self._fed = 0, 0
         # Samples before this one may be missing.
         self._gap_until = 0
-        # Where the samples of each channel go on after gaps.
+        # Index at which each channel continues after a gap.
         self._resumed: list[list[int]] = [[0] for _ in range(n_channels)]
         self._needed = start * self._onsets.chunk
         self._pending: list[Onset] = []
@@ -134,7 +134,7 @@ class ImpactDetector:
         return min([reach, *(onset.sample for onset in self._pending)])
 
     def feed(self, block: ArrayLike) -> list[Event]:
-        """Take the next samples and return the impacts whose frames are complete, in order of time.
+        """Add the next samples and return the impacts with complete frames, in order of time.
 
         Parameters
         ----------
@@ -163,10 +163,10 @@ class ImpactDetector:
         together = max(_TOGETHER // (self.n_channels * chunk), 1) * chunk
         events = []
         while self._fed >= self._needed:
-            whole = (self._fed - self._taken) // chunk * chunk
-            events += self._take(min(whole, max(together, self._needed - self._taken)))
+            n_complete = (self._fed - self._taken) // chunk * chunk
+            events += self._take(min(n_complete, max(together, self._needed - self._taken)))
             self._needed = self._taken + chunk
-        # A view would keep all of a long block in memory.
+        # A view would hold all of a long block in memory.
         self._samples = self._samples.copy()
         return events
 
@@ -184,9 +184,9 @@ class ImpactDetector:
         rest = self._read(self._taken, self._fed)
         missing = -rest.shape[1] % self._onsets.chunk
         padded = np.pad(rest, ((0, 0), (0, missing)), mode="edge") if rest.shape[1] else rest
-        found = self._onsets.take(padded, self._read, rest.shape[1])
+        pulses = self._onsets.take(padded, self._read, rest.shape[1])
         self._taken = self._fed
-        return self._complete(found)
+        return self._complete(pulses)
 
     def is_upside_down(self, channel: int = 0) -> bool:
         """Return whether a channel falls more than three times as far below its baseline as it rises above it."""
@@ -195,17 +195,17 @@ class ImpactDetector:
 
     def why_silent(self, channel: int = 0, unit: str | None = None) -> str:
         """Explain why a channel of a finished recording has no impact, and suggest a remedy."""
-        limits, own = self._limits, f" {unit}" if unit else ""
+        limits, in_unit = self._limits, f" {unit}" if unit else ""
         lowest, highest = float(limits.lowest[channel]), float(limits.highest[channel])
         if lowest > highest:
             return "no impact: no sample could be read; check the sensor and its cable"
         if not lowest < highest:
-            constant = f"all {self._fed} samples are" if self._fed > 1 else "its only sample is"
+            constant = f"all {self._fed} samples are" if self._fed > 1 else "the only sample is"
             return f"no impact: {constant} {lowest:g}; check the sensor and its cable"
         if limits.share(channel) > _CLIPPED_SHARE:
             return (
-                f"no impact: it is clipped throughout, at {lowest:.3g} and {highest:.3g}{own}; record with a larger "
-                "range"
+                f"no impact: it is clipped throughout, at {lowest:.3g} and {highest:.3g}{in_unit}; record with a "
+                "larger range"
             )
         hint, onsets = "record closer to the impact or with less noise", self._onsets
         if isinstance(onsets, VibrationOnsets):
@@ -216,15 +216,15 @@ class ImpactDetector:
             )
         rise, fall, noise = onsets.rise[channel], onsets.fall[channel], onsets.noise[channel]
         if self.is_upside_down(channel):
-            hint = TURN_OVER
+            hint = INVERT_HINT
         return (
-            f"no impact: a sample must rise {THRESHOLD_OVER_NOISE:g} times the noise ({noise:.3g}{own}) above the "
-            f"baseline, the highest rises {rise:.3g}{own}, the deepest falls {fall:.3g}{own}; {hint}"
+            f"no impact: a sample must rise {THRESHOLD_OVER_NOISE:g} times the noise ({noise:.3g}{in_unit}) above the "
+            f"baseline, the highest rises {rise:.3g}{in_unit}, the deepest falls {fall:.3g}{in_unit}; {hint}"
         )
 
     def _checked(self, block: ArrayLike) -> NDArray[Any]:
         if self._ended:
-            raise InvalidValue("the recording is over: after finish() no block can be taken; make another detector")
+            raise InvalidValue("the recording has ended: after finish() no block can be added; use a new detector")
         samples = validation.plain("block", block)
         if samples.ndim == 1 and self.n_channels == 1:
             samples = samples[None]
@@ -260,11 +260,11 @@ class ImpactDetector:
         return samples
 
     def _join(self) -> None:
-        """Append the waiting blocks to the samples."""
+        """Append the pending blocks to the samples."""
         if self._blocks:
-            kept = [self._samples] if self._samples.shape[1] else []
+            n_kept_samples = [self._samples] if self._samples.shape[1] else []
             n_kept = self._samples.shape[1]
-            self._samples = np.concatenate([*kept, *self._blocks], axis=1)
+            self._samples = np.concatenate([*n_kept_samples, *self._blocks], axis=1)
             self._limits.see(self._samples[:, n_kept:])
             self._blocks = []
 
@@ -273,9 +273,9 @@ class ImpactDetector:
         return part.astype(np.float64, copy=False)
 
     def _take(self, count: int) -> list[Event]:
-        found = self._onsets.take(self._read(self._taken, self._taken + count), self._read)
+        pulses = self._onsets.take(self._read(self._taken, self._taken + count), self._read)
         self._taken += count
-        events = self._complete(found)
+        events = self._complete(pulses)
         oldest = min([self._taken - self._onsets.lag, *(onset.sample for onset in self._pending)])
         drop = oldest - self._framing.quiet - self._first
         if drop > 0:
@@ -284,9 +284,9 @@ class ImpactDetector:
                 del resumed[: bisect_right(resumed, self._first) - 1]
         return events
 
-    def _complete(self, found: list[Onset]) -> list[Event]:
+    def _complete(self, pulses: list[Onset]) -> list[Event]:
         """Return the events whose frames are complete with the samples so far."""
-        self._pending = sorted([*self._pending, *found], key=lambda onset: (onset.sample, onset.row))
+        self._pending = sorted([*self._pending, *pulses], key=lambda onset: (onset.sample, onset.row))
         known = self._taken - self._onsets.lag
         stop = self._fed if self._ended else None
         events = []
@@ -311,12 +311,12 @@ class ImpactDetector:
 
     def _since(self, onset: Onset) -> int:
         """Return the sample after the last gap before an onset."""
-        found = 0
+        pulses = 0
         for channel in range(self.n_channels) if self.joint else [onset.channel]:
             before = [sample for sample in self._resumed[channel] if sample <= onset.sample]
             self._resumed[channel] = [before[-1], *(s for s in self._resumed[channel] if s > onset.sample)]
-            found = max(found, before[-1])
-        return found
+            pulses = max(pulses, before[-1])
+        return pulses
 
     def _between_gaps(self, onset: Onset, reach: int) -> tuple[int, int | None] | None:
         """Return the samples around an onset up to the next gaps; None if one of joint channels misses the onset."""
@@ -335,7 +335,7 @@ class ImpactDetector:
 
 
 class _Limits:
-    """Track the extremes of each channel, and the share of its samples that lies there."""
+    """Track the extremes of each channel, and the fraction of its samples there."""
 
     def __init__(self, n_channels: int) -> None:
         self.lowest, self.highest = np.full(n_channels, np.inf), np.full(n_channels, -np.inf)
@@ -347,14 +347,14 @@ class _Limits:
         limits = np.stack([self.lowest, self.highest])
         self._counts[limits != self._counted] = 0
         self._counted = limits
-        # Of the recording, not of each block: the share must not depend on where blocks end.
+        # Of the recording, not of each block: the fraction must not depend on the blocks.
         looked = samples[:, -self._passed % _EVERY :: _EVERY]
         self._passed += samples.shape[1]
         self._counts += (looked == limits[:, :, None]).sum(axis=2)
         self._seen += looked.shape[1]
 
     def share(self, channel: int) -> float:
-        """Return the share of a channel's samples that lies at either limit."""
+        """Return the fraction of a channel's samples at either limit."""
         return float(self._counts[:, channel].sum() / max(self._seen, 1))
 
 
@@ -383,14 +383,14 @@ def find_impacts(signal: Signal, *, kind: ImpactKind = "pulse", dead_time: float
     """
     detector = ImpactDetector(signal.sampling_rate, kind=kind, dead_time=dead_time)
     try:
-        found = detector.feed(signal.samples) + detector.finish()
+        pulses = detector.feed(signal.samples) + detector.finish()
     except BadData as error:
         raise BadData(f"{signal.name}: {error}") from None
     if signal.pre_trigger is not None and np.ptp(signal.samples) > 0:
         return [_dataset_frame(signal, signal.pre_trigger)]
-    if not found:
+    if not pulses:
         raise BadData(f"{signal.name}: {detector.why_silent(unit=signal.unit)}")
-    return [replace(event, unit=signal.unit, source=signal.name) for event in found]
+    return [replace(event, unit=signal.unit, source=signal.name) for event in pulses]
 
 
 def _dataset_frame(signal: Signal, pre_trigger: int) -> Event:

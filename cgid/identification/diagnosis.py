@@ -1,8 +1,8 @@
 """Why most impacts of a recording are unknown, whether its beam has changed, and whether its scale is wrong.
 
 A `Diagnosis` counts the answers of a recording by channel and cause; its `Finding` is the cause of most unknown
-answers. `cgid.cli.hints` knows what to do about it. A model that looks through a beam also shows changes of the beam
-that are too small for single impacts: with the right modes, half of the impacts leave next to nothing unexplained.
+answers. `cgid.cli.hints` knows what to do about it. A model with a beam also detects changes of the beam that are too
+small for single impacts: with the right modes, half of the impacts have almost no unexplained energy.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ _BOTH_WAYS = 0.4
 _N_DEVIATIONS = 3.0
 #: A live stream gets its hint when a channel has this many answers, and this fraction of them is unknown.
 _MIN_ANSWERS, _MOSTLY = 20, 0.8
-#: With this fraction unknown it is another beam rather than one that has changed.
+#: Above this fraction, assume a different beam.
 _ANOTHER_BEAM = 0.95
 #: The beam has changed where the median of the latest impacts, so many, leaves more than this fraction of the energy
 #: unexplained [%], beyond so many standard deviations of a median, and so many times that of the training.
@@ -62,7 +62,7 @@ _TESTED = ("noise", "drowned", "amplitude", "duration", "sampling_rate", "vibrat
 
 @dataclass(frozen=True)
 class Cause:
-    """What puts an answer outside of the training."""
+    """The cause of an out-of-distribution prediction."""
 
     # `value` by `name`: an input or guard of the model, as measured, with its training range; noise: amplitude of the
     # impact over that before it; drowned: fraction of the novelty due to noise; amplitude and duration: ratio to the
@@ -79,19 +79,23 @@ def causes_of(model: Model, inputs: Floats, guards: Floats) -> list[Cause]:
     """Return the cause for each row outside of the training, from inputs (n, n_inputs) and guards (n, n_guards)."""
     limits = np.array(model.guard_limits)
     amplitudes, durations = (_scale_of(model, inputs, guards, symbol) for symbol in ("U", "s"))
-    foremost, (low, high), drowned = model.foremost(inputs), model.usual(_N_DEVIATIONS), model.drowned(inputs)
+    most_distant, (low, high), noise_novelty = (
+        model.most_distant(inputs),
+        model.usual(_N_DEVIATIONS),
+        model.noise_novelty(inputs),
+    )
     causes = []
     for row, values in enumerate(guards):
         scale, name = min((abs(np.log(x[row])), n) for x, n in ((amplitudes, "amplitude"), (durations, "duration")))
-        if drowned[row] > 1:
-            causes.append(Cause("drowned", float(drowned[row])))
+        if noise_novelty[row] > 1:
+            causes.append(Cause("drowned", float(noise_novelty[row])))
         elif values.size and (values / limits).max() > 1:
             guard = int(np.argmax(values / limits))
             causes.append(Cause(model.guards[guard], float(values[guard]), 0.0, model.guard_limits[guard]))
         elif scale < np.inf:
             causes.append(Cause(name, float((amplitudes if name == "amplitude" else durations)[row])))
         else:
-            k = int(foremost[row])
+            k = int(most_distant[row])
             causes.append(Cause(model.inputs[k], float(inputs[row, k]), float(low[k]), float(high[k])))
     return causes
 
@@ -100,7 +104,7 @@ def _scale_of(model: Model, inputs: Floats, guards: Floats, symbol: str) -> Floa
     """Return how many times as large as in training the unit of each row is; infinite where no factor fits."""
     out = np.full(len(inputs), np.inf)
     powers, logarithmic = _powers(model, symbol)
-    # No factor takes back what a guard has found.
+    # No factor can undo the result of a guard.
     rows = np.flatnonzero((guards <= np.array(model.guard_limits)).all(axis=1))
     if not rows.size or not powers.any():
         return out
@@ -120,7 +124,7 @@ def _powers(model: Model, symbol: str) -> tuple[Floats, NDArray[np.bool_]]:
     names = [name.split(" of channel ")[0] for name in model.inputs]
     units = [FEATURES[name].unit if name in FEATURES else "" for name in names]
     logarithmic = np.array([unit.startswith("log10") for unit in units])
-    units = ["U" if unit == "N" else unit for unit in units]  # a force that is recovered through a beam
+    units = ["U" if unit == "N" else unit for unit in units]  # a force estimated through a beam
     powers = np.array([2.0 if f"{symbol}^2" in unit else float(symbol in unit) for unit in units])
     if symbol == "s":
         powers[logarithmic] = 0.0
@@ -130,7 +134,7 @@ def _powers(model: Model, symbol: str) -> tuple[Floats, NDArray[np.bool_]]:
 def with_frames(
     answers: Sequence[Answer], frames: NDArray[np.floating], sampling_rate: float, model: Model, pre_trigger: int | None
 ) -> list[Answer]:
-    """Return the answers for frames (n, n_samples), with the causes that only the samples show."""
+    """Return the predictions for frames (n, n_samples), with causes visible only in the samples."""
     rows = [row for row, answer in enumerate(answers) if answer.cause is not None]
     explained = list(answers)
     if not rows:
@@ -180,7 +184,7 @@ def _clearness(frames: NDArray[np.floating], sampling_rate: float, pre_trigger: 
 
 @dataclass
 class ChannelAnswers:
-    """The unknown answers of a channel: how many for each cause, and for the causes of unmarked ones some examples."""
+    """The unknown predictions of a channel: their number by cause, and examples of the causes of unmarked ones."""
 
     n_answers: int = 0
     n_unmarked: int = 0
@@ -204,7 +208,7 @@ class ChannelAnswers:
         disturbed = answer.overlapping or answer.clipped or answer.cut
         name, marked = _cause_of(answer, crowded)
         self.n_unmarked += not marked
-        # Training leaves out impacts that begin within the event before.
+        # Training excludes impacts that begin within the previous event.
         self.n_usable += bool(answer.probabilities) and not is_soon and not disturbed
         if np.isfinite(answer.unexplained) and not (crowded or disturbed):
             self.unexplained.append(answer.unexplained)
@@ -223,7 +227,7 @@ class ChannelAnswers:
 
     @property
     def decisive(self) -> Counter[str]:
-        """The causes that count: those of unmarked answers alone where these are many."""
+        """The relevant causes: only those of unmarked predictions if these are many."""
         few_marks = self.unmarked and self.n_unmarked >= _UNMARKED * self.n_answers
         return self.unmarked if few_marks else self.marks + self.unmarked
 
@@ -232,7 +236,7 @@ class ChannelAnswers:
         bounds: list[tuple[float, list[float]]] = [(float("nan"), [])]
         for n_latest in _LATEST if len(self.unexplained) >= _LATEST[0] else ():
             latest = list(self.unexplained)[-n_latest:]
-            # The rank of a sample that lies below the median but for a chance of 2e-5 (binomial).
+            # The rank of a sample that is below the median with probability 1 - 2e-5 (binomial).
             bounds.append((sorted(latest)[int(len(latest) / 2 - _N_SIGMA / 2 * np.sqrt(len(latest))) - 1], latest))
         return max(bounds[1:] or bounds, key=lambda one: one[0])
 
@@ -259,7 +263,7 @@ class Finding:
 
 @dataclass(frozen=True, kw_only=True)
 class Hint:
-    """Why most answers are unknown or the beam is not the model's, and what helps."""
+    """Why most predictions are unknown or the beam differs from the model's, and what to do."""
 
     # `commands` are the next steps, in order, and `instead` the alternatives; `channels` is empty if it concerns all.
 
@@ -274,7 +278,7 @@ class Hint:
 
     @property
     def lines(self) -> list[str]:
-        """The hint as text: why and what helps in one line, then a line for each step."""
+        """The hint as text: reason and remedy in one line, then a line for each step."""
         ways = [[f"  {number}. {step}" for number, step in enumerate(way, 1)] for way in (self.commands, self.instead)]
         between = ["  or:"] * (ways[0] != [] and ways[1] != [])
         steps = [*ways[0], *between, *ways[1]]
@@ -282,7 +286,7 @@ class Hint:
 
 
 class Diagnosis:
-    """Count the answers of a recording, and find the cause where most are unknown."""
+    """Count the predictions of a recording, and determine the cause if most are unknown."""
 
     def __init__(self, model: Model) -> None:
         self.model = model
@@ -299,8 +303,8 @@ class Diagnosis:
 
     @property
     def is_clear(self) -> bool:
-        """Whether a live stream can have its hint already."""
-        enough = _MIN_ANSWERS if self.model.beam is None else _LATEST[0]  # by then it shows whether the beam changed
+        """Whether a live stream has enough predictions for its hint."""
+        enough = _MIN_ANSWERS if self.model.beam is None else _LATEST[0]  # by then a change of the beam is visible
         unknown = any(c.n_answers >= enough and c.n_unknown >= _MOSTLY * c.n_answers for c in self.channels.values())
         return unknown or bool(self._changed())
 
@@ -314,7 +318,7 @@ class Diagnosis:
 
     def finding(self) -> Finding | None:
         """Return the cause; None where no channel is upside down or mostly unknown, and no beam changed."""
-        # The rebounds of a pulse that points down may be answered: then it is the wrong side that was.
+        # The rebounds of inverted pulses may be identified, but on the wrong side.
         turned = {name: self.channels[name] for name in sorted(self.upside_down & self.channels.keys())}
         unknown = {name: c for name, c in self.channels.items() if 2 * c.n_unknown > c.n_answers}
         affected = turned or unknown
@@ -341,7 +345,7 @@ class Diagnosis:
         )
 
     def _change(self) -> Finding | None:
-        """Return the finding of a beam that is no longer that of the model; None where it is."""
+        """Return the finding of a beam that is no longer that of the model; None otherwise."""
         changed = self._changed()
         if not changed:
             return None
@@ -380,7 +384,7 @@ def _factor_of(levels: Sequence[float], model: Model) -> float:
     scaled = np.clip(scaled, middle - _CLIPPED, middle + _CLIPPED)
     excess = float(scaled.mean() + scaled.std()) - _UPPER
     chance, spread = _SPREAD[model.beam is not None][0 if excess > 0 else 1]
-    # What the training itself does not know for few impacts counts as well.
+    # Includes the uncertainty of the training for few impacts.
     limit = np.sqrt(chance / n + chance / model.training.get("n_train", np.inf) + spread)
     return float(np.exp(excess * deviation)) if abs(excess) > limit else 1.0
 

@@ -44,10 +44,10 @@ class Estimates:
     restitution : ndarray, (n,)
         Above 1 for a pulse that rises more slowly than it falls.
     covariance : ndarray, (n, 5, 5)
-        Covariance of ln(peak), ln(contact duration), onset [s], ln(restitution) and baseline; 0 for what was given.
+        Covariance of ln(peak), ln(contact duration), onset [s], ln(restitution) and baseline; 0 for given quantities.
     restitution_deviation : ndarray, (n,)
-        Standard deviation of the restitution; from the likelihood of all shapes where that is no parabola, so that it
-        covers a second shape that explains the samples as well.
+        Standard deviation of the restitution; from the likelihood of all shapes if it is not a parabola, so that it
+        includes a second likely shape.
     misfit : ndarray, (n,)
         Squared residual over that of the noise, about 1 for a pulse of the family.
     overload : ndarray, (n,)
@@ -114,7 +114,7 @@ class Posterior:
         """
         if not 0 < validation.number("share", share) < 1:
             raise InvalidValue(f"share must be between 0 and 1 (exclusive), got {share:g}")
-        # Half of a node's probability lies on either side of it.
+        # Half of a node's probability is on either side of it.
         below = np.cumsum(self.weight, axis=1) - 0.5 * self.weight
         rows = np.arange(len(below))
         after = np.clip(np.sum(below < share, axis=1), 1, below.shape[1] - 1)
@@ -199,7 +199,7 @@ def estimate(
     frames, rate = frames_of(samples, pre_trigger).astype(np.float64, copy=False), require_rate(sampling_rate)
     n, last = frames.shape[0], (frames.shape[1] - 1) / rate
     given_noise = None if noise is None else _each("noise", validation.between("noise", noise, 0, LARGEST), n)
-    touch = None if onset is None else _each("onset", validation.between("onset", onset, 0, last, "s") * rate, n)
+    onsets = None if onset is None else _each("onset", validation.between("onset", onset, 0, last, "s") * rate, n)
     limit = None if clip_level is None else _each("clip_level", validation.positive("clip_level", clip_level), n)
     response = None if bandwidth is None else low_pass_response(rate, bandwidth)
     parts, overloads = [], []
@@ -214,7 +214,7 @@ def estimate(
                 pulses.noise if given_noise is None else given_noise[block],
                 offset=pulses.offset,
                 fit_baseline=fit_baseline,
-                onset=None if touch is None else touch[block],
+                onset=None if onsets is None else onsets[block],
                 clip_level=level,
                 response=response,
                 n_quiet=pulses.n_quiet if given_noise is None else None,
@@ -287,7 +287,7 @@ def posterior(
         if not (level > 0).all():
             raise InvalidValue(
                 f"noise must be above 0 for a posterior, got 0 in signal {first + int(np.argmin(level > 0))}; "
-                "record some samples before onset, or say what the noise is"
+                "record some samples before onset, or give the noise"
             )
         known: dict[str, Any] = {"offset": pulses.offset, "clip_level": pulses.clip_level, "response": response}
         fit = fit_pulses(pulses.samples, pulses.fit_start, level, **known)

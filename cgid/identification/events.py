@@ -1,4 +1,4 @@
-"""Detected impacts, each in a frame of one length, so that hundreds are identified in one batch."""
+"""Detected impacts in frames of few lengths, so that hundreds are identified in one batch."""
 
 from __future__ import annotations
 
@@ -25,25 +25,26 @@ QUIET_TIME, EVENT_TIME = 10e-3, 150e-3
 #: The same for pulses [s].
 PULSE_QUIET_TIME, PULSE_TIME = 5e-3, 15e-3
 #: Minimum of each of the two parts of a pulse frame [samples].
-_FEWEST = 200
+_MIN_PART = 200
 #: A longer pulse has a frame 4 or 16 times as long after its onset. Even longer pulses are cut there.
-_LONGER, _LONGEST = 4, 16
-#: The last part before the onset may already belong to the impact [s].
+_LONGER, _EXTENSIONS = 4, 16
+#: The last part before the detected onset may belong to the impact [s].
 LEAD_TIME = 1e-3
 #: The detected onset of the next impact may be this late [s].
 _LATE = 0.5e-3
 #: A detected impact must rise this many standard deviations above the quiet part of its frame. The limit is lower than
-#: elsewhere, because the previous impact may still ring there.
-FOUND_LIMIT = 2.0
+#: that of measurements, because of the ring-down of the previous impact.
+DETECTION_LIMIT = 2.0
 #: With at least this many samples before an impact, missing ones are mirrored.
 _ENOUGH = 8
-#: Where the recording begins so shortly before an impact that fewer than this share of the quiet part is there, the
-#: quietest stretch of the frame stands in for it. It is searched at this many places a length.
+#: If the recording contains less than this fraction of the quiet part before an impact, the quietest stretch of the
+#: frame replaces it. It is searched at this many positions per length.
 _FEW, _PLACES = 0.25, 4
-#: A vibration is cut off by the start of the recording if its first samples are above this share of its peak and this
-#: many standard deviations of the noise. The first samples last this long [s], because a vibration crosses zero.
+#: A vibration is cut off by the start of the recording if its first samples exceed this fraction of its peak and this
+#: many standard deviations of the noise. The first samples are those in this time [s], because a vibration crosses
+#: zero.
 _BEGUN, _BEGUN_OVER_NOISE, _FIRST_TIME = 0.2, 6.0, 0.08e-3
-#: A clipped value is at least this share of the largest deviation.
+#: A clipped value is at least this fraction of the largest deviation.
 _CLIPPED_SHARE = 0.5
 
 
@@ -52,7 +53,7 @@ class Onset:
     """The beginning of an impact, before its frame is cut."""
 
     row: int  # unit of dead time and neighbours: the channel, or 0 for joint channels
-    channel: int  # where it was found; of joint channels, the one with the strongest signal
+    channel: int  # of joint channels, the one with the strongest signal
     sample: int  # index in the recording
     noise: Floats  # of a vibration, the energy of the noise in each band; of a pulse, the baseline of each channel
     last: int | None = None  # of a pulse, its last high sample so far
@@ -70,7 +71,7 @@ class Event:
     Attributes
     ----------
     channel : int
-        Where it was measured; of joint channels, the one with the strongest signal.
+        Channel of the impact; of joint channels, the one with the strongest signal.
     onset, end : int
         Index in the recording of its first sample, and of the first sample after it.
     samples : ndarray, (n_samples,) or (n_channels, n_samples)
@@ -109,7 +110,7 @@ class Event:
     cut: bool = False
     since: int = 0
     problem: str = ""
-    detection_limit: float = FOUND_LIMIT
+    detection_limit: float = DETECTION_LIMIT
     unit: str | None = None
     source: str = "signal"
 
@@ -142,11 +143,11 @@ class Event:
 
 def frames_alike(events: Sequence[Event]) -> Iterator[tuple[list[int], NDArray[Any]]]:
     """Yield indices and stacked frames of the events that can be measured in one batch."""
-    alike: dict[tuple[Any, ...], list[int]] = {}
+    batch: dict[tuple[Any, ...], list[int]] = {}
     for number, event in enumerate(events):
         key = event.samples.shape, event.sampling_rate, event.pre_trigger, event.detection_limit
-        alike.setdefault(key, []).append(number)
-    for numbers in alike.values():
+        batch.setdefault(key, []).append(number)
+    for numbers in batch.values():
         yield numbers, np.stack([events[number].samples for number in numbers])
 
 
@@ -168,9 +169,9 @@ class Framing:
         """Return the framing for a kind of impact at a sampling rate [Hz]."""
         lead, late = max(round(LEAD_TIME * sampling_rate), 1), round(_LATE * sampling_rate)
         if kind == "pulse":
-            quiet = max(round(PULSE_QUIET_TIME * sampling_rate), _FEWEST)
-            length = max(round(PULSE_TIME * sampling_rate), _FEWEST)
-            return cls(sampling_rate, quiet, min(lead, quiet // 2), length, _LONGEST * length, None, 0, late)
+            quiet = max(round(PULSE_QUIET_TIME * sampling_rate), _MIN_PART)
+            length = max(round(PULSE_TIME * sampling_rate), _MIN_PART)
+            return cls(sampling_rate, quiet, min(lead, quiet // 2), length, _EXTENSIONS * length, None, 0, late)
         quiet = max(round(QUIET_TIME * sampling_rate), 2)
         length = max(round(EVENT_TIME * sampling_rate), 16)
         shortest = int(np.ceil(MIN_EVENT * sampling_rate))
@@ -185,16 +186,16 @@ class Framing:
         return length
 
     def reach(self, length: int) -> int:
-        """Return the distance from which a later onset has no part in a frame of this length."""
+        """Return the distance from which a later onset does not affect a frame of this length."""
         return length + self.late + 1
 
 
 class FrameCutter:
-    """Cut the frames of impacts, which arrive in order of time; with `joint`, frames hold all channels."""
+    """Cut the frames of impacts, which arrive in order of time; with `joint`, frames contain all channels."""
 
     def __init__(self, framing: Framing, end_of: Callable[[Onset, Floats], int], joint: bool) -> None:
         self._framing, self._end_of, self._joint = framing, end_of, joint
-        # The previous impact of each row, and whether it was still going on when the next began.
+        # The previous impact of each row, and whether it had ended when the next began.
         self._before: dict[int, tuple[Onset, bool]] = {}
 
     def cut(
@@ -230,10 +231,10 @@ class FrameCutter:
         channel = onset.channel if self._joint else 0
         stretch = quietest(part[channel], framing.quiet) if before is None and start == begin else slice(0, 0)
         frame, baseline = self._frame(part, onset, start, length, stretch)
-        mine = float(baseline[channel])
+        of_unit = float(baseline[channel])
         began_cut = onset.sample <= begin
         if framing.pre_trigger is not None and onset.sample - begin < framing.lead:
-            began_cut = start > begin or has_begun(part[channel], onset.sample - begin, mine, stretch, framing.lead)
+            began_cut = start > begin or has_begun(part[channel], onset.sample - begin, of_unit, stretch, framing.lead)
         return Event(
             channel=onset.channel,
             onset=onset.sample,
@@ -241,9 +242,9 @@ class FrameCutter:
             samples=frame if self._joint else frame[0],
             sampling_rate=framing.sampling_rate,
             pre_trigger=framing.pre_trigger,
-            # Impacts seen after the frame do not count: whether they are known yet depends on the blocks.
+            # Impacts after the frame do not count: whether they are known yet depends on the blocks.
             overlapping=running or interrupted or (onset.again is not None and onset.again < limit),
-            clipped=_is_clipped(one_channel[: end - onset.sample] - mine),
+            clipped=_is_clipped(one_channel[: end - onset.sample] - of_unit),
             cut=began_cut or ended_cut,
             problem=self._problem(began_cut, ended_cut, length if stop is None else stop - onset.sample, begin, by),
         )
@@ -276,7 +277,7 @@ class FrameCutter:
             return f"the impact must begin inside the recording, it is cut off by {cut_by}: record samples before it"
         if ended_cut and framing.pre_trigger is None:
             return f"the pulse must end inside the recording, it is cut off by {by}: record a longer frame"
-        if recorded < framing.shortest:  # Even if it is over: what comes then tells one structure from another.
+        if recorded < framing.shortest:  # Even if it has ended: later samples distinguish structures.
             return (
                 f"the vibration must last {MIN_EVENT * 1e3:g} ms inside the recording, it is cut off by {by} "
                 f"after {recorded / framing.sampling_rate * 1e3:.3g} ms: record longer"
@@ -296,7 +297,7 @@ def quietest(samples: Floats, longest: int) -> slice:
 
 
 def has_begun(samples: Floats, onset: int, baseline: float, stretch: slice, lead: int) -> bool:
-    """Return whether a vibration (n,) was going on at the first sample; `stretch` of it is noise."""
+    """Return whether a vibration (n,) had begun before the first sample; `stretch` of it is noise."""
     count = max(round(lead * _FIRST_TIME / LEAD_TIME), 3)
     first = float(np.abs(samples[:count] - baseline).max())
     peak = float(np.abs(samples[: onset + lead] - baseline).max())
@@ -305,10 +306,10 @@ def has_begun(samples: Floats, onset: int, baseline: float, stretch: slice, lead
 
 
 def _is_clipped(deviation: Floats) -> bool:
-    """Return whether an impact (n,), without its baseline, holds an extreme value for three samples."""
-    least = _CLIPPED_SHARE * np.abs(deviation).max()
+    """Return whether an impact (n,), without its baseline, stays at an extreme for three samples."""
+    min_deviation = _CLIPPED_SHARE * np.abs(deviation).max()
     for extreme in (deviation.max(), deviation.min()):
         at = deviation == extreme
-        if abs(extreme) >= least and bool(np.any(at[2:] & at[1:-1] & at[:-2])):
+        if abs(extreme) >= min_deviation and bool(np.any(at[2:] & at[1:-1] & at[:-2])):
             return True
     return False

@@ -28,12 +28,12 @@ class Standardiser:
     mean: Floats
     scale: Floats
 
-    #: Names of its arrays, one value per feature, after the prefix of whose they are.
+    #: Names of its arrays, one value per feature, after their prefix.
     NAMES: ClassVar[tuple[str, ...]] = ("logarithmic", "floor", "mean", "scale")
 
     @classmethod
     def from_arrays(cls, arrays: Arrays, prefix: str) -> Standardiser:
-        """Return that of the arrays of a model; raises `BadData` unless scale and floor are above 0."""
+        """Return the standardiser in the arrays of a model; raises `BadData` unless scale and floor are above 0."""
         standardiser = cls(*(arrays[prefix + name] for name in cls.NAMES))
         if not (standardiser.scale > 0).all() or not (standardiser.floor > 0).all():
             raise BadData(f"arrays {prefix}scale and {prefix}floor must be above 0")
@@ -58,7 +58,7 @@ class Standardiser:
     def apply(self, features: Floats) -> Floats:
         """Return the standardised rows."""
         logs = np.log(np.maximum(features, self.floor), where=self.logarithmic, out=features.copy())
-        with np.errstate(over="ignore"):  # anyone who looks at infinite rows says so
+        with np.errstate(over="ignore"):  # infinite rows are reported later
             return np.asarray((logs - self.mean) / self.scale)
 
     def at(self, standardised: float) -> Floats:
@@ -82,7 +82,7 @@ def softmax(scores: Floats) -> Floats:
 
 
 def _or_infinite(novelty: Floats) -> Floats:
-    """Return the novelty, infinite where it is no number: there infinities cancelled, and nan would not exceed 1."""
+    """Return the novelty, infinite instead of nan: infinities have cancelled, and nan would not exceed 1."""
     return np.where(np.isnan(novelty), np.inf, novelty)
 
 
@@ -94,7 +94,7 @@ class Neighbourhood:
     whitening: Floats  # (n_classes or 1, n_features, n_features)
     limit: float
 
-    #: Share of the training impacts inside the limit.
+    #: Fraction of the training impacts inside the limit.
     INSIDE = 0.999
     #: Added to the variances, so that directions of almost no variation do not dominate.
     RIDGE = 1e-3
@@ -123,15 +123,15 @@ class Neighbourhood:
     @property
     def covariance(self) -> Floats:
         """Covariance of all classes together, (n_features, n_features), of rows whose mean is 0."""
-        # The classes have the shares with which their centres have a mean of 0.
+        # The classes have the weights for which the mean of their centres is 0.
         system = np.vstack([self.centres.T, np.ones(len(self.centres))])
         shares = np.maximum(np.linalg.lstsq(system, np.eye(len(system))[-1], rcond=None)[0], 0)
         inner = np.linalg.inv(np.swapaxes(self.whitening, 1, 2) @ self.whitening)
         outer = self.centres[:, :, None] * self.centres[:, None]
         return np.asarray(np.tensordot(shares / shares.sum(), inner + outer, 1))
 
-    def foremost(self, standardised: Floats) -> NDArray[np.intp]:
-        """Return the number of the feature that adds most to the squared distance of each row, (n,)."""
+    def most_distant(self, standardised: Floats) -> NDArray[np.intp]:
+        """Return the index of the feature that contributes most to the squared distance of each row, (n,)."""
         offsets = standardised[None] - self.centres[:, None]
         white = offsets @ np.swapaxes(self.whitening, 1, 2)
         nearest = np.argmin(np.sum(white**2, axis=2), axis=0)
@@ -382,7 +382,7 @@ class Network(Family):
 class Contrast:
     """Novelty from a network trained against other impacts (ln density ratio), or from a line trained against noise."""
 
-    # The distance to the training alone forgives too much among many laws, shapes and noises.
+    # The distance to the training alone is too tolerant with many laws, shapes and noises.
 
     standardiser: Standardiser
     scorer: Network | Linear

@@ -1,4 +1,4 @@
-"""Nested cross-validation by group, for few recordings of many windows each.
+"""Nested cross-validation by group, for a few recordings of many windows each.
 
 The outer loop leaves out each group in turn for evaluation. The inner loop, over the other groups, selects a candidate
 and calibrates its probabilities, so the evaluation group never takes part in a selection.
@@ -39,11 +39,10 @@ from cgid.workers import SERIAL, Workers
 
 #: Maximum number of folds: up to this number of groups each is a fold; more groups share this many folds.
 MAX_FOLDS = 20
-#: Minimum number of blocks of time of a single recording; more, up to `MAX_FOLDS`, where a label would lie in too few
-#: of them.
+#: Minimum number of blocks of time of a single recording; more, up to `MAX_FOLDS`, if a label is in too few of them.
 MIN_BLOCKS = 8
 #: Impacts on two channels within this time are one impact [s].
-_ONE_BLOW = 10e-3
+_SAME_IMPACT = 10e-3
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -74,7 +73,7 @@ class TrainingSet:
 
 
 class Selection(NamedTuple):
-    """Result of the inner loop: the best candidate, the accuracies of all, its temperature, and that of its votes."""
+    """Result of the inner loop: the best candidate, all accuracies, its temperature, and that of its votes."""
 
     best: int
     accuracies: tuple[float, ...]
@@ -90,7 +89,7 @@ class CrossValidation(NamedTuple):
 
 
 def require_groups(labels: NDArray[np.str_], group: NDArray[np.integer]) -> None:
-    """Raise `BadData` unless every label has one group to train and another to judge."""
+    """Raise `BadData` unless every label has at least two groups, for training and test."""
     different = np.unique(labels)
     if len(different) < 2:
         raise BadData(
@@ -98,23 +97,23 @@ def require_groups(labels: NDArray[np.str_], group: NDArray[np.integer]) -> None
         )
     if len(np.unique(group)) < 2:
         raise BadData(
-            "recordings must be in at least 2 groups, one to train and one to judge, got 1; add recordings, name "
+            "recordings must be in at least 2 groups, for training and test, got 1; add recordings, name "
             "groups in the manifest (recording, day, support), or label more of a single recording: from some 16 "
-            "impacts on, blocks of its time judge each other"
+            "impacts on, cross-validation uses blocks of its time"
         )
     for label in different.tolist():
         count = len(np.unique(group[labels == label]))
         if count < 2:
             raise BadData(
-                f"label {label} must have recordings in at least 2 groups, one to train and one to judge, got {count}; "
-                "add some, or correct the label"
+                f"label {label} must have recordings in at least 2 groups, for training and test, got {count}; add "
+                "some, or correct the label"
             )
 
 
 def in_blocks_of_time(rows: Rows) -> Rows:
     """Return the rows of a single recording with successive blocks of time as groups, without rows in two blocks."""
     assert rows.slicing is not None
-    before, after = (0.0, rows.slicing.window_time) if rows.slicing.by == "window" else (_ONE_BLOW, EVENT_TIME)
+    before, after = (0.0, rows.slicing.window_time) if rows.slicing.by == "window" else (_SAME_IMPACT, EVENT_TIME)
     time = np.unique(rows.time)
     for min_groups, n_blocks in product((3, 2), range(MIN_BLOCKS, MAX_FOLDS + 1)):
         last = np.arange(1, n_blocks) * len(time) // n_blocks
@@ -127,8 +126,8 @@ def in_blocks_of_time(rows: Rows) -> Rows:
             ends = [f"{edge:.6g}" for edge in (float(time[0]), *edges.tolist(), float(time[-1]))]
             names = tuple(f"{start} to {end} s" for start, end in pairwise(ends))
             warning = (
-                f"all rows are from one recording: {n_blocks} blocks of its time judge each other, which flatters a "
-                "model; recordings of other days or supports judge it better"
+                f"all rows are from one recording: cross-validated over {n_blocks} blocks of its time, so the accuracy "
+                "is optimistic; add recordings of other days or supports"
             )
             return replace(rows, group=block, groups=names, warnings=(*rows.warnings, warning))[is_inside]
     return rows
@@ -167,18 +166,23 @@ def choose_candidate(training_set: TrainingSet, workers: Workers = SERIAL) -> Se
     scores = np.zeros((len(training_set.candidates), len(truth), len(labels)))
     for fold, answers in zip(folds, workers.each(_scores_of_all, training_set, folds), strict=True):
         scores[:, fold] = answers
-    judged = np.any(folds, axis=0) & rows.is_clear
-    scores, truth, weights = scores[:, judged], truth[judged], row_weights(rows.labels[judged], training_set.weights)
+    evaluation = np.any(folds, axis=0) & rows.is_clear
+    scores, truth, weights = (
+        scores[:, evaluation],
+        truth[evaluation],
+        row_weights(rows.labels[evaluation], training_set.weights),
+    )
     is_correct = np.argmax(scores, axis=2) == truth
     accuracies = tuple(float(np.average(of_candidate, weights=weights)) for of_candidate in is_correct)
-    best = smallest_as_good(training_set.candidates, accuracies, is_correct, rows.group[judged])
-    # After n rows that all were right, the next one is wrong with this probability (Laplace).
+    best = smallest_as_good(training_set.candidates, accuracies, is_correct, rows.group[evaluation])
+    # After n correct rows, the next one is wrong with this probability (Laplace).
     doubt = 1 / (len(truth) + 2)
     temperature = best_temperature(scores[best], truth, weights, doubt)
-    # A fold leaves out one of n groups of a label, so its model is less certain than that of all. What few groups do
-    # not determine goes as one over their number, and so does the logarithm of the temperature, unless doubt sets it.
+    # A fold leaves out one of n groups of a label, so its model is less certain than that of all. The uncertainty of
+    # few groups is proportional to one over their number, and so is the logarithm of the temperature, unless doubt sets
+    # it.
     n_groups = np.inf if is_correct[best].all() else np.mean(list(groups_of_labels(rows).values()))
-    of_candidate = rows[judged]
+    of_candidate = rows[evaluation]
     correlation = 1.0
     if rows.kind == "window" and rows.slicing is not None:
         correlation = vote_correlation(of_candidate, softmax(scores[best] / temperature), doubt)
@@ -187,7 +191,7 @@ def choose_candidate(training_set: TrainingSet, workers: Workers = SERIAL) -> Se
 
 def vote_correlation(rows: Rows, probabilities: Floats, doubt: float) -> float:
     """Return the correlation of windows whose votes have the smallest log loss, from 0 to 1."""
-    # All windows of a group share what is peculiar to it, so they are worth less than their overlap suggests.
+    # All windows of a group share its peculiarities, so they contain less information than their overlap suggests.
     assert rows.slicing is not None
     truth, parts = np.unique(rows.labels, return_inverse=True)[1], []
     for source in np.unique(rows.source[rows.is_recorded]):
@@ -220,13 +224,14 @@ def groups_of_labels(rows: Rows) -> dict[str, int]:
 
 
 def warnings_of_few(counts: Mapping[str, int]) -> list[str]:
-    """Return a warning if a label has too few groups for an interval that holds beyond them, else nothing."""
+    """Return a warning if a label has too few groups for an interval valid beyond them, else ""."""
     label = min(counts, key=lambda one: counts[one])
     if counts[label] >= MIN_GROUPS:
         return []
     return [
         f"label {label} has {counts[label]} groups of recordings (days, supports); with fewer than {MIN_GROUPS} of "
-        "each label the next day may be much worse than the intervals say; add recordings of other days"
+        "each label, expect lower accuracy on another day, which the intervals do not cover; add recordings of other "
+        "days"
     ]
 
 
@@ -239,11 +244,11 @@ def cross_validate(
     folds = list(leave_groups_out(rows.labels, rows.group, training_set.seed))
     if not all(_teaches_all(rows.labels, fold) for fold in folds):
         raise BadData(
-            "groups must leave recordings of every label to train on when one is left out; add recordings, or name "
+            "each label must be in two or more groups, since one is left out for the test; add recordings, or name "
             "smaller groups"
         )
-    with closing(workers.each(_judged, training_set, folds)) as judged:
-        for fold, (best, answers) in zip(folds, judged, strict=True):
+    with closing(workers.each(_evaluate, training_set, folds)) as evaluation:
+        for fold, (best, answers) in zip(folds, evaluation, strict=True):
             selected.append(best)
             probabilities[fold] = answers
             if progress is not None:
@@ -264,8 +269,8 @@ def final(training_set: TrainingSet, selection: Selection, workers: Workers = SE
 
 
 def noise_guard(training_set: TrainingSet, selection: Selection, workers: Workers = SERIAL) -> Contrast | None:
-    """Return the novelty of windows drowned in noise; None without noisy copies."""
-    # Its limit keeps recorded windows, and copies whose label is still recognised.
+    """Return the noise novelty of windows; None without noisy copies."""
+    # Its limit includes recorded windows, and copies with a recognisable label.
     if not np.isfinite(training_set.rows.snr).any():
         return None
     only = replace(training_set, candidates=(training_set.candidates[selection.best],))
@@ -284,7 +289,7 @@ def _scores_of_all(training_set: TrainingSet, fold: NDArray[np.bool_]) -> Floats
         return np.stack([_scores(candidate, training_set, fold) for candidate in training_set.candidates])
 
 
-def _judged(training_set: TrainingSet, fold: NDArray[np.bool_]) -> tuple[int, Floats]:
+def _evaluate(training_set: TrainingSet, fold: NDArray[np.bool_]) -> tuple[int, Floats]:
     """Return the candidate chosen on the other rows, and its probabilities for the fold."""
     with threadpool_limits(1):
         selection = choose_candidate(replace(training_set, rows=training_set.rows[~fold]))
@@ -302,7 +307,7 @@ def _distances(training_set: TrainingSet, fold: NDArray[np.bool_]) -> Floats:
 
 
 def _noise_scores(training_set: TrainingSet, fold: NDArray[np.bool_]) -> Floats:
-    """Return how drowned the recorded rows of a fold seem to the other rows, for the only candidate."""
+    """Return the noise novelty of the recorded rows of a fold by the other rows, for the only candidate."""
     with threadpool_limits(1):
         inputs = training_set.rows[fold & training_set.rows.is_recorded].inputs(training_set.candidates[0].features)
         return _contrast(training_set, training_set.rows[~fold]).scores(inputs)

@@ -29,9 +29,9 @@ _MAX_STEP, _FAR = 0.012, 0.006
 _PRIOR_OF_LOCATION = 0.1
 #: Shapes in the first step from the grid, and in slopes.
 _LEADING = 14
-#: Share of the amplitude by which mixtures of modes may differ from the modes.
+#: Maximum error of mixtures of modes over the amplitude.
 _SAME = 3e-4
-#: Singular values of the clipped samples, of the largest, below which they reach beyond the band alone.
+#: Singular values of the clipped samples, relative to the largest, below which they are outside the band.
 _IN_BAND = 1e-3
 
 
@@ -48,7 +48,7 @@ class ForceEstimate(Rowwise):
     vector: Floats  # (n, n_shapes); the location is projected out
     noise: Floats  # (n,), standard deviation at the quietest sensor [unit of the samples]
     evidence: Floats  # (n,), ln evidence over that of noise alone, per sample
-    misfit: Floats  # (n,), mean square of the residual over the noise; 1 where the beam explains the samples
+    misfit: Floats  # (n,), mean square of the residual over the noise; 1 if the beam explains the samples
     unexplained: Floats  # (n,), fraction of energy in the residual beyond the noise, at least 0
 
     def later(self, samples: NDArray[np.intp]) -> Start:
@@ -82,16 +82,16 @@ class Inversion(BeamResponses):
         return {}
 
     def _for(self, observations: Observations) -> tuple[Inversion, Observations]:
-        """Return the inversion of the band that counts, whose tables are made once, and observations by sensor."""
+        """Return the inversion of the used band, whose tables are cached, and observations by sensor."""
         limit = observations.limit
         if limit is None or self.beam.errors is None:
             return self, observations.by_sensor()
-        # Errors of the modes are turned in the band that counts.
+        # Errors of the modes are rotated in the used band.
         narrower = self._narrower.setdefault(limit, Inversion(self.beam, limit))
         return narrower, replace(observations, limit=None).by_sensor()
 
     def invert(self, observations: Observations, onset: NDArray[np.intp]) -> ForceEstimate:
-        """Return locations and forces of impacts whose onset lies between samples `onset` (n, 2) of the frame."""
+        """Return locations and forces of impacts with an onset between samples `onset` (n, 2) of the frame."""
         own, observations = self._for(observations)
         parts = []
         for rows in own._slices(len(onset)):
@@ -108,7 +108,7 @@ class Inversion(BeamResponses):
         return ForceEstimate.joined([own._refined(part, own.weights(part)[0], begin) for part, begin in parts])
 
     def compare(self, observations: Observations, onset: NDArray[np.intp]) -> Start:
-        """Return the start of the highest evidence on the grid, of several samples of the onset each (n, n_onsets)."""
+        """Return the start of highest evidence on the grid among several onsets, (n, n_onsets)."""
         own, observations = self._for(observations)
         n, n_onsets = onset.shape
         row, first = np.repeat(np.arange(n), n_onsets), onset.ravel() - TOUCH // 2
@@ -121,7 +121,7 @@ class Inversion(BeamResponses):
         return starts.rows(starts.evidence.reshape(n, -1).argmax(axis=1) + np.arange(n) * n_onsets)
 
     def _slices(self, n: int) -> list[slice]:
-        """Return slices of rows; there is one even if there are none."""
+        """Return slices of rows, at least one."""
         n_rows = max(ROWS // self.beam.n_sensors, 1)
         return [slice(first, first + n_rows) for first in range(0, max(n, 1), n_rows)]
 
@@ -161,18 +161,18 @@ class Inversion(BeamResponses):
 
     @cached_property
     def _moves(self) -> Singles:
-        """What each sample adds to the coefficients, (n_samples, n_coefficients)."""
+        """Contribution of each sample to the coefficients, (n_samples, n_coefficients)."""
         return self.transformed(np.eye(self.n_samples))
 
     def _descended(
         self, samples: Singles, weight: Singles, x: Floats, y: Floats, level: Floats, without: Singles | None = None
     ) -> dict[str, Any]:
         """Return the fields of `ForceEstimate` after Gauss-Newton steps from the grid, except `without`."""
-        kept = self._all.kept
-        root = None if (weight == 1).all() else np.sqrt(weight[:, kept])
-        without = None if without is None else without[:, :, kept]
-        samples = _beside(samples[:, kept] if root is None else samples[:, kept] * root, without)
-        # The lower half of the band is enough for the first step, but for its part in directions of the whole.
+        selected = self._all.kept
+        root = None if (weight == 1).all() else np.sqrt(weight[:, selected])
+        without = None if without is None else without[:, :, selected]
+        samples = _beside(samples[:, selected] if root is None else samples[:, selected] * root, without)
+        # The lower half of the band is enough for the first step, except in directions of the whole band.
         low = self._lower if without is None else self._leading
         few = slice(low.kept.size)
         x, y, _ = self._stepped(low, samples[:, few], None if root is None else root[:, few], x, y, level, without)
@@ -199,7 +199,7 @@ class Inversion(BeamResponses):
         level: Floats,
         without: Singles | None,
     ) -> tuple[Floats, Floats, dict[str, Floats]]:
-        """Return locations after a Gauss-Newton step and, with the complete table, what the samples indicate."""
+        """Return locations after a Gauss-Newton step and, with the complete table, the information of the samples."""
         at, *slopes_of_at = self._all.beam.weights(x, y)
         # The first shapes are enough for slopes.
         leading = self._leading if table is self._all else table
@@ -214,7 +214,7 @@ class Inversion(BeamResponses):
         cross = (ways @ slopes.transpose(0, 2, 1)).astype(np.float64)
         inner = (slopes @ slopes.transpose(0, 2, 1)).astype(np.float64) + np.eye(2) / _PRIOR_OF_LOCATION**2
         residual = samples - (single[:, None] @ ways)[:, 0]
-        # The location after the coefficients are projected out, with their prior.
+        # The location with the coefficients projected out, with their prior.
         through = np.linalg.solve(with_prior, cross)
         curvature = inner - cross.transpose(0, 2, 1) @ through
         pull = (slopes @ residual[:, :, None])[:, :, 0].astype(np.float64)

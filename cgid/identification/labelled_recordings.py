@@ -27,7 +27,7 @@ from cgid.identification.model import Model
 from cgid.identification.reference import Equalisations, MeanSpectrum, equalisations_of
 from cgid.identification.rows import Rows, Slicing, sets_for, union_of
 from cgid.identification.silence import Silence, silence_of
-from cgid.identification.windows import Grid, NoisyCopies, measure_windows, whole_windows, windows_of
+from cgid.identification.windows import Grid, NoisyCopies, complete_windows, measure_windows, windows_of
 from cgid.measure.features import FEATURES, choose, extract_array, kind_for, kind_of, require_supported, supported
 from cgid.measure.table import Kind
 from cgid.recordings import MAX_STREAM, RecordingFile, open_recording
@@ -65,7 +65,7 @@ class Reading:
 
 @dataclass(frozen=True, kw_only=True)
 class AnnotatedFile:
-    """An open recording with the annotations of one choice of its channels."""
+    """An open recording with the annotations of one selection of its channels."""
 
     annotations: tuple[Annotation, ...]  # sorted by start, without overlap
     recording: RecordingFile
@@ -74,11 +74,11 @@ class AnnotatedFile:
 
     @property
     def upright(self) -> float:
-        """1, or -1 if the samples are to be turned over."""
+        """1, or -1 to invert the samples."""
         return -1.0 if self.annotations[0].invert else 1.0
 
     def blocks(self) -> Iterator[NDArray[Any]]:
-        """Yield the samples, nan in gaps; raise `BadData` at the end if an annotation starts behind it."""
+        """Yield the samples, nan in gaps; raise `BadData` at the end if an annotation starts after it."""
         count = 0
         for block in self.recording.blocks_with_gaps():
             count += block.shape[1]
@@ -86,7 +86,7 @@ class AnnotatedFile:
         self.require_inside(count)
 
     def require_inside(self, n_samples: int | None) -> None:
-        """Raise `BadData` if the last annotation starts behind a number of samples, if that is known."""
+        """Raise `BadData` if the last annotation starts after the end of the recording, if known."""
         last, rate = self.annotations[-1], self.recording.sampling_rate
         if n_samples is not None and last.start * rate >= n_samples:
             raise BadData(
@@ -114,21 +114,21 @@ def open_all(
             reading.note(error, failures)
     if not files and not references:
         raise BadData(
-            f"{manifest.source}: there must be a recording that can be read, there is none"
+            f"{manifest.source}: at least one recording must be readable, there is none"
             + "".join(f"; {error}" for error in failures[:1])
         )
     first_with: dict[str, AnnotatedFile] = {}
     for file in files:
         first = first_with.setdefault(file.digest, file)
-        if first.annotations[0].group != file.annotations[0].group:  # one would train, the other judge
+        if first.annotations[0].group != file.annotations[0].group:  # one would train, the other test
             raise BadData(
-                f"{file.recording.source}: recordings of different groups must differ, it holds the same as "
-                f"{first.recording.source}; take one out, or give both one group"
+                f"{file.recording.source}: recordings of different groups must differ, this one equals "
+                f"{first.recording.source}; remove one, or give both one group"
             )
         if first is not file and _overlap(first.annotations, file.annotations):
             raise BadData(
-                f"{file.recording.source}: intervals must not overlap, it holds the same as {first.recording.source}; "
-                "take one out"
+                f"{file.recording.source}: intervals must not overlap, this recording equals {first.recording.source}; "
+                "remove one"
             )
     return files
 
@@ -182,7 +182,7 @@ def _opened(annotations: tuple[Annotation, ...], reading: Reading) -> AnnotatedF
         channel=first.channels or reading.channels,
         variable=first.variable,
         sensitivity=first.sensitivity or reading.sensitivity,
-        # A gain of one annotation is divided out of its interval alone.
+        # The gain of an annotation applies only to its interval.
         gain=first.recording_gain or (None if any(one.gain is not None for one in annotations) else reading.gain),
         full_scale=first.full_scale or reading.full_scale,
         format=first.format or reading.format,
@@ -204,7 +204,7 @@ def unit_of(recording: RecordingFile) -> str:
     unit = recording.channels[0].unit
     if unit is None:
         raise MissingOption(
-            f"{recording.source}: the file does not say the unit; give it with --unit U, such as --unit g"
+            f"{recording.source}: the file does not state the unit; give it with --unit U, such as --unit g"
         )
     for channel in recording.channels:
         require_measured(channel.unit, recording.source)
@@ -215,7 +215,7 @@ def unit_of(recording: RecordingFile) -> str:
 
 
 def require_alike(recording: RecordingFile, first: RecordingFile) -> None:
-    """Raise `BadData` unless two recordings can train one model: of one quantity, with as many channels each."""
+    """Raise `BadData` unless two recordings can train one model, with one quantity and number of channels."""
     units = [unit_of(one) for one in (recording, first)]
     got, required = (f"{quantity_of(unit)} [{unit}]" for unit in units)
     if quantity_of(units[0]) != quantity_of(units[1]):
@@ -226,19 +226,19 @@ def require_alike(recording: RecordingFile, first: RecordingFile) -> None:
     counts = [len(one.channels) for one in (recording, first)]
     if counts[0] != counts[1]:
         raise BadData(
-            f"{recording.source}: recordings must have as many channels each, got {counts[0]} after {counts[1]} of "
+            f"{recording.source}: recordings must have equally many channels, got {counts[0]} after {counts[1]} of "
             f"{first.source}; choose with --channel, or channel in the manifest"
         )
 
 
 def _require_single(files: Sequence[AnnotatedFile], reading: Reading) -> None:
-    """Raise `InvalidValue` if several channels are named for single impacts, which are not taken together."""
+    """Raise `InvalidValue` if several channels are named for single impacts, which use one channel."""
     for file in files:
         named = file.annotations[0].channels or reading.channels
         if named and len(file.recording.channels) > 1:
             raise InvalidValue(
                 f"{file.recording.source}: channel must be one for single impacts, got {'+'.join(map(str, named))}; "
-                "name one, leave channel out to have a row of each, or give --by window to take several together"
+                "name one, leave channel out for a row per channel, or give --by window to combine several"
             )
 
 
@@ -249,16 +249,16 @@ def reference_spectra(files: Sequence[AnnotatedFile], labelled: AnnotatedFile, w
         source, n_channels = file.recording.source, len(labelled.recording.channels)
         if quantity_of(file.unit) != quantity_of(labelled.unit) or len(file.recording.channels) != n_channels:
             raise BadData(
-                f"{source}: a reference run must be as the recordings, {quantity_of(labelled.unit)} in {n_channels} "
+                f"{source}: a reference run must match the recordings, {quantity_of(labelled.unit)} in {n_channels} "
                 f"channels, got {quantity_of(file.unit)} in {len(file.recording.channels)}; record it in the same way"
             )
         rate = file.recording.sampling_rate
         for annotation, blocks in annotated_blocks(file, labelled.unit):
             spectra_of_sensor = spectra.setdefault(annotation.sensor, [MeanSpectrum(rate) for _ in range(n_channels)])
             if spectra_of_sensor[0].sampling_rate != rate:
-                raise BadData(f"{source}: the reference runs of a sensor must be sampled alike; take one out")
+                raise BadData(f"{source}: the reference runs of a sensor must have one sampling rate; remove one")
             for _, windows in windows_of(blocks, rate, window_time, window_time):
-                is_complete = whole_windows(windows)
+                is_complete = complete_windows(windows)
                 for channel, spectrum in enumerate(spectra_of_sensor):
                     spectrum.feed(windows[is_complete, channel])
     return {
@@ -282,8 +282,8 @@ def record(
     progress: Callable[[int], object] | None = None,
 ) -> Rows:
     """Return the rows of annotated recordings: the features of their windows or impacts."""
-    # If `augment`, windows have noisy copies (`Rows.snr`), from which a model learns what noise does. With a `model` of
-    # impacts, rows are what it measures: its features and guards, in its unit, through its beam.
+    # If `augment`, windows have noisy copies (`Rows.snr`), from which a model learns the effect of noise. With a
+    # `model` of impacts, rows are what it measures: its features and guards, in its unit, through its beam.
     slicing, reading = slicing or Slicing(), reading or Reading()
     failures: list[CgidError] = []
     files = open_all(manifest, reading, failures)
@@ -333,7 +333,7 @@ def _require_quantity(file: AnnotatedFile, model: Model) -> None:
 def _decided(
     files: Sequence[AnnotatedFile], slicing: Slicing, features: Sequence[str] | None
 ) -> tuple[Slicing, tuple[str, ...], tuple[str, ...]]:
-    """Return the slicing by impact or by window, a note that says why if that was open, and warnings."""
+    """Return the slicing by impact or by window, a note with the reason if it was chosen here, and warnings."""
     if slicing.by == "impact":
         return slicing, (), ()
     if slicing.by is None and features is not None:
@@ -346,11 +346,11 @@ def _decided(
         return replace(slicing, by="window"), (note,), ()
     if not silence.has_single_impacts or silence.is_cut:
         return slicing, (), ()
-    return slicing, (), (f"most windows tell nothing, {silence}; leave out --by, or give --by impact",)
+    return slicing, (), (f"most windows contain no impact, {silence}; leave out --by, or give --by impact",)
 
 
 def _silence(files: Sequence[AnnotatedFile], slicing: Slicing) -> Silence:
-    """Return what all files hold; unreadable files are reported later."""
+    """Return the impacts and silence of all files; unreadable files are reported later."""
     silence = Silence()
     for file in files:
         with suppress(CgidError):
@@ -374,7 +374,7 @@ def _joined(measured: Sequence[tuple[AnnotatedFile, list[Piece]]], cutting: _Cut
     warnings, measured_sources = [], set(sources)
     for file, _ in measured:
         empty = [one.name for one in file.annotations if one.name not in measured_sources]
-        message = (f"{name}: there must be {cutting.slicing.by}s to be measured, there is none" for name in empty)
+        message = (f"{name}: there must be {cutting.slicing.by}s that can be measured, there is none" for name in empty)
         warnings += [*file.recording.warnings, *(f"{text}; check start and end" for text in message)]
     return Rows(
         names=cutting.names,
@@ -412,8 +412,8 @@ def _names(
         selected = choose(features)
         if (kind_of(selected) == "window") != (slicing.by == "window"):
             raise InvalidValue(
-                f"features must be those of the {slicing.by} that is decided on, got those of a {kind_of(selected)}; "
-                "choose others, or another --by"
+                f"features must be those of a {slicing.by}, got those of a {kind_of(selected)}; choose others, or "
+                "another --by"
             )
         require_supported(selected, rate, _length(kind_of(selected), rate, slicing))
         return selected
@@ -427,7 +427,7 @@ def _names(
 
 
 def _refuse(names: Sequence[str], rate: float, slicing: Slicing) -> NoReturn:
-    """Raise an error that says whether the rate [Hz] or the window is too small for all features."""
+    """Raise the error that the rate [Hz] or the window is too small for all features."""
     slowest = min(2 * FEATURES[name].highest_frequency for name in names)
     if rate < slowest:
         raise BadData(
@@ -450,7 +450,7 @@ def _length(kind: Kind, rate: float, slicing: Slicing) -> int:
 
 @dataclass(frozen=True)
 class _Cutting:
-    """How to cut rows from a file and measure them."""
+    """Settings to cut rows from a file and measure them."""
 
     names: tuple[str, ...]
     slicing: Slicing
@@ -472,7 +472,7 @@ def _pieces(file: AnnotatedFile, cutting: _Cutting, progress: Callable[[int], ob
 
 
 def _windows(file: AnnotatedFile, cutting: _Cutting) -> Iterator[Piece]:
-    """Yield annotation, times and features of the windows that lie completely in annotated intervals."""
+    """Yield annotation, times and features of the windows completely inside annotated intervals."""
     rate, slicing = file.recording.sampling_rate, cutting.slicing
     for annotation, blocks in annotated_blocks(file, cutting.unit):
         equalisation = cutting.equalisations.get(annotation.sensor)
@@ -488,7 +488,7 @@ def _windows(file: AnnotatedFile, cutting: _Cutting) -> Iterator[Piece]:
 
 def _impacts(file: AnnotatedFile, cutting: _Cutting) -> Iterator[Piece]:
     """Yield annotation, times and features of the impacts in annotated intervals; the detector gets all samples."""
-    # As in prediction, each channel is a sensor of its own: an impact is a row for each channel that measures it.
+    # As in prediction, channels are separate sensors: an impact gives a row for each channel that measures it.
     recording = file.recording
     sign = file.upright
     detector = ImpactDetector(

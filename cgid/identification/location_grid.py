@@ -1,7 +1,7 @@
 """The most probable onset and location of an impact, by evidence on grids of locations.
 
-The evidence is computed from tables that are made once: on a coarse grid from low frequencies alone, then near its best
-locations on a fine one from all frequencies.
+The evidence is computed from cached tables, first on a coarse grid from low frequencies, then on a fine grid near the
+best locations from all frequencies.
 """
 
 from __future__ import annotations
@@ -24,30 +24,30 @@ from cgid.identification.beam_responses import (
 from cgid.measure.beam import GRID, TOUCH, Singles
 from cgid.validation import Floats
 
-#: Expected strengths of an impact over the noise, by what the samples of a typical location would contain.
+#: Expected strengths of an impact over the noise, for samples of a typical location.
 _LEVELS = np.geomspace(2.0, 2e4, 12)
-#: The onset is found below this frequency [Hz], with so many shapes and locations of a wider grid [m], at every second
+#: The onset is searched below this frequency [Hz], with this number of shapes and grid spacing [m], at every second
 #: sample.
 _LOW, _LOW_SHAPES, _LOW_GRID, _STRIDE = 3.2e3, 6, 0.05, 2
 #: The location is found with so many shapes: fewer lose it in the ring-down of an earlier impact. Before, the best of
 #: every second location of the grid in either direction are found below this frequency [Hz], with so many shapes.
 #: So many of these are compared by themselves, and the best of these with the locations next to them.
 _SHAPES, _WIDE, _WIDE_SHAPES, _BEST = 14, 5e3, 12, (64, 12)
-#: Share of the amplitude by which mixtures of modes may differ from the modes here.
+#: Maximum error of mixtures of modes over the amplitude in this search.
 _NEARLY = 3e-3
-#: Powers of the noise of sensors over that of the quietest for which there are tables of their own: 1, one ratio, two.
+#: Powers of the noise of sensors over that of the quietest with separate tables: 1, one ratio, two.
 _RATIO, _FAINTEST = 8.0, 2
-#: Coefficients with less than this share of the usual weight are drowned.
-_DROWNED = 0.02
-#: Exponents of coloured noise, f^-a, for which there are tables of their own.
+#: Coefficients with less than this fraction of the typical weight are negligible.
+_MIN_WEIGHT = 0.02
+#: Exponents of coloured noise, f^-a, with separate tables.
 _COLOURS = (0.0, 0.75, 1.5)
-#: Locations at a time: what they need fits into the cache of a processor.
+#: Locations processed at once, which fit in the processor's cache.
 _LOCATIONS = 16
 
 
 @dataclass(frozen=True, eq=False)
 class Start(Rowwise):
-    """Where Gauss-Newton steps begin."""
+    """Start of the Gauss-Newton steps."""
 
     first: NDArray[np.intp]  # (n,), sample at which the force table begins; the onset is within `TOUCH` samples of it
     x: Floats  # (n,) [m]
@@ -66,11 +66,11 @@ class CoarseTables:
     at: Singles
 
     @classmethod
-    def of(cls, table: ResponseTable, apart: float, every: int = 1) -> CoarseTables:
+    def of(cls, table: ResponseTable, spacing: float, every: int = 1) -> CoarseTables:
         """Return the tables of a grid of locations [m], or of every so many of it along and across."""
-        x, y, at = table.beam.grid(apart)
-        own = slice(None) if every == 1 else grid_numbers(table.beam, every).ravel()
-        return cls(table, x[own], y[own], at[own])
+        x, y, at = table.beam.grid(spacing)
+        coefficients_own = slice(None) if every == 1 else grid_numbers(table.beam, every).ravel()
+        return cls(table, x[coefficients_own], y[coefficients_own], at[coefficients_own])
 
 
 class NoiseTables:
@@ -96,7 +96,7 @@ class NoiseTables:
 
 
 class NearTables:
-    """The same at some locations, whose tables are made when they are first needed."""
+    """The same at some locations, with tables made on first use."""
 
     def __init__(self, tables: CoarseTables, weight: Singles, levels: Floats) -> None:
         self.tables, self.weight, self.levels = tables, weight, levels
@@ -119,7 +119,7 @@ class NearTables:
 
 
 class LocationGrid:
-    """Grids of locations of one beam: find where Gauss-Newton steps begin."""
+    """Grids of locations of one beam, which find the start of the Gauss-Newton steps."""
 
     def __init__(self, responses: BeamResponses) -> None:
         self.responses, self.beam = responses, responses.beam
@@ -130,17 +130,17 @@ class LocationGrid:
 
     @cached_property
     def low(self) -> CoarseTables:
-        """The tables that find the onset."""
+        """The tables for the onset."""
         return CoarseTables.of(self.responses.table(_LOW_SHAPES, _NEARLY, _LOW), _LOW_GRID)
 
     @cached_property
     def wide(self) -> CoarseTables:
-        """The tables of every second location of the grid in either direction, where the location is sought first."""
+        """The tables of every second location of the grid in either direction, for the first search."""
         return CoarseTables.of(self.responses.table(_WIDE_SHAPES, _NEARLY, _WIDE), GRID, 2)
 
     @cached_property
     def fine(self) -> CoarseTables:
-        """The tables of the grid on which the location is sought."""
+        """The tables of the complete grid."""
         return CoarseTables.of(self.responses.table(_SHAPES, _NEARLY, turned=True), GRID)
 
     @cached_property
@@ -188,28 +188,28 @@ class LocationGrid:
         samples = self.responses.cut(observations, first)
         fainter, strength = self._fainter(weight), self.responses.strength(samples, weight)
         weight = self.responses.with_errors(weight, strength)
-        for each, rows in _alike(fainter):
+        for each, rows in _groups(fainter):
             evidence = self._evidence_of(samples[rows], weight[rows], steps, each)
             evidence[steps > (onset[rows, 1] - onset[rows, 0])[:, None]] = -np.inf
             trust = np.exp(evidence - evidence.max(axis=1, keepdims=True))
-            # A force begins so softly that a late start explains the samples as well: rather begin early.
+            # A force begins so gradually that a late start explains the samples equally well: prefer an early one.
             first[rows] += np.round(trust @ steps / trust.sum(axis=1)).astype(np.intp) - TOUCH // 2
         return first
 
     def _evidence_of(self, samples: Singles, weight: Singles, steps: NDArray[np.intp], fainter: list[int]) -> Floats:
-        """Return the evidence that a force begins so many samples later, (n, n_steps); sensors are alike in noise."""
-        kept, tables = self.low.table.kept, self._tables_of_low(tuple(fainter))
-        weight, n_sensors = weight[:, kept], self.beam.n_sensors
+        """Return the evidence that a force begins some samples later, (n, n_steps), for sensors of equal noise."""
+        n_kept, tables = self.low.table.kept, self._tables_of_low(tuple(fainter))
+        weight, n_sensors = weight[:, n_kept], self.beam.n_sensors
         if n_sensors > 1:
             quiet = tables.weight == 1.0
             scale = np.exp(np.mean(np.log(np.maximum(weight[:, quiet], 1e-30)), axis=1, keepdims=True))
             lawful = self._lawful(weight, tables.weight * scale, np.equal(fainter, _FAINTEST))
             weight = (lawful / np.sqrt(scale)).astype(np.float32)
-        spectrum = np.ascontiguousarray(samples[:, kept]).view(np.complex64).reshape(len(samples), 1, n_sensors, -1)
+        spectrum = np.ascontiguousarray(samples[:, n_kept]).view(np.complex64).reshape(len(samples), 1, n_sensors, -1)
         frequency = np.arange(1, spectrum.shape[3] + 1) / self.responses.n_samples
-        turn = np.exp(2j * np.pi * np.outer(steps, frequency))[:, None].astype(np.complex64)
-        later = (spectrum * turn).view(np.float32).reshape(len(samples), steps.size, -1) * weight[:, None]
-        evidence = tables.evidence(later.reshape(-1, kept.size)).max(axis=0)
+        rotation = np.exp(2j * np.pi * np.outer(steps, frequency))[:, None].astype(np.complex64)
+        later = (spectrum * rotation).view(np.float32).reshape(len(samples), steps.size, -1) * weight[:, None]
+        evidence = tables.evidence(later.reshape(-1, n_kept.size)).max(axis=0)
         return np.asarray(evidence.reshape(len(samples), -1), np.float64)
 
     # -- the location ---------------------------------------------------------------------------------
@@ -222,17 +222,17 @@ class LocationGrid:
         strong = np.round(np.log(strength) / np.log(STRONGER)).astype(np.intp)
         nearest = np.argmin(np.abs(np.subtract.outer(exponent, _COLOURS)), axis=1)
         out = Start(first, *np.zeros((4, n)))
-        low, kept = self.wide.table.kept, self.fine.table.kept
-        in_order = np.argsort(kept)
+        low, n_kept = self.wide.table.kept, self.fine.table.kept
+        in_order = np.argsort(n_kept)
         wide_samples, wide_weight = samples[:, low], responses.with_errors(weight, strength)[:, low]
         samples, weight = responses.turned(samples), responses.turned_weight(weight, strength)
-        for (colour, force, *fainter), rows in _alike(np.column_stack([nearest, strong, self._fainter(weight)])):
+        for (colour, force, *fainter), rows in _groups(np.column_stack([nearest, strong, self._fainter(weight)])):
             wide, fine = self.noise_tables(_COLOURS[colour], observations.limit, force, tuple(fainter))
             given = self._scaled(wide_samples[rows], wide_weight[rows], wide.weight, fainter)
-            # The best of the wide grid by themselves, and what is next to the best of these.
+            # The best of the wide grid by themselves, and the neighbours of the best of these.
             places = _highest(wide.evidence(given).T, _BEST[0])
             given = self._scaled(samples[rows], weight[rows], fine.weight[in_order], fainter)
-            by_mixture = self.fine.table.by_mixture(given[:, kept])
+            by_mixture = self.fine.table.by_mixture(given[:, n_kept])
             evidence = fine.evidence(self._near[places, 0], by_mixture).max(axis=2)
             places = np.take_along_axis(places, _highest(evidence, _BEST[1]), axis=1)
             places = self._near[places].reshape(rows.size, -1)
@@ -254,12 +254,14 @@ class LocationGrid:
 
     def _lawful(self, weight: Singles, law: Floats, faint: NDArray[np.bool_]) -> Singles:
         """Return the weights of a noise law for faint sensors, at the same level, and the other weights unchanged."""
-        # Else a sensor a little louder or of another colour than the tables would shift the location.
+        # Otherwise a sensor a little noisier or of another colour than the tables would shift the location.
         n, n_sensors = len(weight), self.beam.n_sensors
         ratio = (weight / np.maximum(law, 1e-30)).reshape(n, n_sensors, -1)
         level = np.where(faint, np.minimum(ratio.mean(axis=2), 1.0), 1.0)
-        drowned = np.minimum(1.0, ratio / np.maximum(_DROWNED * np.median(ratio, axis=2, keepdims=True), 1e-30))
-        return np.asarray(law * (drowned * level[:, :, None]).reshape(n, -1), np.float32)
+        is_negligible = np.minimum(
+            1.0, ratio / np.maximum(_MIN_WEIGHT * np.median(ratio, axis=2, keepdims=True), 1e-30)
+        )
+        return np.asarray(law * (is_negligible * level[:, :, None]).reshape(n, -1), np.float32)
 
     def _fainter(self, weight: Singles) -> NDArray[np.intp]:
         """Return the powers of `_RATIO` by which each sensor is noisier than the quietest, (n, n_sensors)."""
@@ -270,14 +272,14 @@ class LocationGrid:
         return np.asarray(np.minimum(np.round(-np.log(ratio) / np.log(_RATIO)), _FAINTEST).astype(np.intp))
 
 
-def _alike(kinds: NDArray[np.intp]) -> list[tuple[list[int], NDArray[np.intp]]]:
-    """Return the kinds (n, ...) and the rows of each."""
+def _groups(kinds: NDArray[np.intp]) -> list[tuple[list[int], NDArray[np.intp]]]:
+    """Return the distinct rows of an array (n, ...), and the indices of each."""
     each, number = np.unique(kinds, axis=0, return_inverse=True)
     return [(kind, np.flatnonzero(number.ravel() == k)) for k, kind in enumerate(each.tolist())]
 
 
 def _shares(power: Floats, levels: Floats) -> tuple[Singles, Singles]:
-    """Return what squares of rotated vectors add to the evidence for each force level, and its normalisation."""
+    """Return the contribution of squared rotated vectors to the evidence of each force level, and its normalisation."""
     share = 0.5 / (power[:, None] + levels[:, None] ** -2)
     cost = 0.5 * np.log1p(levels[:, None] ** 2 * power[:, None]).sum(axis=2, keepdims=True)
     return share.astype(np.float32), cost.astype(np.float32)

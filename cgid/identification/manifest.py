@@ -32,11 +32,11 @@ COLUMNS = (
 )
 #: Name of a column -> its title in a CSV file; the name is also read, since earlier versions wrote it.
 _TITLES = {"start": "start_s", "end": "end_s", "rate": "rate_Hz"}
-#: Columns of a CSV file that only inform the person who labels the rows.
+#: Columns of a CSV file for the person who labels the rows.
 INFORMATIVE = ("time_s", "time [s]", "peak", "peak_unit", "flags", "content", "note")
 #: Columns of numbers, which a spreadsheet may write with a decimal comma.
 _NUMBERS = ("start", "end", "gain", "rate", "sensitivity", "full_scale")
-#: Manifests that a folder may hold, and endings of the recordings in it.
+#: Names of manifests in a folder, and suffixes of recordings in it.
 _NAMES = ("manifest.csv", "events.csv", "manifest.toml")
 ENDINGS = (
     *(".csv", ".txt", ".tsv", ".asc", ".dat", ".lvm", ".wav", ".flac", ".ogg", ".npy", ".npz", ".h5", ".hdf5"),
@@ -50,7 +50,7 @@ MAX_FILE_SIZE, _MAX_KEYS = 16 << 20, 1_000_000
 _HEAD = 1 << 14
 #: Keys that may apply to all recordings of a TOML manifest.
 _SHARED = tuple(name for name in COLUMNS if name not in ("path", "label", "start", "end", "reference"))
-#: Columns that hold for a recording as a whole, and where annotations hold them.
+#: Columns for a complete recording, and the attributes of annotations for them.
 _OF_RECORDINGS = {
     **{name: name for name in ("sensitivity", "full_scale", "unit", "variable", "format", "invert")},
     "gain": "recording_gain",
@@ -60,7 +60,7 @@ _OF_RECORDINGS = {
 _MAX_MISTAKES = 20
 
 
-# -- its rows ---------------------------------------------------------------------------------------------
+# -- rows -------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -74,12 +74,12 @@ class Annotation:
     start: float = 0.0  # `start`, `end`: [s]; `end` is infinite for the end of the recording
     end: float = math.inf
     channels: tuple[int | str, ...] | None = None  # numbers from 1, or names, of the channels of a row; None for all
-    gain: float | None = None  # divisor of the samples of the interval, None if none is stated
+    gain: float | None = None  # divisor of the samples of the interval, None if not stated
     # gain that differs between the channels, or is that of a charge amplifier; for the whole recording
     recording_gain: tuple[str, ...] | None = None
     sensor: str = ""  # sensor whose reference run equalises the response; empty for none
     reference: bool = False  # whether this is the reference run of the sensor
-    invert: bool = False  # whether the samples are turned over, because impacts must point upwards
+    invert: bool = False  # whether the samples are inverted, because impacts must point upwards
     # `sampling_rate`, `unit`, `variable`, `format`, `sensitivity`, `full_scale`: for files without them, see
     # `cgid.recordings.open_recording`
     sampling_rate: float | None = None
@@ -110,7 +110,7 @@ def annotation_of(row: Mapping[str, Any], folder: Path, labels: tuple[str, ...] 
         if label or not sensor:
             raise InvalidValue("a reference run must name its sensor and have no label")
     elif not label:
-        raise InvalidValue("every recording or interval must have a label; add it, or take the row out")
+        raise InvalidValue("every recording or interval must have a label; add it, or remove the row")
     else:
         validation.label("label", label)
         if labels is not None and label not in labels:
@@ -206,14 +206,14 @@ def contradictions(annotations: Sequence[Annotation]) -> list[str]:
     for sensor in sorted({one.sensor for one in annotations if one.sensor} - referenced):
         mistakes.append(f"sensor {sensor} must have a reference run (reference = yes), there is none; add it")
     if referenced and not all(one.sensor for one in annotations):
-        mistakes.append("every recording must have a sensor where one has a reference run; add it to the others")
+        mistakes.append("every recording must have a sensor if one has a reference run; add it to the others")
     by_file: dict[Path, list[Annotation]] = {}
     for one in annotations:
         by_file.setdefault(one.path, []).append(one)
     for path, of_file in by_file.items():
         groups = sorted({one.group for one in of_file if not one.reference})
         if len(groups) > 1:
-            mistakes.append(f"{path}: a recording must be in one group as a whole, got {' and '.join(groups[:2])}")
+            mistakes.append(f"{path}: all of a recording must be in one group, got {' and '.join(groups[:2])}")
         of_file.sort(key=lambda one: (str(one.channels), one.start))
         for before, after in pairwise(of_file):
             for column, name in _OF_RECORDINGS.items():
@@ -231,7 +231,7 @@ def contradictions(annotations: Sequence[Annotation]) -> list[str]:
 
 
 def _value_text(value: Any) -> str:
-    """Return a value as a manifest says it."""
+    """Return a value as in a manifest."""
     if isinstance(value, bool):
         return "yes" if value else "no"
     return " and ".join(value) if isinstance(value, tuple) else "none" if value is None else f"{value}"
@@ -254,7 +254,7 @@ class Manifest:
 
     @property
     def n_intervals(self) -> int | None:
-        """Number of labelled intervals, such as one for each impact; None where a row is a whole recording."""
+        """Number of labelled intervals, such as one for each impact; None if a row is a complete recording."""
         labelled = [one for one in self.annotations if not one.reference]
         return len(labelled) if all(one.end < math.inf for one in labelled) else None
 
@@ -266,7 +266,7 @@ class Manifest:
 
 
 def is_manifest(path: str | Path) -> bool:
-    """Return whether a file is a manifest: a .csv that is no recording, or a .toml (no scene) with recordings."""
+    """Return whether a file is a manifest: a .csv that is not a recording, or a .toml with recordings."""
     path = Path(path)
     if path.suffix.lower() == ".csv":
         return not (path.is_file() and _is_table_of_numbers(path))
@@ -279,7 +279,7 @@ def is_manifest(path: str | Path) -> bool:
 
 
 def _is_table_of_numbers(path: Path) -> bool:
-    """Return whether the first lines of a CSV file name no column of a manifest and hold a row of numbers."""
+    """Return whether the first lines of a CSV file name no column of a manifest and contain a row of numbers."""
     try:
         with path.open("rb") as file:
             lines = file.read(_HEAD).decode("utf-8-sig", "replace").splitlines()
@@ -316,7 +316,7 @@ def read_manifest(path: str | Path) -> Manifest:
             mistakes.append(f"{path}: {where}: {error}")
     mistakes += [f"{path}: {text}" for text in contradictions(annotations)]
     if not rows:
-        mistakes.append(f"{path}: a manifest must name recordings, there is none; give a path and a label each")
+        mistakes.append(f"{path}: a manifest must name recordings, there is none; give a path and a label for each")
     if mistakes:
         more = len(mistakes) - _MAX_MISTAKES
         raise BadData(*mistakes[:_MAX_MISTAKES], *[f"{path}: and {more} more mistakes"] * (more > 0))
@@ -334,8 +334,8 @@ def _text(path: Path) -> str:
 
 
 def _csv_rows(path: Path) -> tuple[list[Row], tuple[str, ...] | None]:
-    """Return the rows of a CSV manifest with their places in the file, and None: it lists no labels."""
-    # Not `splitlines`, which takes other signs of a path for line breaks, too.
+    """Return the rows of a CSV manifest with their line numbers, and None: it lists no labels."""
+    # Not `splitlines`, which also splits at other characters that a path may contain.
     split = re.split("\r\n?|\n", _text(path))
     lines = [line if line.strip() and not line.lstrip().startswith("#") else "" for line in split]
     header = next((line for line in lines if line), "")
@@ -358,7 +358,7 @@ def _csv_rows(path: Path) -> tuple[list[Row], tuple[str, ...] | None]:
             _check_names(titles, allowed, f"{path}: columns", required="path")
             continue
         if len(cells) > len(names):
-            raise BadData(f"{path}: row {number}: must have {len(names)} cells as the header, got {len(cells)}")
+            raise BadData(f"{path}: row {number}: must have {len(names)} cells like the header, got {len(cells)}")
         row = {name: cell for name, cell in zip(names, cells, strict=False) if cell and name not in INFORMATIVE}
         if separator != ",":
             row |= {name: _with_points(row[name]) for name in _NUMBERS if name in row}
@@ -386,7 +386,7 @@ def _toml(path: Path) -> dict[str, Any]:
 
 
 def _toml_rows(path: Path) -> tuple[list[Row], tuple[str, ...] | None]:
-    """Return the rows of a TOML manifest with their places in the file, and the labels that it allows."""
+    """Return the rows of a TOML manifest with their positions in the file, and the allowed labels."""
     content = _toml(path)
     recordings = content.get("recording")
     if not isinstance(recordings, list) or not all(isinstance(one, dict) for one in recordings):
@@ -426,13 +426,13 @@ def _check_names(names: Sequence[str], allowed: tuple[str, ...], what: str, requ
 
 
 def folder_manifest(folder: str | Path) -> Manifest:
-    """Return the manifest of a folder: the one it holds, else one whose labels are the names of subfolders."""
-    # Files of a folder further down are one group, such as a day.
+    """Return the manifest of a folder: the file in it, else one whose labels are the names of subfolders."""
+    # Files of a deeper folder are one group, such as a day.
     folder = Path(folder)
     manifests = [folder / name for name in _NAMES if (folder / name).is_file()]
     if len(manifests) > 1:
         raise BadData(
-            f"{folder}: one manifest must be chosen, it holds {' and '.join(one.name for one in manifests)}; name one"
+            f"{folder}: several manifests in this folder, {' and '.join(one.name for one in manifests)}; name one"
         )
     if manifests:
         return read_manifest(manifests[0])
@@ -450,13 +450,13 @@ def folder_manifest(folder: str | Path) -> Manifest:
 
 
 def row_of(file: Path, folder: Path) -> dict[str, str]:
-    """Return path, label and group of a recording in a folder; outside of its subfolders it has no label."""
+    """Return path, label and group of a recording in a folder; outside subfolders it has no label."""
     parts = file.relative_to(folder).parts
     return {"path": "/".join(parts), "label": "".join(parts[:-1][:1]), "group": "/".join(parts[1:-1])}
 
 
 def recordings_in(folder: Path) -> list[Path]:
-    """Return the files in a folder and its subfolders that end as recordings do, sorted."""
+    """Return the files in a folder and its subfolders with suffixes of recordings, sorted."""
     try:
         all_files = sorted(file for file in folder.rglob("*") if file.suffix.lower() in ENDINGS and file.is_file())
     except OSError as error:
@@ -464,16 +464,16 @@ def recordings_in(folder: Path) -> list[Path]:
     hidden = {file for file in all_files if any(part.startswith(".") for part in file.relative_to(folder).parts)}
     files = [file for file in all_files if file not in hidden and not is_manifest(file)]
     if not files:
-        what = "its files have other endings" if any(folder.iterdir()) else "it is empty"
+        what = "its files have other suffixes" if any(folder.iterdir()) else "it is empty"
         raise BadData(f"{folder}: a folder must contain recordings ({', '.join(ENDINGS)}), {what}; choose another one")
     return files
 
 
 def unlabelled(name: str, given: str) -> str:
-    """Return the fault of a recording without a label, and the commands that label what was `given`."""
+    """Return the error for a recording without a label, with the commands to label `given`."""
     return (
-        f"{name} must have labels to train on and has none; run cgid events {shlex.quote(given)} -o events.csv for a "
-        "row for each impact, fill in the column label, then cgid train events.csv -o mine.npz"
+        f"{name} must have labels for training and has none; run cgid events {shlex.quote(given)} -o events.csv for a "
+        "row per impact, fill in the column label, then cgid train events.csv -o mine.npz"
     )
 
 
@@ -490,7 +490,7 @@ def manifest_text(rows: Sequence[Mapping[str, Any]], columns: Sequence[str] = ()
 
 
 def path_from(folder: Path, file: str | Path) -> str:
-    """Return the path of a file as a manifest in a folder says it."""
+    """Return the path of a file as in a manifest in a folder."""
     try:
         path = Path(os.path.relpath(file, folder)).as_posix()
     except ValueError:  # another drive

@@ -1,4 +1,4 @@
-"""The quality of answers: accuracy and its interval, calibration, prediction sets."""
+"""Metrics of predictions: accuracy and its interval, calibration, prediction sets."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 #: Bins of the reliability diagram.
 _BINS = 10
-#: Durations of the running votes that are judged [s].
+#: Durations of the evaluated running votes [s].
 VOTE_TIMES = (0.5, 1.0)
 #: Minimum number of groups with misses (or hits) from which to estimate how much groups differ.
 MIN_GROUPS = 3
@@ -69,7 +69,7 @@ def reliability(confidence: Floats, hits: NDArray[np.bool_]) -> list[list[float]
 
 def calibration_error_by_chance(confidence: Floats) -> float:
     """Return the expected calibration error of perfectly calibrated predictions."""
-    # The number of correct answers in a bin is normal with variance sum p (1 - p), and E|x| is sqrt(2 / pi) std.
+    # The number of correct predictions in a bin is normal with variance sum p (1 - p), and E|x| is sqrt(2 / pi) std.
     variances = np.bincount(_place(confidence), confidence * (1 - confidence), _BINS)
     return float(np.sqrt(2 / np.pi * variances).sum() / len(confidence))
 
@@ -110,7 +110,7 @@ def _place(confidence: Floats) -> NDArray[np.int_]:
     return np.asarray(np.minimum((confidence * _BINS).astype(int), _BINS - 1))
 
 
-# -- answers that are not independent ---------------------------------------------------------------------
+# -- dependent predictions --------------------------------------------------------------------------------
 
 
 def clustered_interval(hits: NDArray[np.bool_], group: NDArray[np.integer]) -> tuple[float, float]:
@@ -130,7 +130,7 @@ def clustered_interval(hits: NDArray[np.bool_], group: NDArray[np.integer]) -> t
     return max(float(low), 0.0), min(float(high), 1.0)
 
 
-#: A recording or interval of fewer rows than this has no vote worth naming; an impact on two channels is two rows.
+#: Minimum number of rows for a vote of a recording or interval; an impact on two channels is two rows.
 MIN_VOTING = 3
 
 
@@ -198,7 +198,7 @@ def _running(rows: Rows, probabilities: Floats, time: float) -> dict[str, Any]:
 def paired_difference(
     hits: NDArray[np.bool_], others: NDArray[np.bool_], specimen: NDArray[np.integer]
 ) -> tuple[float, float]:
-    """Return how much more often `hits` holds than `others`, and the standard error with one trial per specimen."""
+    """Return the difference in frequency of `hits` and `others`, and its standard error with one trial per specimen."""
     difference = hits.astype(float) - others
     mean = float(difference.mean())
     _, cluster = np.unique(specimen, return_inverse=True)

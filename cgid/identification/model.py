@@ -52,11 +52,11 @@ if TYPE_CHECKING:
 MAX_FILE_SIZE = 64 << 20
 #: Longest message about a bad model file.
 _MAX_MESSAGE_LENGTH = 400
-#: A beam is looked through at sampling rates from this share of the training's on.
+#: A beam is used at sampling rates from this fraction of the training's on.
 MIN_SHARE = 0.5
-#: Minimum number of groups of recordings of a label whose spread shows how much the next one may differ (assumed).
+#: Minimum number of groups of recordings of a label to estimate the spread between groups (assumed).
 MIN_GROUPS = 5
-#: Limit of the numbers held in memory during prediction.
+#: Maximum number of values in memory during prediction.
 _MAX_BLOCK = 1 << 20
 
 
@@ -72,13 +72,13 @@ def inputs_of(features: tuple[str, ...], n_channels: int) -> tuple[str, ...]:
 
 
 def _in_blocks(answer: Callable[[Floats], Floats], rows: Floats, width: int) -> Floats:
-    """Apply `answer` to blocks of rows, to limit memory; `width` is the number of values it holds per row."""
-    most = max(1, _MAX_BLOCK // width)
+    """Apply `answer` to blocks of rows, to limit memory; `width` is the number of values it needs per row."""
+    block = max(1, _MAX_BLOCK // width)
     # The caller checks the answer for overflow.
     with np.errstate(all="ignore"):
-        if len(rows) <= most:
+        if len(rows) <= block:
             return answer(rows)
-        return np.concatenate([answer(rows[first : first + most]) for first in range(0, len(rows), most)])
+        return np.concatenate([answer(rows[first : first + block]) for first in range(0, len(rows), block)])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -102,7 +102,7 @@ class Model:
     training : dict
         Origin and quality of the model: the content of the model card.
     known : tuple of str
-        Known quantities needed besides the signal, from `cgid.signals.KNOWN`.
+        Quantities needed besides the signal, from `cgid.signals.KNOWN`.
     guards : tuple of str
         Features that only measure novelty; larger is more novel.
     guard_limits : tuple of float
@@ -159,7 +159,7 @@ class Model:
 
     @property
     def is_of_few(self) -> bool:
-        """Whether a label was recorded in so few groups that the next day may be much worse than the intervals say."""
+        """Whether a label has too few groups for intervals that cover another day."""
         recorded = self.training.get("recorded", {})
         return bool(recorded.get("fewest_groups", MIN_GROUPS) < MIN_GROUPS)
 
@@ -180,7 +180,7 @@ class Model:
 
     @property
     def together(self) -> int:
-        """Number of channels that one answer looks at: those of a window, or the sensors of the beam."""
+        """Number of channels per prediction: those of a window, or the sensors of the beam."""
         return self.n_channels if self.beam is None else self.beam.n_sensors
 
     @property
@@ -190,7 +190,7 @@ class Model:
 
     @property
     def vote_correlation(self) -> float:
-        """How much successive windows repeat each other in a vote: 0 not at all, 1 wholly or not known."""
+        """Correlation of successive windows in a vote: 0 none, 1 complete or unknown."""
         return float(self.training.get(VOTE_CORRELATION, 1.0))
 
     @property
@@ -238,17 +238,15 @@ class Model:
             self._classifier.width,
         )
         if not np.isfinite(probabilities).all():
-            raise BadData(
-                f"the {self.family} model gives no probabilities for this, its numbers grow too large; train it again"
-            )
+            raise BadData(f"the {self.family} model gives no finite probabilities for this input; train it again")
         return probabilities
 
     def novelty(self, inputs: Floats, guards: Floats | None = None) -> Floats:
         """Return the novelty of each impact, (n_impacts,); above 1 it is outside the training range.
 
-        This is the largest of the Mahalanobis distance to the nearest class and the guards, each divided by the limit
-        that 99.9 % of the training impacts keep; and of the novelty against out-of-distribution impacts, if the
-        training had some.
+        This is the largest of the Mahalanobis distance to the nearest class and the guards, each divided by the 99.9 %
+        quantile of the training impacts; and of the novelty against out-of-distribution impacts, if the training had
+        some.
 
         Parameters
         ----------
@@ -275,8 +273,8 @@ class Model:
         novelty = np.asarray(np.maximum(distance, np.max(guards / np.array(self.guard_limits), axis=1, initial=0.0)))
         return novelty if self.contrast is None else np.maximum(novelty, self._contrast(inputs, guards))
 
-    def drowned(self, inputs: Floats) -> Floats:
-        """Return the part of the novelty of windows that is due to noise, (n_windows,); 0 if nothing taught that."""
+    def noise_novelty(self, inputs: Floats) -> Floats:
+        """Return the part of the novelty of windows due to noise, (n_windows,); 0 if the model has none."""
         if self.contrast is None or self.kind != "window":
             return np.zeros(len(inputs))
         return self._contrast(inputs, np.empty((len(inputs), 0)))
@@ -288,12 +286,12 @@ class Model:
 
     @cached_property
     def contrast(self) -> Contrast | None:
-        """What tells the training from anything else; None if the training had no out-of-distribution impacts."""
+        """The classifier of out-of-distribution impacts; None if the training had none."""
         return Contrast.from_arrays(self.arrays, len(self.inputs) - len(self.known) + len(self.guards))
 
     @cached_property
     def beam(self) -> ThroughBeam | None:
-        """The beam that the features look through; None if they do not."""
+        """The beam of the features; None without one."""
         beam = Beam.from_arrays(self.arrays)
         if beam is None:
             return None
@@ -303,14 +301,14 @@ class Model:
 
     @cached_property
     def confusion(self) -> Confusion | None:
-        """What it answers to rocks in streams; None if it was not finished on streams."""
+        """The confusion of rocks in streams; None if the model was not finished on streams."""
         return Confusion.from_arrays(self.arrays)
 
     @cached_property
     def _level_weights(self) -> tuple[Floats, float] | None:
         """Return weights (n_inputs,) of standardised inputs for the level, and its std in the training."""
-        # The best linear estimate of a factor on the signal: the peak force without what other quantities of the pulse
-        # explain. Uncertainties are left out, as they depend on the noise.
+        # The best linear estimate of a factor on the signal: the residual of the peak force given other quantities of
+        # the pulse. Uncertainties are excluded, since they depend on the noise.
         units = [FEATURES[name].unit if name in FEATURES else "" for name in self.inputs]
         scaled = np.array([unit in ("U", "N") for unit in units])
         certain = np.array([not name.endswith(("deviation", "correlation")) for name in self.inputs])
@@ -330,17 +328,17 @@ class Model:
         return 0.0 if self._level_weights is None else self._level_weights[1]
 
     def levels(self, inputs: Floats) -> Floats:
-        """Return the logarithm of each peak force over what the training expects of such a pulse, (n_impacts,).
+        """Return the logarithm of each peak force over the expectation of the training for such a pulse, (n_impacts,).
 
-        A factor on the signal adds its logarithm. Not a number if the model looks at no contact force.
+        A factor on the signal adds its logarithm. Nan if the model does not use the contact force.
         """
         if self._level_weights is None:
             return np.full(len(inputs), np.nan)
         return np.asarray(self._standardised(inputs) @ self._level_weights[0])
 
-    def foremost(self, inputs: Floats) -> NDArray[np.intp]:
-        """Return the number of the input that contributes most to the distance of each impact, (n_impacts,)."""
-        return self.neighbourhood.foremost(self._standardised(inputs))
+    def most_distant(self, inputs: Floats) -> NDArray[np.intp]:
+        """Return the index of the input that contributes most to the distance of each impact, (n_impacts,)."""
+        return self.neighbourhood.most_distant(self._standardised(inputs))
 
     def usual(self, deviations: float) -> tuple[Floats, Floats]:
         """Return the range of each input within this many standard deviations of the training, two (n_inputs,)."""
@@ -351,8 +349,8 @@ class Model:
     ) -> NDArray[np.bool_]:
         """Return the labels that cannot be ruled out for each impact, bool (n_impacts, n_labels).
 
-        For impacts like those of the training, a share `coverage` of the sets contains the true label, however good the
-        probabilities are. A set may contain several labels or none.
+        For impacts like those of the training, a fraction `coverage` of the sets contains the true label, for any
+        quality of the probabilities. A set may contain several labels or none.
 
         Parameters
         ----------
@@ -360,7 +358,8 @@ class Model:
         coverage : float
             In (0, 1).
         class_conditional : bool
-            Guarantee the coverage for each label separately, and so for any mix; else for the mix of the training.
+            Guarantee the coverage for each label separately, and so for any mixture; else for the mixture of the
+            training.
 
         Returns
         -------
@@ -369,12 +368,12 @@ class Model:
         Raises
         ------
         InvalidValue
-            The model is not calibrated, or on too few impacts for this coverage.
+            The model is not calibrated, or calibrated on too few impacts for this coverage.
         """
         if self.conformal is None:
             raise InvalidValue(
-                "coverage must be left out, this model has no calibration impacts to promise one; "
-                "train on more specimens of each label"
+                "coverage must be left out, this model has no calibration impacts; train on more specimens of each "
+                "label"
             )
         return self.conformal.prediction_set(probabilities, coverage, class_conditional=class_conditional)
 
@@ -402,7 +401,7 @@ class Model:
         return tuple(equalisations_of(self.references)[sensor])
 
     def covers(self, sampling_rate: float) -> bool:
-        """Return whether a sampling rate [Hz] lies in the range of the training, within 1 %.
+        """Return whether a sampling rate [Hz] is in the range of the training, within 1 %.
 
         Parameters
         ----------
@@ -413,7 +412,7 @@ class Model:
         bool
         """
         low, high = self.sampling_rates
-        if self.beam is not None:  # the beam is the same at any rate, and the features tell their deviations
+        if self.beam is not None:  # the beam is the same at any rate, features include their errors
             low, high = MIN_SHARE * low, np.inf
         return bool(0.99 * low <= sampling_rate <= 1.01 * high)
 
@@ -424,8 +423,8 @@ class Model:
         ----------
         probabilities : ndarray, (n_impacts, n_labels)
         costs : dict, optional
-            Cost of mistaking an impact of this label for another; default 1. With coal 1 and gangue 3, the answer is
-            coal only if coal is three times as probable.
+            Cost of mistaking an impact of this label for another; default 1. With coal 1 and gangue 3, coal is
+            predicted only if it is three times as probable.
 
         Returns
         -------
@@ -451,7 +450,7 @@ class Model:
             )
         return self._standardiser.apply(np.asarray(inputs, np.float64))
 
-    # -- the file -------------------------------------------------------------------------------------
+    # -- file -----------------------------------------------------------------------------------------
 
     @classmethod
     def from_classifier(
@@ -511,7 +510,7 @@ class Model:
 
     @property
     def header(self) -> dict[str, Any]:
-        """Everything but the arrays."""
+        """All fields except the arrays."""
         fields = {name: getattr(self, name) for name in FIELDS}
         return {
             "format": FORMAT,
@@ -522,7 +521,7 @@ class Model:
         }
 
     def to_bytes(self) -> bytes:
-        """Return the content of the model file; the same model gives the same bytes.
+        """Return the content of the model file; equal models give equal bytes.
 
         Returns
         -------
@@ -552,7 +551,7 @@ class Model:
         except (BadData, InvalidValue) as error:
             # The message may quote long texts of the file.
             reason = textwrap.shorten(str(error), _MAX_MESSAGE_LENGTH, placeholder=" ...")
-            raise BadData(f"{path}: no sound model: {reason}; train it again with cgid train") from None
+            raise BadData(f"{path}: not a valid model: {reason}; train it again with cgid train") from None
 
     @classmethod
     def from_bytes(cls, content: bytes) -> Model:

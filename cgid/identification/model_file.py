@@ -1,4 +1,4 @@
-"""The model file: an uncompressed .npz archive of a JSON header and numeric arrays, read without trusting it.
+"""The model file: an uncompressed .npz archive of a JSON header and numeric arrays, read as untrusted.
 
 Model files may come from anyone. numpy reads them without pickle, compressed entries are refused, so that no size can
 exceed the file, and a digest covers header and arrays. Then the content is checked.
@@ -33,9 +33,9 @@ from cgid.units import quantity_of
 if TYPE_CHECKING:
     from cgid.identification.model import Model
 
-#: Of the training record: the median of the guard of models that look through a beam [%].
+#: Of the training record: median of the guard of models with a beam [%].
 UNEXPLAINED = "median_beam_unexplained"
-#: Of the training record of models of windows: how much windows repeat each other in a vote.
+#: Of the training record of models of windows: correlation of windows in a vote.
 VOTE_CORRELATION = "vote_correlation"
 
 # -- the archive ------------------------------------------------------------------------------------------
@@ -52,18 +52,18 @@ _DAMAGE = (
 
 
 def arrays_of(content: bytes) -> Iterator[tuple[str, NDArray[Any]]]:
-    """Yield name and array of each entry of an archive in order, read-only; `BadData` if anything else is in it."""
+    """Yield name and array of each entry of an archive in order, read-only; `BadData` for anything else."""
     # zipfile would read a directory of a million entries.
     directory = struct.unpack_from("<L", content, len(content) - 10)[0] if len(content) > 22 else 0
     if not content.startswith(b"PK") or content[-22:-18] != b"PK\x05\x06" or not 0 < directory <= _MAX_DIRECTORY_SIZE:
-        raise BadData("it must be a whole .npz archive of numbers; it is damaged, cut off or another file")
+        raise BadData("it must be a complete .npz archive of numbers; it is damaged, cut off or another file")
     try:
         with zipfile.ZipFile(io.BytesIO(content)) as archive:
             entries = archive.infolist()
             if len(entries) > MAX_ENTRIES or len({entry.filename for entry in entries}) != len(entries):
                 raise BadData(f"its archive must contain at most {MAX_ENTRIES} arrays, each once")
             for entry in entries:
-                # Nothing unpacked can exceed the file then.
+                # Then no array exceeds the file.
                 if entry.compress_type or entry.flag_bits & 1 or entry.file_size > len(content):
                     raise BadData(f"array {entry.filename!r} must be stored uncompressed and not encrypted")
                 yield entry.filename.removesuffix(".npy"), _array(archive.read(entry), entry.filename)
@@ -82,7 +82,7 @@ def _array(stored: bytes, name: str) -> NDArray[Any]:
     # With Python's integers the product cannot overflow.
     size = math.prod(map(int, shape)) * dtype.itemsize
     if dtype.str not in _TYPES or size != len(stored) - stream.tell() or 0 in shape or len(shape) > _MAX_AXES:
-        raise BadData(f"array {name} must contain numbers (float64, int32, int64 or bool), as many as its shape says")
+        raise BadData(f"array {name} must contain numbers (float64, int32, int64 or bool), as many as declared")
     array: NDArray[Any] = np.load(io.BytesIO(stored), allow_pickle=False)
     if dtype.kind == "b" and (array.view(np.uint8) > 1).any():
         raise BadData(f"array {name} must contain truth values, bytes 0 and 1")
@@ -124,7 +124,7 @@ FIELDS: dict[str, type] = {
     "sensors": list,
 }
 _LISTS_OF_NUMBERS = ("guard_limits", "sampling_rates")
-#: Further fields: the quantity follows from the unit, the others are checked on reading.
+#: Other fields: the quantity follows from the unit, the others are checked on reading.
 _FURTHER_FIELDS = {"format", "schema_version", "quantity", "sha256"}
 
 
@@ -219,7 +219,7 @@ _MAX_WORD_LENGTH = 100
 _DROPPED = ("discriminant",)
 
 
-#: Arrays that stay whole numbers.
+#: Arrays that remain integers.
 _INTEGERS = {"conformal.labels", *(f"family.{name}" for name in Boosting.INDICES)}
 
 
@@ -239,22 +239,22 @@ def check_names(model: Model) -> None:
         families = ", ".join(map(repr, BY_NAME))
         raise BadData(f"family must be one of {families}, got {model.family!r}, which cgid 0.2 no longer has")
     validation.choice("family", model.family, tuple(BY_NAME))
-    for name, values, least in (
+    for name, values, min_count in (
         ("labels", model.labels, 2),
         ("features", model.features, 1),
         ("features and guards", model.measured, 1),
         ("known", model.known, 0),
         ("sensors", model.sensors, 0),
     ):
-        if len(values) < least or not all(map(_is_word, values)) or len(set(values)) != len(values):
+        if len(values) < min_count or not all(map(_is_word, values)) or len(set(values)) != len(values):
             raise BadData(
-                f"{name} must be {least} or more different printable words of 1 to {_MAX_WORD_LENGTH} characters"
+                f"{name} must be {min_count} or more different printable words of 1 to {_MAX_WORD_LENGTH} characters"
             )
     for label in model.labels:
         validation.label("labels", label)
-    for name, values, most in (("labels", model.labels, MAX_LABELS), ("sensors", model.sensors, _MAX_SENSORS)):
-        if len(values) > most:
-            raise BadData(f"{name} must be at most {most}, got {len(values)}")
+    for name, values, max_count in (("labels", model.labels, MAX_LABELS), ("sensors", model.sensors, _MAX_SENSORS)):
+        if len(values) > max_count:
+            raise BadData(f"{name} must be at most {max_count}, got {len(values)}")
     for feature in model.measured:
         require_known(feature)
     for name in model.known:
@@ -282,7 +282,7 @@ def check_training(model: Model) -> None:
     training, n_labels = model.training, len(model.labels)
     metrics, recorded = training.get("metrics", {}), training.get("recorded", {})
     if not isinstance(metrics, Mapping) or not isinstance(recorded, Mapping):
-        raise BadData("metrics and recorded must be objects in the header, where it has them")
+        raise BadData("metrics and recorded must be objects if the header has them")
     shapes: dict[str, tuple[int, ...]] = {
         "accuracy": (),
         "accuracy_interval_95": (2,),
@@ -329,7 +329,7 @@ def _check_arrays(model: Model) -> None:
         if name not in arrays or arrays[name].shape not in possible:
             raise BadData(f"array {name} must have shape {possible[0]}")
     if ("conformal.scores" in arrays) != ("conformal.labels" in arrays):
-        raise BadData("arrays conformal.scores and conformal.labels must both be there, or none")
+        raise BadData("arrays conformal.scores and conformal.labels must both be present or absent")
     known = shapes.keys() | {"conformal.scores", "conformal.labels", "reference.spectra"}
     known |= {f"family.{name}" for name in BY_NAME[model.family].AXES} | {f"beam.{name}" for name in Beam.ARRAYS}
     known |= {Confusion.PREFIX + name for name in Confusion.ARRAYS}
@@ -346,7 +346,7 @@ def _check_arrays(model: Model) -> None:
         raise BadData(f"arrays of a share must be left out, they are for two labels, got {n_classes}")
     Standardiser.from_arrays(arrays, STANDARDISER)  # checks its scale and floor
     if any_through_beam(model.measured) != any(name.startswith("beam.") for name in arrays):
-        raise BadData("a model must have the arrays of a beam if features look through it, and only then")
+        raise BadData("a model must have the arrays of a beam if and only if features need it")
 
 
 def _check_windows(model: Model) -> None:
@@ -361,7 +361,7 @@ def _check_windows(model: Model) -> None:
         raise BadData(f"window_time and hop_time must be 0 for features of a {model.kind}")
     spectra = model.arrays.get("reference.spectra")
     if (spectra is not None) != bool(model.sensors):
-        raise BadData("array reference.spectra must be there where sensors are named, and only there")
+        raise BadData("array reference.spectra must be present if and only if sensors are named")
     shape = len(model.sensors), model.n_channels, len(MEL_BANDS)
     if spectra is not None and spectra.shape != shape:
         raise BadData(f"array reference.spectra must have shape {shape}, got {spectra.shape}")

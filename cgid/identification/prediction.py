@@ -1,4 +1,4 @@
-"""Answers for samples in memory as one table: `load_model` and `predict`."""
+"""Predictions for samples in memory as one table: `load_model` and `predict`."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from cgid.validation import require_rate
 if TYPE_CHECKING:
     import pandas
 
-#: Fields of `PredictionSettings` that `predict` takes: all but those of the gangue fraction.
+#: Fields of `PredictionSettings` that `predict` accepts: all except those of the gangue fraction.
 _SETTINGS = (
     "costs", "coverage", "class_conditional", "drop_height", "mass", "invert", "sensors", "dead_time", "vote_time",
 )  # fmt: skip
@@ -42,7 +42,7 @@ def load_model(model: str | Path = "default") -> Model:
     Parameters
     ----------
     model : str or Path
-        A file, or "default" (pulses of force), "default-drop-height" (these, where the drop height is known) or
+        A file, or "default" (pulses of force), "default-drop-height" (these, with a given drop height) or
         "default-acceleration" (vibrations of a tail beam); a `Path` is always a file.
 
     Returns
@@ -54,7 +54,7 @@ def load_model(model: str | Path = "default") -> Model:
     NoInput
         There is no such model, or the file cannot be read.
     BadData
-        The file is no sound model: its digest or one of its arrays is wrong.
+        The file is not a valid model: its digest or one of its arrays is wrong.
 
     Examples
     --------
@@ -80,14 +80,14 @@ def predict(
     Parameters
     ----------
     samples : str or Path; or Signal, or list of Signal; or array_like, (n_samples,) or (n_samples, n_channels)
-        A file, which `read_recording` reads into memory. Signals are channels of one length; rate, unit and names are
-        theirs. An array is in `unit`; the columns of a DataFrame name its channels, else they are numbered from 1.
+        A file, which `read_recording` reads into memory. Signals are channels of one length, with their rate, unit and
+        names. An array is in `unit`; the columns of a DataFrame name its channels, else they are numbered from 1.
     sampling_rate : float, optional
         [Hz]; required for an array, and for a file that does not state it.
     unit : str, optional
         One of `cgid.units.UNITS`, such as "N", "kN", "g", "m/s^2" or "V"; required likewise.
     model : Model, str or Path, optional
-        A model, or what `load_model` takes; by default the shipped one for this quantity.
+        A model, or an argument of `load_model`; by default the shipped one for this quantity.
     sensitivity, gain, full_scale : str, float, mapping or list, optional
         What turns volts, coulombs or integers into what the sensor measured, such as ``sensitivity="10.2 mV/g"``; as
         in `cgid.open_recording`. A `full_scale` may also say the unit.
@@ -173,12 +173,12 @@ def predict(
 
 
 def _measured(samples: Any, sampling_rate: float | None, unit: str | None, chain: Chain) -> list[Signal]:
-    """Return the channels of samples or Signals, in what the sensors measured."""
+    """Return the channels of samples or Signals, in the measured quantity."""
     listed = [samples] if isinstance(samples, Signal) else samples
     of_signals = isinstance(listed, list | tuple) and any(isinstance(one, Signal) for one in listed)
-    signals = _alike(listed, sampling_rate) if of_signals else _signals(samples, sampling_rate)
+    signals = _require_alike(listed, sampling_rate) if of_signals else _signals(samples, sampling_rate)
     if not of_signals and unit is None and chain == Chain():
-        raise MissingOption("samples: an array does not say its unit; give it, as in unit='N' or unit='m/s^2'")
+        raise MissingOption("samples: an array has no unit; give it, as in unit='N' or unit='m/s^2'")
     largest = None if of_signals else full_scale_of(validation.plain("samples", samples).dtype)
     contents = Blocks(
         n_channels=len(signals),
@@ -197,9 +197,9 @@ def _measured(samples: Any, sampling_rate: float | None, unit: str | None, chain
 
 
 def _signals(samples: Any, sampling_rate: float | None) -> list[Signal]:
-    """Return the channels of samples (n_samples,) or (n_samples, n_channels), in no unit yet."""
+    """Return the channels of samples (n_samples,) or (n_samples, n_channels), without unit."""
     if sampling_rate is None:
-        raise MissingOption("samples: an array does not say its sampling rate; give sampling_rate in Hz")
+        raise MissingOption("samples: an array has no sampling rate; give sampling_rate in Hz")
     names = getattr(samples, "columns", None)
     columns = validation.plain("samples", samples)
     if columns.ndim == 1:
@@ -218,11 +218,11 @@ def _signals(samples: Any, sampling_rate: float | None) -> list[Signal]:
     ]
 
 
-def _alike(signals: Sequence[Any], sampling_rate: float | None) -> list[Signal]:
+def _require_alike(signals: Sequence[Any], sampling_rate: float | None) -> list[Signal]:
     """Return Signals as channels of one recording; raises `BadData` unless they have one length and rate."""
     for one in signals:
         if not isinstance(one, Signal):
-            raise BadData(f"samples must be Signals alone or an array, got a {type(one).__name__} among Signals")
+            raise BadData(f"samples must be Signals or an array, got a {type(one).__name__} among Signals")
     first = signals[0]
     rate, origin = (first.sampling_rate, first.name)
     if sampling_rate is not None:
@@ -232,7 +232,7 @@ def _alike(signals: Sequence[Any], sampling_rate: float | None) -> list[Signal]:
         if len(one.samples) != len(first.samples):
             raise BadData(
                 f"{one.name}: Signals must be channels of one length, got {len(one.samples)} samples after "
-                f"{len(first.samples)} of {first.name}; predict each alone"
+                f"{len(first.samples)} of {first.name}; predict each separately"
             )
     channels = [one.channel for one in signals]
     names = channels if len(set(channels)) == len(channels) else [one.name for one in signals]

@@ -19,13 +19,13 @@ from cgid.validation import UNKNOWN, Floats, Rule, shown
 
 __all__ = ["PredictionSettings"]
 
-#: Impacts identified in one batch, which costs little more than a single one.
+#: Number of impacts in one batch, which takes little longer than a single one.
 BATCH = 256
 #: Default window of a gangue fraction [s].
 SHARE_TIME = 10.0
-#: Shortest window of a share [s]: a shorter one holds too few impacts, and an hour would have millions of shares.
+#: Minimum window of a gangue fraction [s]: a shorter one contains too few impacts, and an hour would have millions.
 MIN_SHARE_TIME = 0.05
-#: The rules of settings that are numbers, where they are not None.
+#: The rules of settings that are numbers, unless None.
 RULES = {
     "coverage": Rule(),
     "vote_time": Rule(0, unit="s"),
@@ -39,7 +39,7 @@ RULES = {
 
 
 class ShareSettings(NamedTuple):
-    """How the gangue fraction is followed, as `PredictionSettings` says; times in seconds."""
+    """Settings of the gangue fraction, as in `PredictionSettings`; times in seconds."""
 
     window: float
     step: float
@@ -50,10 +50,10 @@ class ShareSettings(NamedTuple):
 
 
 class ExtraColumns(Protocol):
-    """What is asked of each frame beside its answer."""
+    """Additional outputs for each frame."""
 
     def check(self, model: Model) -> None:
-        """Raise `InvalidValue` if it cannot be asked beside this model."""
+        """Raise `InvalidValue` if this model does not support it."""
 
     def __call__(
         self,
@@ -71,7 +71,7 @@ class ExtraColumns(Protocol):
 class PredictionSettings:
     """Settings for every impact or window of a recording.
 
-    Costs and a coverage exclude each other: a single-label prediction set leaves nothing to decide. Raises
+    Costs and a coverage exclude each other, since a single-label prediction set is a decision. Raises
     `InvalidValue` for this, and for numbers outside of their range.
 
     Attributes
@@ -79,17 +79,17 @@ class PredictionSettings:
     costs : mapping of str to float
         Cost of missing each label, see `Model.decide`.
     coverage : float, optional
-        Share of prediction sets that hold the truth; rejects sets without exactly one label; None: no rejection.
+        Fraction of prediction sets that contain the truth; rejects sets without exactly one label; None: no rejection.
     class_conditional : bool
-        Whether each label by itself has this coverage, see `Model.prediction_set`.
+        Whether each label has this coverage, see `Model.prediction_set`.
     drop_height : float, optional [m]
-        How far the rocks fell, for a model that needs it.
+        Drop height of the rocks, for a model that needs it.
     mass : float, optional [kg]
         Mass of the accelerated impactor; turns an acceleration into a force.
     invert : bool
         Whether pulses point downwards.
     sensors : tuple of str
-        Names of sensors that the model knows: one for all channels, or one for each.
+        Names of sensors in the model: one for all channels, or one for each.
     dead_time : float, optional [s]
         Time after an impact in which no other begins, see `find_impacts`.
     vote_time : float, optional [s]
@@ -143,7 +143,7 @@ class PredictionSettings:
             if (value := getattr(self, name)) is not None:
                 validation.number(name, value, rule=rule)
         if self.costs and self.coverage is not None:
-            raise InvalidValue("costs and coverage must not be given together, each decides by itself; leave one out")
+            raise InvalidValue("costs and coverage must not be given together; leave one out")
         if self.class_conditional and self.coverage is None:
             raise InvalidValue("class_conditional must come with a coverage; give --coverage, such as --coverage 0.9")
 
@@ -166,13 +166,13 @@ class PredictionSettings:
         return [one[0] if len(one) == 1 else UNKNOWN for one in sets], [*sets]
 
     def doubt(self, labels: tuple[str, ...] | None) -> str:
-        """Return why a prediction set does not decide; empty for a single label."""
+        """Return why a prediction set gives no label; empty for a single label."""
         if labels is None or len(labels) == 1:
             return ""
         if not labels:
             return f"no label is probable enough: the prediction set at coverage {self.coverage:g} is empty"
         listed = "both" if len(labels) == 2 else f"these {len(labels)}"
-        return f"{' or '.join(labels)}: the prediction set at coverage {self.coverage:g} holds {listed}"
+        return f"{' or '.join(labels)}: the prediction set at coverage {self.coverage:g} contains {listed}"
 
     # -- models and channels --------------------------------------------------------------------------
 
@@ -191,7 +191,7 @@ class PredictionSettings:
     def sensors_for(self, model: Model, channels: Sequence[str]) -> list[str | None]:
         """Return the sensor of each channel, or of each group of channels that the model uses together.
 
-        Raises `InvalidValue` if the number of sensors does not match, or the model knows no sensor of this name.
+        Raises `InvalidValue` if the number of sensors does not match, or the model has no sensor of this name.
         """
         if not self.sensors:
             return [None] * len(channels)
@@ -208,7 +208,7 @@ class PredictionSettings:
 
     @property
     def shares(self) -> ShareSettings:
-        """How the gangue fraction is followed, with the defaults."""
+        """Settings of the gangue fraction, with the defaults."""
         window = SHARE_TIME if self.share_time is None else self.share_time
         return ShareSettings(
             window=window,
@@ -221,7 +221,7 @@ class PredictionSettings:
 
     @property
     def asks_for_shares(self) -> bool:
-        """Whether an option asks for shares, so that even a single impact has them."""
+        """Whether an option requests gangue fractions, so that even a single impact has them."""
         decides = (self.share_time, self.dilution_cost, self.evidence, self.hold)
         return bool(self.gangue) or any(one is not None for one in decides)
 
@@ -231,8 +231,8 @@ def known_columns(known: tuple[str, ...], n_impacts: int, drop_height: ArrayLike
     if drop_height is None:
         if "drop_height" in known:
             raise MissingOption(
-                "drop_height must be known to this model and is not given; give --drop-height METRES "
-                "(how far the rock fell), or take a model that does without"
+                "drop_height is required by this model and is not given; give --drop-height METRES, or use a model "
+                "without it"
             )
         return np.empty((n_impacts, 0))
     if "drop_height" not in known:

@@ -21,7 +21,7 @@ from cgid.validation import Floats
 _HERMITE = 3
 #: Cells of a prior's histograms, and the standard deviation of the smoothing in cells.
 _CELLS, _SMOOTHING = 240, 1.2
-#: Lowest density over the largest: draws cannot prove that something is impossible.
+#: Minimum density over the maximum: draws cannot exclude anything completely.
 _FLOOR = 1e-9
 
 
@@ -126,7 +126,7 @@ def _log_density(counts: NDArray[Any], cell: float) -> Floats:
 
 
 def _at(values: Floats, *places: Floats) -> Floats:
-    """Return values of cells at places [cells], linear between their middles; the floor beyond the cells."""
+    """Return values of cells at positions [cells], linear between their middles; the floor beyond the cells."""
     from scipy.ndimage import map_coordinates
 
     beyond = np.any([(place < 0) | (place > _CELLS) for place in places], axis=0)

@@ -25,29 +25,29 @@ from cgid.validation import Floats
 
 #: An impact rises above this many standard deviations of the noise.
 THRESHOLD_OVER_NOISE = 6.0
-#: An impact begins and ends where it crosses this share of its own peak.
+#: An impact begins and ends at this fraction of its peak.
 THRESHOLD_OVER_PEAK = 0.05
 #: A new impact must rise above `THRESHOLD_OVER_PEAK` of the previous one, and above this many times the depth to which
 #: the signal swings below its baseline.
 RISE_OVER_SWING = 2.0
-#: No ringing swings deeper than this many times the height of the impact before it.
+#: Ring-down does not swing deeper than this many times the height of the impact before it.
 _DEEPEST = 2.0
 #: Time constants of the decay of these two thresholds [s].
 ECHO_TIME, SWING_TIME = 10e-3, 20e-3
 #: Update interval of these thresholds [s].
 _HOP_TIME = 0.5e-3
-#: Nothing rings where the mean square of this time [s], a period of 200 Hz, is at most this many times the noise's: a
-#: ringing of 1.2 sigma, whose crests are far below the threshold.
+#: Ring-down has ended if the mean square over this time [s], a period of 200 Hz, is at most this many times the
+#: noise's: an oscillation of 1.2 sigma, with crests far below the threshold.
 _QUIET_TIME, _QUIET_POWER = 5e-3, 1.7
-#: Differences below this share of the largest sample of this many latest windows (0.8 s) are rounding: six steps of
-#: single precision. A longer memory would let one loud sample hide what follows.
+#: Differences below this fraction of the largest sample of this many latest windows (0.8 s) are rounding: six steps of
+#: single precision. With a longer memory one loud sample would hide later impacts.
 _ROUNDING, _ROUNDING_WINDOWS = 1e-6, 40
 #: Length of the windows for the estimates of baseline and noise [s], and its minimum [samples].
 _WINDOW_TIME, _MIN_WINDOW = 20e-3, 64
 #: Approximate number of samples used of each window.
 _N_SAMPLED = 128
 _CHUNK_WINDOWS = 10
-#: The baseline is the median over this many windows to either side (0.18 s in all), because it may drift.
+#: The baseline is the median over this many windows to either side (0.18 s in total), because it may drift.
 _BASELINE_WINDOWS = 4
 #: The noise is the median over this many windows before the end of the chunk (2 s).
 _NOISE_WINDOWS = 100
@@ -55,7 +55,7 @@ _NOISE_WINDOWS = 100
 _RISING_WINDOWS = 10
 #: Number of chunks needed for the first estimates.
 START_CHUNKS = 2
-#: Two peaks are separate if both reach this share of the highest, and the signal falls to that share in between.
+#: Two peaks are separate if both reach this fraction of the highest, and the signal falls to that fraction in between.
 _PEAK, _VALLEY = 0.5, 0.25
 
 
@@ -71,7 +71,7 @@ class _Levels:
 
 
 @dataclass
-class _Ringing:
+class _AfterImpact:
     """State of a channel after its impacts: thresholds, heights, and quiet samples."""
 
     echo: float = 0.0
@@ -81,7 +81,7 @@ class _Ringing:
     energy: float = 0.0  # sum of their squares
 
     def update(self, n_samples: int, energy: float, noise: float, enough: int) -> None:
-        """Take samples within the noise, with the sum of their squares; end both thresholds where nothing rings."""
+        """Add samples within the noise, with the sum of their squares; end both thresholds after the ring-down."""
         self.quiet += n_samples
         self.energy += energy
         if self.quiet >= enough:
@@ -90,7 +90,7 @@ class _Ringing:
             self.reset()
 
     def reset(self) -> None:
-        """Forget the quiet samples so far."""
+        """Reset the quiet samples."""
         self.quiet, self.energy = 0, 0.0
 
     def decay(self, echo_factor: float, swing_factor: float) -> None:
@@ -101,7 +101,7 @@ class _Ringing:
 
 
 @dataclass
-class _Blow:
+class _OpenPulse:
     """An impact in progress: indices, heights and limits of its high samples in each channel."""
 
     onset: Onset
@@ -134,14 +134,14 @@ class PulseOnsets:
         self._medians = np.zeros((n_channels, 0))
         self._noises = np.zeros((n_channels, 0))
         self._largest = np.zeros((n_channels, _ROUNDING_WINDOWS - 1))
-        self._ringing = [_Ringing() for _ in range(n_channels)]
-        self._open: list[_Blow | None] = [None] * len(self._rows)
-        # Also the last high sample of closed blows.
+        self._after = [_AfterImpact() for _ in range(n_channels)]
+        self._open: list[_OpenPulse | None] = [None] * len(self._rows)
+        # Including the last high sample of closed pulses.
         self._last: list[int | None] = [None] * len(self._rows)
         self.rise, self.fall, self.noise = np.zeros((3, n_channels))
 
     def take(self, samples: Floats, read: Read, n_known: int | None = None) -> list[Onset]:
-        """Take chunks (n_channels, k chunk) with `n_known` real samples; return the pulses that begin."""
+        """Add chunks (n_channels, k chunk) with `n_known` real samples; return the pulses that begin."""
         ended = n_known is not None
         samples = samples[:, :n_known]
         onsets = []
@@ -152,8 +152,8 @@ class PulseOnsets:
                 places = high[channels[0]] if len(channels) == 1 else np.unique(np.concatenate(high))
                 onsets += self._grouped(row, places, samples, levels, read)
         self._taken += samples.shape[1]
-        for row, blow in enumerate(self._open):
-            if blow is not None and (ended or self._is_over(row, blow.onset)):
+        for row, pulse in enumerate(self._open):
+            if pulse is not None and (ended or self._is_over(row, pulse.onset)):
                 self._close(row, read)
         return onsets
 
@@ -176,7 +176,7 @@ class PulseOnsets:
             stop = before + first + _CHUNK_WINDOWS
             if not self._taken:
                 stop = max(stop, START_CHUNKS * _CHUNK_WINDOWS)
-            # Windows after the chunk do not count: whether they are known yet depends on the blocks.
+            # Windows after the chunk are not used: whether they are known yet depends on the blocks.
             stop = min(stop, medians.shape[1])
             chunk = slice(first, first + _CHUNK_WINDOWS)
             numbers = before + np.arange(first, min(chunk.stop, shape[1]))[:, None]
@@ -196,37 +196,37 @@ class PulseOnsets:
         self.noise = np.where(np.isnan(noise[:, -1]), self.noise, noise[:, -1])
         self.rise = np.fmax(self.rise, np.fmax.reduce(highest - baseline, axis=1))
         self.fall = np.fmax(self.fall, np.fmax.reduce(baseline - lowest, axis=1))
-        # Neither a missing baseline nor a missing noise shows an impact: no comparison with nan holds.
+        # Without a baseline or noise there is no impact: no comparison with nan is true.
         limit = np.maximum(THRESHOLD_OVER_NOISE * noise, _ROUNDING * largest)
         return _Levels(length, baseline, limit, highest, lowest)
 
     def _high_in(self, channel: int, samples: Floats, levels: _Levels) -> NDArray[np.intp]:
-        """Return the indices of the samples (n,) of a channel that exceed noise and ringing."""
+        """Return the indices of the samples (n,) of a channel that exceed noise and ring-down."""
         parts = [np.empty(0, np.intp)]
-        ringing, length = self._ringing[channel], levels.length
+        after, length = self._after[channel], levels.length
         baselines, limits = levels.baseline[channel], levels.limit[channel]
         above = levels.highest[channel] - baselines > limits
         behind = 0
         for window in np.flatnonzero(above | (baselines - levels.lowest[channel] > limits)).tolist():
             first = window * length
-            self._pass(first - behind, ringing)
+            self._pass(first - behind, after)
             heights = samples[first : first + length] - baselines[window]
             heights[np.isnan(heights)] = 0.0
-            needed = self._needed(heights, float(limits[window]), ringing)
+            needed = self._needed(heights, float(limits[window]), after)
             if above[window]:
                 parts.append(np.flatnonzero(heights > needed) + first)
             behind = first + length
-        self._pass(max(samples.size - behind, 0), ringing)
+        self._pass(max(samples.size - behind, 0), after)
         return np.concatenate(parts) + self._taken
 
-    def _pass(self, n_samples: int, ringing: _Ringing) -> None:
-        """Let the ringing decay over samples within the noise."""
-        ringing.decay(math.exp(-n_samples * self._echo_rate), math.exp(-n_samples * self._swing_rate))
+    def _pass(self, n_samples: int, after: _AfterImpact) -> None:
+        """Decay the thresholds over samples within the noise."""
+        after.decay(math.exp(-n_samples * self._echo_rate), math.exp(-n_samples * self._swing_rate))
         if n_samples:
-            ringing.reset()
+            after.reset()
 
-    def _needed(self, heights: Floats, limit: float, ringing: _Ringing) -> Floats:
-        """Return the threshold of each sample (n,), and update the ringing."""
+    def _needed(self, heights: Floats, limit: float, after: _AfterImpact) -> Floats:
+        """Return the threshold of each sample (n,), and update the state."""
         hops = np.arange(0, heights.size, self._hop)
         peaks, depths = np.maximum.reduceat(heights, hops), -np.minimum.reduceat(heights, hops)
         energies, sizes = np.add.reduceat(heights * heights, hops), np.diff(hops, append=heights.size)
@@ -234,17 +234,17 @@ class PulseOnsets:
         needed = []
         hop_values = (values.tolist() for values in (peaks, depths, energies, sizes))
         for peak, depth, energy, size in zip(*hop_values, strict=True):
-            needed.append(max(limit, ringing.echo, ringing.swing))
-            ringing.decay(*factors)
-            ringing.peak = max(ringing.peak, peak)
-            ringing.echo = max(ringing.echo, THRESHOLD_OVER_PEAK * peak)
-            # A swing deeper than any ringing is the beginning of a downward blow.
-            if limit < depth < _DEEPEST * ringing.peak:
-                ringing.swing = max(ringing.swing, RISE_OVER_SWING * depth)
+            needed.append(max(limit, after.echo, after.swing))
+            after.decay(*factors)
+            after.peak = max(after.peak, peak)
+            after.echo = max(after.echo, THRESHOLD_OVER_PEAK * peak)
+            # A swing deeper than any ring-down is the beginning of a downward pulse.
+            if limit < depth < _DEEPEST * after.peak:
+                after.swing = max(after.swing, RISE_OVER_SWING * depth)
             if max(peak, depth) > limit:
-                ringing.reset()
+                after.reset()
             else:
-                ringing.update(size, energy, limit / THRESHOLD_OVER_NOISE, self._quiet)
+                after.update(size, energy, limit / THRESHOLD_OVER_NOISE, self._quiet)
         return np.repeat(needed, self._hop)[: heights.size]
 
     # -- impacts ----------------------------------------------------------------------------------------
@@ -263,15 +263,15 @@ class PulseOnsets:
                 self._close(row, read)
                 baseline = levels.baseline[:, int(inside[begin]) // levels.length].copy()
                 onset = Onset(row, self._rows[row][0], first, noise=baseline, closed=False)
-                self._open[row] = _Blow(onset)
+                self._open[row] = _OpenPulse(onset)
                 groups.append(onset)
             self._last[row] = int(places[stop - 1])
-            blow = self._open[row]
-            if blow is not None:
-                of_impact = slice(begin, int(np.searchsorted(places[:stop], blow.onset.sample + self._longest)))
-                blow.places.append(places[of_impact])
-                blow.heights.append(heights[:, of_impact])
-                blow.limits.append(limits[:, of_impact])
+            pulse = self._open[row]
+            if pulse is not None:
+                of_impact = slice(begin, int(np.searchsorted(places[:stop], pulse.onset.sample + self._longest)))
+                pulse.places.append(places[of_impact])
+                pulse.heights.append(heights[:, of_impact])
+                pulse.limits.append(limits[:, of_impact])
                 if of_impact.stop < stop:
                     self._close(row, read)
         return groups
@@ -287,13 +287,13 @@ class PulseOnsets:
         return onset.last + 1 - onset.sample
 
     def _close(self, row: int, read: Read) -> None:
-        """End the open impact of a row, and trim it to where it crosses a share of its peak."""
-        blow = self._open[row]
+        """End the open impact of a row, and trim it to the crossings of a fraction of its peak."""
+        pulse = self._open[row]
         self._open[row] = None
-        if blow is None:
+        if pulse is None:
             return
-        onset, places = blow.onset, np.concatenate(blow.places)
-        heights, limits = np.concatenate(blow.heights, axis=1), np.concatenate(blow.limits, axis=1)
+        onset, places = pulse.onset, np.concatenate(pulse.places)
+        heights, limits = np.concatenate(pulse.heights, axis=1), np.concatenate(pulse.limits, axis=1)
         highest = np.fmax.reduce(heights, axis=1, keepdims=True)
         excess = np.nan_to_num(heights - np.maximum(limits, THRESHOLD_OVER_PEAK * highest), nan=-np.inf, posinf=np.inf)
         above = np.flatnonzero((excess > 0).any(axis=0))

@@ -21,7 +21,7 @@ from cgid.validation import Floats, require_rate
 
 #: Drift of a session that causes a warning [dB].
 MAX_DRIFT = 3.0
-#: Standard errors that the warning allows for: the spectrum of few impacts is uncertain.
+#: Standard errors subtracted before the warning: the spectrum of few impacts is uncertain.
 _STANDARD_ERRORS = 2.0
 #: Windows measured at once.
 _ROWS = 32
@@ -123,7 +123,7 @@ def drift(session: MeanSpectrum, reference: ArrayLike) -> Drift:
     """Return the drift of a session from the reference spectrum (n_bands,) of its sensor, for a similar flow."""
     of_session = slice(0, session.n_bands)
     difference = 10.0 * (session.levels - validation.real("reference", reference))[of_session]
-    # The band with the most certain difference, not one raised by a single impact.
+    # The band with the most significant difference, not one raised by a single impact.
     certain = np.maximum(np.abs(difference) - _STANDARD_ERRORS * session.deviations[of_session], 0.0)
     place = int(np.argmax(certain)) if certain.any() else int(np.argmax(np.abs(difference)))
     return Drift(

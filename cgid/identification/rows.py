@@ -1,4 +1,4 @@
-"""Labelled rows, the input of every training: each holds the features of one impact or one window.
+"""Labelled rows, the input of every training: each contains the features of one impact or window.
 
 `measure` makes rows from labelled batches, `cgid.identification.labelled_recordings.record` from recordings.
 """
@@ -33,19 +33,19 @@ from cgid.workers import SERIAL, Workers
 
 __all__ = ["Rows", "measure"]
 
-#: Guards of a model of pulses: how badly a signal fits the shape of a pulse. They show novelty, not the material.
+#: Guards of a model of pulses: how badly a signal fits the shape of a pulse. They indicate novelty, not the material.
 DEFAULT_GUARDS = ("unexplained",)
 #: Features of a model of pulses: the fitted pulse, and the uncertainty of its shape.
 FEW_FEATURES = ("fitted_peak", "fitted_width", "shrunken_restitution", "shrunken_restitution_deviation")
-#: These, and what tells laws of loss apart: the uncertainty of the peak, and the shape of what the fit leaves.
+#: These, and features that distinguish laws of loss: the uncertainty of the peak, and the shape of the residual.
 DEFAULT_FEATURES = (*FEW_FEATURES, "fitted_peak_deviation", *(f"pulse_shape_{n}" for n in (1, 2, 3, 4)))
-#: Features of a model of vibrations, where sampling rate and frame allow: levels by frequency, over the whole frame and
+#: Features of a model of vibrations, if sampling rate and frame allow: levels by frequency, over the whole frame and
 #: while the force acts. They depend on the gain, because the strength of the impact is the most informative.
 DEFAULT_VIBRATION_FEATURES = (
     *(f"level_{middle}_hz" for middle in THIRD_OCTAVES),
     *(f"early_level_{low}_{high}_hz" for low, high in EARLY_BANDS),
 )
-#: Features of a model that looks through a beam, and its guards.
+#: Features of a model with a beam, and its guards.
 BEAM_FEATURES = (
     "beam_peak_force",
     "beam_pulse_width",
@@ -64,7 +64,7 @@ MAX_SYNTHETIC = 10
 
 @dataclass(frozen=True, kw_only=True)
 class Slicing:
-    """How recordings become rows: by window or by impact, with times [s]; None leaves it to the recordings."""
+    """Settings of rows from recordings: by window or by impact, with times [s]; None to choose from the recordings."""
 
     by: Literal["window", "impact"] | None = None
     window_time: float = WINDOW_TIME
@@ -90,7 +90,7 @@ class Rows:
     labels : ndarray of str, (n_rows,)
     group : ndarray of int, (n_rows,)
         Unit that splits keep together: the specimen of a synthetic impact, or a number in `groups`; below 0 for
-        synthetic rows among recorded ones, which never judge.
+        synthetic rows among recorded ones, which are never in a test.
     source : ndarray of int, (n_rows,)
         Number in `sources` of the scene, dataset or annotated interval of each row.
     sources, groups : tuple of str
@@ -160,7 +160,7 @@ class Rows:
     def joined(cls, parts: Sequence[Rows]) -> Rows:
         """Return the rows of some parts with the same features, unit and beam, one after the other.
 
-        They have times if all parts do.
+        They have times if all parts have.
         """
         sources = tuple(dict.fromkeys(source for part in parts for source in part.sources))
         place = {source: number for number, source in enumerate(sources)}
@@ -189,12 +189,12 @@ class Rows:
 
     @property
     def is_recorded(self) -> NDArray[np.bool_]:
-        """Which rows are as recorded, and neither synthetic nor noisy copies: these judge."""
+        """Mask of the recorded rows, without synthetic ones and noisy copies; only these are in tests."""
         return np.asarray((self.group >= 0) & (self.snr == np.inf) if len(self.snr) else self.group >= 0)
 
     @property
     def is_clear(self) -> NDArray[np.bool_]:
-        """Which rows teach the labels: all but copies that are drowned in noise."""
+        """Mask of the rows that train the labels: all but very noisy copies."""
         return np.asarray(self.snr >= CLEAR) if len(self.snr) else np.ones(len(self.labels), bool)
 
     def only(self, names: tuple[str, ...]) -> Rows:
@@ -217,7 +217,7 @@ Sets = Mapping[str, tuple[str, ...]]
 
 @cache
 def _sets(kind: Kind) -> Sets:
-    """Return the feature sets of a kind by name, the preferred first; the gain cancels in "level-free" sets."""
+    """Return the feature sets of a kind by name, in order of preference; the gain cancels in "level-free" sets."""
     if kind == "pulse":
         return {"fitted pulse": DEFAULT_FEATURES}
     if kind == "vibration":
@@ -267,7 +267,7 @@ def features_for(
     if not names:
         raise BadData(
             f"vibrations must be sampled fast and long enough for a third-octave band, frames of "
-            f"{first.signals.shape[1]} samples at {first.sampling_rate:g} Hz hold none; record longer"
+            f"{first.signals.shape[1]} samples at {first.sampling_rate:g} Hz contain none; record longer"
         )
     return chain([first], batches), names
 
@@ -307,11 +307,11 @@ def measure(
     features : iterable of str, optional
         Names of features; by default those of the default model.
     progress : callable, optional
-        Is called with the number of signals of each batch.
+        Called with the number of signals of each batch.
     known : tuple of str
-        Known quantities of each impact that the model will ask for, such as "drop_height".
+        Quantities of each impact that the model will need, such as "drop_height".
     beam : Beam, optional
-        The beam that vibrates: the features look through it.
+        The beam that vibrates, for features that need it.
     workers : Workers
         Processes that measure.
 
@@ -334,13 +334,14 @@ def measure(
         for part in measured:
             if parts and part.unit != parts[0].unit:
                 raise BadData(
-                    f"all signals must be in one unit, got {parts[0].unit} and {part.unit}; convert or train apart"
+                    f"all signals must be in one unit, got {parts[0].unit} and {part.unit}; convert them or train "
+                    "separately"
                 )
             parts.append(part)
             if progress is not None:
                 progress(len(part.labels) + part.left_out)
     if not parts:
-        raise BadData("there must be signals to train on; there are none")
+        raise BadData("there must be signals for training, there are none")
     return Rows.joined(parts)
 
 
@@ -416,9 +417,9 @@ def in_unit(batches: Iterable[Batch], unit: str, features: Iterable[str]) -> Ite
             fixed = [name for name in features if "U" in FEATURES[name].unit and not is_level(name)]
             if fixed:
                 raise InvalidValue(
-                    f"feature {', '.join(fixed)} must be left out, it cannot be moved from {quantity_of(batch.unit)} "
-                    f"[{batch.unit}] of the scene to {quantity_of(unit)} [{unit}] of the recordings; name others by "
-                    "--features, or say the recordings' unit by --unit"
+                    f"feature {', '.join(fixed)} must be left out, it cannot be converted from "
+                    f"{quantity_of(batch.unit)} [{batch.unit}] of the scene to {quantity_of(unit)} [{unit}] of the "
+                    "recordings; name others by --features, or state the recordings' unit by --unit"
                 )
         yield replace(batch, signals=batch.signals * factor, unit=unit)
 
@@ -460,7 +461,7 @@ def shift(names: tuple[str, ...], features: Floats, labels: NDArray[np.str_], sy
             f"scenes and recordings must have a label in common, got {', '.join(np.unique(labels[synthetic]))} and "
             f"{', '.join(np.unique(labels[~synthetic]))}; name them alike in the manifest"
         )
-    # By label, so that another mix of materials does not look like another response.
+    # By label, so that another mixture of materials does not look like another response.
     differences = [
         features[~synthetic & (labels == label)].mean(axis=0) - features[synthetic & (labels == label)].mean(axis=0)
         for label in both

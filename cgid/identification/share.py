@@ -1,11 +1,11 @@
 """The gangue fraction over a sliding window of impacts, and when to shut the window.
 
-The mean of the probabilities does not estimate the share. A model trained on as much gangue as coal gives .3 to a coal
-that might well be gangue; among such coal alone, the mean stays at .3. The estimate is therefore by likelihood: what
-would the model answer at a share q? A model that was finished on streams knows how often rocks of either kind make it
-answer what (`cgid.identification.confusion`), so its mistakes, the bounces and the unknown impacts are in the account.
-Of others the probabilities are believed (Saerens, Latinne & Decaestecker 2002). If rocks of gangue make an answer r
-times as often as those of coal, and M times as many answers in all, its likelihood is
+The mean of the probabilities is a biased estimate. A model trained on equal amounts of coal and gangue gives .3 to
+ambiguous coal; for such coal alone, the mean stays at .3. So the fraction q is estimated by maximum likelihood. A model
+finished on streams contains the rates of its predictions for rocks of either label (`cgid.identification.confusion`),
+so errors, bounces and unknown impacts are included. For others the probabilities are taken as correct (Saerens, Latinne
+& Decaestecker 2002). If rocks of gangue give a prediction r times as often as those of coal, and M times as many
+predictions in total, its likelihood is
 
     L = (1 - q + q r) / (1 - q + q M)
 
@@ -43,7 +43,7 @@ from cgid.validation import Floats
 
 __all__ = ["CavingWatch", "Share"]
 
-#: Probability of the share to lie in its interval.
+#: Coverage of the interval of the fraction.
 LEVEL = 0.95
 #: Nodes of the density, evenly spaced in the angle of share = sin^2(angle): finer towards 0 and 1.
 _NODES = 401
@@ -68,9 +68,9 @@ class Share:
     above : float
         Probability that the share is above the threshold of the window; nan without any impact.
     n_impacts : int
-        Impacts that were identified.
+        Number of identified impacts.
     n_unknown : int
-        Unmeasurable impacts or those outside of the training range, which do not count.
+        Number of impacts unmeasurable or outside the training range, which are excluded.
     channel : str
         Name of the channel.
     """
@@ -95,7 +95,7 @@ class Share:
 
 @dataclass(frozen=True, kw_only=True)
 class NoConfusion:
-    """Probabilities taken as they are, for a gangue fraction in the training; used like a `Confusion`."""
+    """Probabilities taken as correct, for a gangue fraction in the training; used like a `Confusion`."""
 
     trained_share: float = 0.5
     abundance: ClassVar = 1.0
@@ -107,12 +107,12 @@ class NoConfusion:
             raise InvalidValue(f"trained_share must be between 0 and 1 (exclusive), got {self.trained_share:g}")
 
     def ratios(self, logits: Floats) -> Floats:
-        """Return how many times as likely gangue is as coal to get such answers, (n,)."""
+        """Return the likelihood ratio of predictions, gangue over coal, (n,)."""
         return np.exp(logits) * (1.0 - self.trained_share) / self.trained_share
 
 
 def answers_of(model: Model, gangue: Collection[str]) -> Confusion | NoConfusion:
-    """Return how a model answers to coal and gangue: from streams, calibration or its probabilities."""
+    """Return the confusion of a model for coal and gangue: from streams, calibration or its probabilities."""
     if len(model.labels) == 2:
         first = model.labels[0] in gangue
         confusion = model.confusion
@@ -158,11 +158,11 @@ class ShareWindow:
         self._impacts: deque[tuple[float, float]] = deque()
 
     def add(self, time: float, probability: float) -> None:
-        """Take the gangue probability of an impact at a time [s], nan if unknown; calls come in order of time."""
+        """Add the gangue probability of an impact at a time [s], nan if unknown; calls must be in order of time."""
         self._impacts.append((time, probability))
 
     def at(self, time: float) -> Share:
-        """Return the share in the window that ends at a time [s], and forget all earlier impacts."""
+        """Return the fraction in the window that ends at a time [s], and drop all earlier impacts."""
         start = time - self.length
         while self._impacts and self._impacts[0][0] <= start:
             self._impacts.popleft()
@@ -179,10 +179,10 @@ class ShareWindow:
         )
 
     def _estimate(self, probabilities: Floats) -> dict[str, float]:
-        """Return what a `Share` says of the share of the rocks behind some answers."""
+        """Return the fields of a `Share` for the rocks of some predictions."""
         shares, edges = _nodes()
         breadths = np.diff(edges)
-        # Equal answers are one row: a window of thousands costs no more than the bins of a confusion.
+        # Equal predictions are one row: a window of thousands takes no longer than the bins of a confusion.
         ratios, counts = np.unique(self._answers.ratios(logit(probabilities)), return_counts=True)
         log_likelihood = counts.astype(np.float64) @ np.log1p(np.multiply.outer(ratios - 1.0, shares))
         among = probabilities.size * np.log1p((self._answers.abundance - 1.0) * shares)
@@ -207,8 +207,8 @@ class ShareWindow:
 
 
 def trained_share(model: Model, gangue: Collection[str]) -> float:
-    """Return the fraction of some labels in the training of a model, as far as its card knows."""
-    # The test impacts are drawn label by label like those of the training. Class weights multiply the frequencies.
+    """Return the fraction of some labels in the training of a model, if its card states it."""
+    # The test impacts have the frequencies of labels of the training. Class weights multiply the frequencies.
     confusion = model.training.get("metrics", {}).get("confusion")
     weights = model.training.get("class_weights") or model.training.get("recorded", {}).get("class_weights")
     counts = np.ones(len(model.labels))
@@ -229,7 +229,7 @@ def _nodes() -> tuple[Floats, Floats]:
 
 @cache
 def _blur(scatter: float) -> Floats | None:
-    """Return the matrix that spreads a density by a standard deviation, within 0 and 1; None if there is nothing to."""
+    """Return the matrix that spreads a density by a standard deviation, within 0 and 1; None for 0."""
     if scatter <= 0:
         return None
     shares, edges = _nodes()
@@ -244,17 +244,17 @@ MIN_IMPACTS = 10
 
 @dataclass(frozen=True, kw_only=True)
 class Switch:
-    """Going on costs more than shutting, or less again, with the evidence that was requested."""
+    """A switch: continuing costs more than shutting, or less again, with the requested evidence."""
 
-    time: float  # end of the first window that shows it [s]
-    shut: bool  # True: shut the window; False: going on pays again
-    cost: float  # expected one of going on minus shutting [lost coal rocks per rock]
-    evidence: float  # probability of being right: that the share is above the threshold, or below
+    time: float  # end of the first window with it [s]
+    shut: bool  # True: shut the window; False: continuing pays again
+    cost: float  # expected cost of continuing minus that of shutting [lost coal rocks per rock]
+    evidence: float  # probability that the fraction is above the threshold, or below
     share: Share
 
 
 class ShutDecision:
-    """Report when going on costs more than shutting the window, or pays again; at first it pays.
+    """Report when continuing costs more than shutting the window, or pays again; initially it pays.
 
     >>> round(ShutDecision(3.0).threshold, 3)
     0.25
@@ -268,11 +268,11 @@ class ShutDecision:
         self._shut, self._since = False, -np.inf
 
     def cost(self, share: Share) -> float:
-        """Return the expected cost of going on minus shutting [lost coal rocks per rock]; nan without any impact."""
+        """Return the expected cost of continuing minus shutting [lost coal rocks per rock]; nan without any impact."""
         return self.dilution_cost * share.mean - (1.0 - share.mean)
 
     def watch(self, share: Share) -> Switch | None:
-        """Return the turn at this window; None without one. The share's `above` must be that of `threshold`."""
+        """Return the switch at this window; None without one. The share's `above` must be that of `threshold`."""
         evidence = 1.0 - share.above if self._shut else share.above
         if share.n_impacts < MIN_IMPACTS or share.time < self._since + self.hold or not evidence >= self.evidence:
             return None
@@ -286,7 +286,7 @@ def separates(gangue: Collection[str], model: Model) -> bool:
 
 
 class CavingWatch:
-    """Follow the answers of a recording, each channel by itself: a channel is a support with its own window.
+    """Follow the predictions of a recording by channel: a channel is a support with its own window.
 
     Parameters
     ----------
@@ -296,7 +296,7 @@ class CavingWatch:
     settings : PredictionSettings
         Holds the share window, its step, the labels and the cost of gangue.
     weight : float, in (0, 1]
-        Weight of one answer, because overlapping windows repeat each other: 1 end to end, 0.5 for half overlap.
+        Weight of one prediction, since overlapping windows are not independent: 1 end to end, 0.5 for half overlap.
     """
 
     def __init__(
@@ -312,7 +312,7 @@ class CavingWatch:
             )
         self._gangue, self._step = shares.gangue, shares.step
         self._rules = {name: ShutDecision(shares.dilution_cost, shares.evidence, shares.hold) for name in channels}
-        #: Share above which going on costs more than shutting.
+        #: Fraction above which continuing costs more than shutting.
         self.threshold = 1 / (1 + shares.dilution_cost)
         answers = answers_of(model, shares.gangue)
         self._windows = {
@@ -321,11 +321,11 @@ class CavingWatch:
         }
         self._waiting: deque[Answer] = deque()
         self._steps = 0
-        # Channels whose last window was empty and has been returned.
+        # Channels whose last returned window was empty.
         self._silent: set[str] = set()
 
     def feed(self, answers: Iterable[Answer], until: float) -> list[Share | Switch]:
-        """Take the next answers, in order of time, and return the shares of completed windows and their turns.
+        """Add the next predictions, in order of time, and return the fractions of completed windows and their switches.
 
         All answers before `until` [s] have arrived. Only the first of several empty windows is returned, so a pause of
         any length costs nothing.
@@ -340,9 +340,9 @@ class CavingWatch:
         return reports
 
     def finish(self, duration: float) -> list[Share | Switch]:
-        """Return the rest at the end of a recording of this duration [s]."""
-        found = self.feed((), duration)
-        return found + list(self._at(duration)) if self._waiting or not self._steps else found
+        """Return the remaining fractions and switches at the end of a recording of this duration [s]."""
+        shares_found = self.feed((), duration)
+        return shares_found + list(self._at(duration)) if self._waiting or not self._steps else shares_found
 
     def _pass_silence(self, until: float) -> None:
         """If all channels are silent, skip to the window of the next impact, or to the last completed one."""
@@ -363,9 +363,9 @@ class CavingWatch:
             else:
                 self._silent.add(name)
             yield share
-            turn = self._rules[name].watch(share)
-            if turn is not None:
-                yield turn
+            switch = self._rules[name].watch(share)
+            if switch is not None:
+                yield switch
 
     def _probability(self, answer: Answer) -> float:
         """Return the probability of gangue; nan outside of the training range."""
@@ -379,7 +379,7 @@ _Z = 1.959963984540054
 
 
 def wilson_interval(share: float, total: float) -> tuple[float, float]:
-    """Return the 95 % score interval of a share of independent trials (Wilson 1927).
+    """Return the 95 % score interval of a fraction of independent trials (Wilson 1927).
 
     >>> [round(end, 4) for end in wilson_interval(0.9, 100)]
     [0.8256, 0.9448]

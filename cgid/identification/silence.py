@@ -1,4 +1,4 @@
-"""Whether recordings hold impacts or dense flow, from the impact detector and the level between impacts.
+"""Whether recordings contain isolated impacts or dense flow, from the impact detector and the level between impacts.
 
 A window without an impact is uninformative unless the recording is loud throughout. So a model decides on impacts where
 most windows are silent, and on windows where impacts are dense or noise never ends.
@@ -19,19 +19,19 @@ from cgid.measure.table import ImpactKind
 from cgid.recordings import RecordingFile
 from cgid.validation import Floats
 
-#: A window is silent if it holds no impact, and its power is below this share of that of windows with one (6 dB).
+#: A window is silent if it contains no impact, and its power is below this fraction of that of windows with one (6 dB).
 SILENT_POWER = 0.25
-#: Impacts decide where more than this share of the windows is silent.
+#: Impacts are used if more than this fraction of the windows is silent.
 SILENT_SHARE = 0.5
-#: An interval up to this length [s] with an impact, or two with a rebound, was cut out to hold it.
+#: An interval up to this length [s] with an impact, or two with a rebound, was cut out around it.
 CUT_TIME = 0.5
-#: No more of a recording than this is looked at [s].
+#: Maximum part of a recording that is searched [s].
 MAX_SEARCH_TIME = 120.0
 
 
 @dataclass(frozen=True, kw_only=True)
 class Silence:
-    """What recordings hold within their annotated intervals."""
+    """Counts of impacts and silent windows within the annotated intervals of recordings."""
 
     n_impacts: int = 0  # impacts
     n_windows: int = 0  # `n_windows`, `n_silent`: windows of `WINDOW_TIME`, and how many of them are silent
@@ -40,12 +40,12 @@ class Silence:
     n_cut: int = 0
 
     def __add__(self, other: Silence) -> Silence:
-        """Return what two recordings hold together."""
+        """Return the sum of two counts."""
         return Silence(**{name: value + getattr(other, name) for name, value in vars(self).items()})
 
     @property
     def share(self) -> float:
-        """Share of the windows that is silent."""
+        """Fraction of silent windows."""
         return self.n_silent / max(self.n_windows, 1)
 
     @property
@@ -59,9 +59,9 @@ class Silence:
         return self.is_cut or self.share > SILENT_SHARE
 
     def __str__(self) -> str:
-        """Say what was counted."""
+        """Describe the counts."""
         if self.is_cut:
-            return f"{self.n_cut} of {self.n_intervals} recordings or intervals hold a single impact"
+            return f"{self.n_cut} of {self.n_intervals} recordings or intervals contain a single impact"
         return f"{self.share:.0%} of the time is silence between impacts ({self.n_impacts} found)"
 
 
@@ -73,11 +73,11 @@ def silence_of(
     *,
     invert: bool = False,
 ) -> Silence:
-    """Return what a recording holds within intervals [s]; raises as its `blocks` and the detector."""
+    """Return the counts of a recording within intervals [s]; raises as its `blocks` and the detector."""
     rate = recording.sampling_rate
     detector = ImpactDetector(rate, len(recording.channels), kind=kind, dead_time=dead_time, joint=True, gaps=True)
     events: list[Event] = []
-    most = left = round(MAX_SEARCH_TIME * rate)
+    max_samples = left = round(MAX_SEARCH_TIME * rate)
 
     def seen() -> Iterator[NDArray[np.floating]]:
         nonlocal left
@@ -91,24 +91,24 @@ def silence_of(
 
     parts = [(first, windows.var(axis=2)) for first, windows in windows_of(seen(), rate, WINDOW_TIME, WINDOW_TIME)]
     events += detector.finish()
-    intervals = [(start, min(end, (most - left) / rate)) for start, end in intervals]
+    intervals = [(start, min(end, (max_samples - left) / rate)) for start, end in intervals]
     inside = [sum(start <= event.time < end for event in events) for start, end in intervals]
     cut = [n in (1, 2) and end - start <= CUT_TIME for n, (start, end) in zip(inside, intervals, strict=True)]
     found = Silence(n_impacts=sum(inside), n_intervals=len(intervals), n_cut=sum(cut))
     if not parts:
         return found
     first, power = (np.concatenate(column) for column in zip(*parts, strict=True))
-    whole = ~np.isnan(power).any(axis=1)
-    first, power = first[whole], power[whole]
-    chosen = np.zeros(len(first), bool)
+    n_complete = ~np.isnan(power).any(axis=1)
+    first, power = first[n_complete], power[n_complete]
+    intervals_used = np.zeros(len(first), bool)
     for start, end in intervals:
-        chosen |= (first >= start * rate) & (first + WINDOW_TIME * rate <= end * rate + 0.5)
+        intervals_used |= (first >= start * rate) & (first + WINDOW_TIME * rate <= end * rate + 0.5)
     silent = _silent(power, first, events, WINDOW_TIME * rate)
-    return found + Silence(n_windows=int(chosen.sum()), n_silent=int((silent & chosen).sum()))
+    return found + Silence(n_windows=int(intervals_used.sum()), n_silent=int((silent & intervals_used).sum()))
 
 
 def _silent(power: Floats, first: NDArray[np.int64], events: Sequence[Event], length: float) -> NDArray[np.bool_]:
-    """Return which windows hold no impact and are much quieter, on every channel, than those that do."""
+    """Return which windows contain no impact and are much quieter, on every channel, than those that do."""
     has_impact = np.zeros(len(first), bool)
     for event in events:
         has_impact |= (first < event.end) & (first + length > event.onset)

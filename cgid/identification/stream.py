@@ -1,6 +1,6 @@
-"""Answers for a recording that arrives in blocks: impacts or windows, in batches, in order of time.
+"""Predictions for a recording in blocks: impacts or windows, in batches, in order of time.
 
-Memory holds the state of the detector and one batch of impacts, however long the recording is.
+Memory use is that of the detector and one batch of impacts, for recordings of any length.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from cgid.identification.events import Event
 from cgid.identification.model import Model
 from cgid.identification.prediction_settings import PredictionSettings
 from cgid.identification.reference import MeanSpectrum, drift
-from cgid.identification.windows import RunningVote, measure_windows, whole_windows, windows_of
+from cgid.identification.windows import RunningVote, complete_windows, measure_windows, windows_of
 from cgid.measure.features import FEATURES, require_measurable
 from cgid.measure.filters import Equalisation
 from cgid.measure.table import ImpactKind
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from cgid.recordings import RecordingFile
     from cgid.recordings.recording import Channel
 
-#: Lowest sampling rate [Hz]; a lower one is in another unit, or not that of an impact recorder.
+#: Minimum sampling rate [Hz]; a lower one is in another unit, or not of an impact recorder.
 SLOWEST = 10.0
 
 
@@ -45,8 +45,8 @@ _QUIET_WINDOW, _QUIET_STRETCH = 0.02, 500
 #: that at the first: 2 in `caving` with 8 and 16 rocks a second, 6 with 40, where four of ten impacts are missed.
 _QUIET_SHARES, _QUIET_RATIO = (0.01, 0.2), 4.0
 _NEVER_QUIET = (
-    "there is no quiet moment in 10 s, so many impacts are missed and the gangue share is that of the others; put the "
-    "sensor where less is heard, or train a model of windows (cgid train MANIFEST --by window)"
+    "there is no quiet moment in 10 s, so many impacts are missed and the gangue fraction is that of the others; move "
+    "the sensor to a quieter point, or train a model of windows (cgid train MANIFEST --by window)"
 )
 
 
@@ -56,7 +56,7 @@ class Step:
 
     answers: list[Answer]  # in order of time
     until: float  # all answers before this time have arrived [s]
-    silent: tuple[str, ...] = ()  # at the end, one reason for each channel without answers
+    silent: tuple[str, ...] = ()  # at the end, one reason for each channel without predictions
     warnings: tuple[str, ...] = ()  # at the end, or once for a channel that is never quiet
     upside_down: tuple[str, ...] = ()  # at the end, the channels whose pulses seem to point downwards
 
@@ -65,7 +65,7 @@ class Step:
 def identify_recording(
     recording: RecordingFile, model: Model, settings: PredictionSettings | None = None, **fields: Any
 ) -> Iterator[Answer]:
-    """Yield the answers for a recording, in order of time; it is read block by block.
+    """Yield the predictions for a recording, in order of time; it is read block by block.
 
     Parameters
     ----------
@@ -114,7 +114,7 @@ def identify_blocks(
     settings: PredictionSettings,
     source: str = "signal",
 ) -> Iterator[Step]:
-    """Return the answers for blocks (n_channels, n_samples) in the unit of the model; nan is missing."""
+    """Return the predictions for blocks (n_channels, n_samples) in the unit of the model; nan is missing."""
     needed = max([SLOWEST, *(2 * FEATURES[name].highest_frequency for name in model.measured)])
     if sampling_rate < needed:
         raise InvalidValue(
@@ -128,7 +128,7 @@ def identify_blocks(
 
 @contextmanager
 def _named(source: str) -> Iterator[None]:
-    """Let errors name the recording."""
+    """Prefix errors with the recording."""
     try:
         yield
     except (BadData, InvalidValue) as error:
@@ -145,7 +145,7 @@ def _impacts(
     settings: PredictionSettings,
     source: str,
 ) -> Iterator[Step]:
-    """Yield the answers for impacts: when a batch is full, or when no impact waits."""
+    """Yield the predictions for impacts: when a batch is full, or when no impact is pending."""
     kind: ImpactKind = "pulse" if model.kind == "pulse" else "vibration"
     joint, beam = model.together > 1, None if model.beam is None else model.beam.stream()
     waiting: list[Event] = []
@@ -183,7 +183,7 @@ def _impacts(
 
 
 class _Quiet:
-    """Find channels that are never quiet: even the quieter windows of a stretch lie far above the quietest."""
+    """Find channels that are never quiet: even the quieter windows of a stretch are far above the quietest."""
 
     def __init__(self, sampling_rate: float, n_channels: int) -> None:
         self._length = max(round(_QUIET_WINDOW * sampling_rate), 2)
@@ -206,19 +206,19 @@ class _Quiet:
 
 
 def answering_channels(model: Model, channels: Sequence[str]) -> tuple[str, ...]:
-    """Return the names under which a model answers: one per channel, or one for all channels it uses together."""
+    """Return the names of the channels of predictions: one per channel, or one for all channels used together."""
     if model.together == 1:
         return tuple(channels)
     if model.together != len(channels):
         raise BadData(
-            f"channels must be {model.together}, which this model looks at together, got {len(channels)}; pick them "
+            f"channels must be {model.together}, which this model uses together, got {len(channels)}; pick them "
             "with --channel"
         )
     return ("+".join(channels),)
 
 
 def independence(model: Model, settings: PredictionSettings) -> float:
-    """Return the weight of one answer, in (0, 1]: overlapping windows and votes repeat each other."""
+    """Return the weight of one prediction, in (0, 1], since overlapping windows and votes are not independent."""
     return min(model.hop_time / settings.vote_over(model), 1.0) if model.kind == "window" else 1.0
 
 
@@ -230,7 +230,7 @@ def _windows(
     settings: PredictionSettings,
     source: str,
 ) -> Iterator[Step]:
-    """Yield the answers for windows as they complete."""
+    """Yield the predictions for windows as they complete."""
     with _named(source):
         names = answering_channels(model, channels)
         times = settings.vote_over(model), model.window_time, model.hop_time
@@ -240,8 +240,8 @@ def _windows(
         drifts, seen = Drifts(model, sensors, sampling_rate), False
         for first, windows in windows_of(blocks, sampling_rate, model.window_time, model.hop_time):
             parts = [windows] if model.n_channels > 1 else [windows[:, [row]] for row in range(len(names))]
-            judged = [
-                _judged(part, sampling_rate, model, settings, vote, equalisation)
+            predicted = [
+                _predicted(part, sampling_rate, model, settings, vote, equalisation)
                 for part, vote, equalisation in zip(parts, votes, equalisations, strict=True)
             ]
             for number, part in enumerate(parts):
@@ -250,17 +250,19 @@ def _windows(
             answers = [
                 replace(answered[row], time=start / sampling_rate, end=(start + length) / sampling_rate, channel=name)
                 for row, start in enumerate(first.tolist())
-                for name, answered in zip(names, judged, strict=True)
+                for name, answered in zip(names, predicted, strict=True)
             ]
             yield Step(answers, answers[-1].time)
         if not seen:
             yield Step(
-                [], 0.0, (f"{source}: a recording must last a window of {model.window_time:g} s, it is shorter",)
+                [],
+                0.0,
+                (f"{source}: a recording must contain a window of {model.window_time:g} s, it is shorter",),
             )
         yield Step([], 0.0, warnings=tuple(f"{source}: {warning}" for warning in drifts.warnings()))
 
 
-def _judged(
+def _predicted(
     windows: NDArray[np.floating],
     sampling_rate: float,
     model: Model,
@@ -268,7 +270,7 @@ def _judged(
     vote: RunningVote,
     equalisation: Sequence[Equalisation] | None,
 ) -> list[Answer]:
-    """Return one answer for each window (n_windows, n_channels, n_samples); unmeasurable windows have no vote."""
+    """Return one prediction for each window (n_windows, n_channels, n_samples); unmeasurable windows have no vote."""
     n_windows, n_channels, _ = windows.shape
     table = measure_windows(windows, sampling_rate, model.measured, equalisation).reshape(n_windows, n_channels, -1)
     inputs = table[:, :, : len(model.features)].reshape(n_windows, -1)
@@ -284,18 +286,18 @@ class Drifts:
 
     def __init__(self, model: Model, sensors: Sequence[str | None], sampling_rate: float) -> None:
         self._model, self._sensors = model, sensors
-        # Overlapping windows repeat each other, and would make the spectrum seem more certain than it is.
+        # Overlapping windows are not independent, and would make the spectrum seem more certain than it is.
         self._every = max(math.ceil(model.window_time / model.hop_time - 1e-9), 1) if model.hop_time else 1
         self._seen = [0] * len(sensors)
         self._spectra = [[MeanSpectrum(sampling_rate) for _ in range(model.n_channels)] if s else [] for s in sensors]
 
     def see(self, number: int, windows: NDArray[np.floating]) -> None:
         """Take the next windows (n_windows, n_channels, n_samples) of one sensor."""
-        apart = windows[-self._seen[number] % self._every :: self._every]
-        apart = apart[whole_windows(apart)]
+        disjoint = windows[-self._seen[number] % self._every :: self._every]
+        disjoint = disjoint[complete_windows(disjoint)]
         self._seen[number] += len(windows)
         for channel, spectrum in enumerate(self._spectra[number]):
-            spectrum.feed(apart[:, channel])
+            spectrum.feed(disjoint[:, channel])
 
     def warnings(self) -> tuple[str, ...]:
         """Return a line for each sensor that has drifted too far."""

@@ -1,7 +1,7 @@
-"""Train a model: choose features, fit, calibrate, and judge on unseen specimens or groups.
+"""Train a model: select features, fit, calibrate, and test on unseen specimens or groups.
 
-`train` handles all labelled rows, but judges them in two ways. Scenes and datasets have thousands of specimens: some
-are held out to judge, some to calibrate prediction sets. A manifest has a few groups of recordings: a nested
+`train` handles all labelled rows, with two kinds of tests. Scenes and datasets have thousands of specimens: some are
+held out for the test, some to calibrate prediction sets. A manifest has a few groups of recordings: a nested
 cross-validation leaves out one group at a time (`cgid.identification.grouped`).
 """
 
@@ -64,19 +64,19 @@ from cgid.workers import SERIAL, Workers
 
 __all__ = ["Training", "train"]
 
-#: Share of the specimens that only judge.
+#: Fraction of the specimens in the test.
 TEST_SHARE = 0.25
-#: Share of the specimens that only calibrate the prediction sets.
+#: Fraction of the specimens that only calibrate the prediction sets.
 CALIBRATION_SHARE = 0.1
-#: Impacts from which a model of pulses takes the features that tell laws of loss apart without asking whether they pay:
-#: to rocks of one law they are noise, which costs .006 of the accuracy at 1,500 impacts and .0003 at 15,000.
+#: Number of impacts from which a model of pulses always uses the features that distinguish laws of loss: for rocks of
+#: one law they are noise, which costs .006 of the accuracy at 1,500 impacts and .0003 at 15,000.
 MANY_FEATURES = 5_000
 #: Impacts from which a network is larger and trains longer.
 MANY = 100_000
 #: Lower bounds for the limits of guards that may be 0 in all of the training: 5 % of clipping is accepted, and 1 % of
-#: the energy where the beam is not quite as it was learned.
+#: the energy if the beam differs slightly from the learned one.
 MIN_LIMITS = {"overload": 0.05, "beam_surely_unexplained": 1.0}
-#: Upper bounds: what is left of a pulse so badly explained is no single impact, whatever rigs the training has seen.
+#: Upper bounds: a pulse with a larger residual is not a single impact, whatever the training contains.
 MAX_LIMITS = {"unexplained": MAX_UNEXPLAINED}
 #: Minimum number of calibration specimens of a label; below it all of them train. A coverage of .95 takes 19.
 MIN_CALIBRATION_SPECIMENS = 20
@@ -84,21 +84,21 @@ MIN_CALIBRATION_SPECIMENS = 20
 
 @dataclass(frozen=True)
 class Training:
-    """A trained model, its metrics, and its answers for the test rows.
+    """A trained model, its metrics, and its predictions for the test rows.
 
     Attributes
     ----------
     model : Model
-        Ready for `Model.save` and for identifying.
+        Ready for `Model.save` and prediction.
     metrics : dict
-        What `cgid.identification.metrics.evaluate` measures on the test rows, such as "accuracy" and
+        Results of `cgid.identification.metrics.evaluate` on the test rows, such as "accuracy" and
         "accuracy_interval_95"; under "prediction_sets" the coverage of prediction sets.
     test_labels : ndarray of str, (n_test,)
         The truth of the test rows.
     test_probabilities : ndarray, (n_test, n_labels)
         The model's probabilities, in the order of `model.labels`.
     classifier : ImpactClassifier or None
-        The scikit-learn estimator behind the model; None of a corrected model.
+        The scikit-learn estimator of the model; None for a corrected model.
     """
 
     model: Model
@@ -133,7 +133,7 @@ def train(
     progress: Callable[[int], object] | None = None,
     workers: Workers = SERIAL,
 ) -> Training:
-    """Train a model on labelled impacts or windows and judge it on unseen specimens or groups.
+    """Train a model on labelled impacts or windows and test it on unseen specimens or groups.
 
     Each fit uses one thread, so that the same data give the same model to the last digit on every machine.
 
@@ -223,7 +223,7 @@ def train(
 
 
 def pulse_sets(n_impacts: int) -> tuple[tuple[str, ...], ...]:
-    """Return the sets of features that a model of pulses chooses from; the first where so few impacts cannot say."""
+    """Return the candidate sets of features of a model of pulses; only the first if there are too few impacts."""
     return (FEW_FEATURES, DEFAULT_FEATURES) if n_impacts < MANY_FEATURES else (DEFAULT_FEATURES,)
 
 
@@ -260,8 +260,7 @@ def _require_labels(rows: Rows, class_weights: Weights) -> None:
         require_groups(rows.labels, rows.group)
     elif len(labels) < 2:
         raise BadData(
-            f"data must have at least 2 labels to tell apart, got {', '.join(labels) or 'none'}; "
-            "add data of another material"
+            f"data must have at least 2 labels, got {', '.join(labels) or 'none'}; add data of another material"
         )
     for label, weight in class_weights.items() if isinstance(class_weights, Mapping) else ():
         validation.choice("label of class_weights", label, tuple(labels.tolist()))
@@ -276,7 +275,7 @@ def _trained(
     record: Mapping[str, Any],
     **fields: Any,
 ) -> Training:
-    """Return the model of a classifier, whose `record` goes on the card, with its labels and answers when judged."""
+    """Return the model of a classifier, with its `record` for the card and its labels and predictions in the test."""
     slicing = rows.slicing if rows.kind == "window" else None
     model = Model.from_classifier(
         classifier,
@@ -315,14 +314,14 @@ def hold_out(
         of_label = np.unique(specimen[labels == label])
         if len(of_label) < 2:
             raise InvalidValue(
-                f"label {label} must have at least 2 specimens, one to train and one to judge, got {len(of_label)}"
+                f"label {label} must have at least 2 specimens, for training and test, got {len(of_label)}"
             )
         count = min(max(round(share * len(of_label)), 1), len(of_label) - 1)
         left_out.append(generator.permutation(of_label)[:count])
     return np.isin(specimen, np.concatenate(left_out))
 
 
-def set_apart(
+def calibration_mask(
     labels: NDArray[np.str_],
     specimen: NDArray[np.integer],
     test: NDArray[np.bool_],
@@ -332,22 +331,22 @@ def set_apart(
     """Return a mask of calibration impacts: specimens outside the test, the same fraction of each label."""
     if not 0 <= share < 1:
         raise InvalidValue(f"calibration share must be between 0 and 1, got {share:g}")
-    apart = np.zeros(len(labels), bool)
+    excluded = np.zeros(len(labels), bool)
     counts = [len(np.unique(specimen[labels == label])) for label in np.unique(labels)]
     if share * min(counts) < MIN_CALIBRATION_SPECIMENS:
-        return apart
+        return excluded
     left = 1 - len(np.unique(specimen[test])) / sum(counts)
     if share >= left:
-        raise InvalidValue(f"test and calibration share must leave some to train on, got {1 - left:.3g} and {share:g}")
+        raise InvalidValue(f"test and calibration share must leave some for training, got {1 - left:.3g} and {share:g}")
     # The seed of the test would draw the same ranks of the same specimens.
-    apart[~test] = hold_out(labels[~test], specimen[~test], share / left, seed + 1)
-    return apart
+    excluded[~test] = hold_out(labels[~test], specimen[~test], share / left, seed + 1)
+    return excluded
 
 
 def _split(
     rows: Rows, judged_on: str | None, test_share: float, calibration_share: float, seed: int
 ) -> dict[str, NDArray[np.bool_]]:
-    """Return masks of the impacts that train, calibrate and judge."""
+    """Return masks of the impacts for training, calibration and test."""
     labels, specimen = rows.labels, rows.group
     home = np.ones(len(labels), bool)
     if judged_on is not None:
@@ -355,8 +354,8 @@ def _split(
         home = np.asarray(rows.source == rows.sources.index(judged_on))
     test, calibration = np.zeros_like(home), np.zeros_like(home)
     test[home] = hold_out(labels[home], specimen[home], test_share, seed)
-    calibration[home] = set_apart(labels[home], specimen[home], test[home], calibration_share, seed)
-    # A specimen that judges or calibrates never trains, not even in another source.
+    calibration[home] = calibration_mask(labels[home], specimen[home], test[home], calibration_share, seed)
+    # A specimen of the test or calibration never trains, not even in another source.
     return {"train": ~np.isin(specimen, specimen[test | calibration]), "calibration": calibration, "test": test}
 
 
@@ -372,7 +371,7 @@ def _tried_on_left_out(
     workers: Workers,
     record: Mapping[str, Any],
 ) -> Training:
-    """Fit on some specimens, calibrate on others, test on the rest; select the features best for unseen impacts."""
+    """Fit on some specimens, calibrate on others, test on the rest; select the best features for unseen impacts."""
     labels, specimen = rows.labels, rows.group
     training, calibration, test = parts["train"], parts["calibration"], parts["test"]
 
@@ -446,8 +445,8 @@ def _guard_limits(guards: tuple[str, ...], values: Floats) -> dict[str, float]:
     for name, limit in limits.items():
         if limit <= 0:
             raise InvalidValue(
-                f"guard {name} must be above 0 for strange impacts, {Neighbourhood.INSIDE:.1%} of the training "
-                f"have at most {limit:g}; use it as a feature"
+                f"guard {name} must be above 0 for out-of-distribution impacts, {Neighbourhood.INSIDE:.1%} of the "
+                f"training have at most {limit:g}; use it as a feature"
             )
     return limits
 
@@ -463,7 +462,7 @@ def _left_out(
     workers: Workers,
     record: Mapping[str, Any],
 ) -> Training:
-    """Fit on all rows; each group judges the candidate chosen and trained on the others."""
+    """Fit on all rows; each group tests the candidate selected and trained on the others."""
     rows, adaptation = training_set.rows, {}
     assert rows.slicing is not None
     if synthetic is not None:

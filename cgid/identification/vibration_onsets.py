@@ -1,9 +1,10 @@
 """Onsets of impacts in vibrations: a sudden rise of the energy in most bands.
 
-A struck beam rings for longer than the next rock takes to fall, and motors hum, so no level indicates an impact. But an
-impact brings energy to several bands within a millisecond, while ring-down only decays and noise is steady. In each of
-`BANDS`, the energy of the next 2 ms is divided by that of the 4 ms before, or by the noise of the band if that is more.
-The rise is the squared mean of the square roots of these ratios, so that two beating modes in one band do not decide.
+The ring-down of a beam lasts longer than the time to the next rock, and motors hum, so no level indicates an impact.
+But an impact brings energy to several bands within a millisecond, while ring-down only decays and noise is stationary.
+In each of `BANDS`, the energy of the next 2 ms is divided by that of the 4 ms before, or by the noise of the band if
+that is more. The rise is the squared mean of the square roots of these ratios, so that two beating modes in one band do
+not decide.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ RISE = 3.0
 #: The energy of an impact is also this many times that of the noise. White noise alone does not reach it in ten
 #: minutes; at 10 kHz, where windows have few samples, it does two or three times.
 RISE_OVER_NOISE = 3.2
-#: Hops compared: from a place on, and before it, with one hop in between.
+#: Hops compared: after and before a point, with one hop in between.
 _NOW, _BEFORE = 3, 8
 #: An impact affects the rise for this many hops. After that, another impact within the dead time is detectable.
 _REACH = 8
@@ -36,18 +37,18 @@ _REACH = 8
 _WINDOW_HOPS = 40
 #: Windows of a chunk.
 _CHUNK_WINDOWS = 10
-#: The noise is this quantile of this many latest windows (0.4 s), because something rings in most of the others.
-_QUIET_SHARE, _WINDOWS_KEPT = 0.2, 20
+#: The noise is this quantile of this many latest windows (0.4 s), because most of the others contain ring-down.
+_QUIET_SHARE, _N_WINDOWS = 0.2, 20
 #: Ratio of the mean to this quantile, for white noise in windows of that many hops.
 _QUIET_FACTOR = 1.2
 #: Number of chunks needed for the first estimate of the noise.
 START_CHUNKS = 2
-#: Energy below this share of the maximum of this many latest chunks (0.8 s) is rounding, not vibration. A longer memory
-#: would let one loud sample hide what follows.
-_ROUNDING, _CHUNKS_KEPT = 1e-10, 4
+#: Energy below this fraction of the maximum of this many latest chunks (0.8 s) is rounding, not vibration. With a
+#: longer memory one loud sample would hide later impacts.
+_ROUNDING, _N_CHUNKS = 1e-10, 4
 #: Upper limit of scaled samples, lower limit of energies.
 _LARGEST, _TINY = np.float32(1e15), np.float32(1e-30)
-#: An event ends when its energy over that of the noise has fallen to this share of its maximum, or to this value.
+#: An event ends when its energy over that of the noise has fallen to this fraction of its maximum, or to this value.
 END_SHARE, END_OVER_NOISE = 0.01, 2.0
 #: The onset is determined from differences of the signal at no more than this rate [Hz].
 _ONSET_RATE = 25_600.0
@@ -56,8 +57,8 @@ _ONSET_RATE = 25_600.0
 class VibrationOnsets:
     """Find impacts in chunks of vibrations, by channel or, if `joint`, in all together; nan is missing."""
 
-    # A rise within `dead_time` [s], at least 4 ms, is no new impact. Onsets within `lag` samples of the end are open;
-    # `steepest` is the highest rise so far (n_channels,), an impact is above `RISE`.
+    # A rise within `dead_time` [s], at least 4 ms, is not a new impact. Onsets within `lag` samples of the end are
+    # open; `steepest` is the highest rise so far (n_channels,), an impact is above `RISE`.
 
     def __init__(self, sampling_rate: float, n_channels: int, dead_time: float, joint: bool) -> None:
         self.hop = max(round(HOP_TIME * sampling_rate), _MIN_HOP)
@@ -74,7 +75,7 @@ class VibrationOnsets:
         self._halves = np.zeros((n_channels, 2 * self.n_bands), np.float32)
         self._energies = np.zeros((n_channels, _NOW + _BEFORE, self.n_bands), np.float32)
         self._windows = np.zeros((n_channels, 0, self.n_bands), np.float32)
-        self._most = np.zeros((n_channels, _CHUNKS_KEPT - 1, self.n_bands), np.float32)
+        self._max_energy = np.zeros((n_channels, _N_CHUNKS - 1, self.n_bands), np.float32)
         self._rises = np.zeros((n_channels, 0), np.float32)
         self._latest: list[tuple[int, Onset] | None] = [None] * (1 if joint else n_channels)
         self.steepest = np.zeros(n_channels)
@@ -120,9 +121,9 @@ class VibrationOnsets:
         means = _window_means(energies)
         highest = np.fmax.reduce(means.reshape(n_channels, -1, _CHUNK_WINDOWS, n_bands), axis=2)
         # A chunk without a whole window has no largest one.
-        most = np.concatenate([self._most, np.fmax(highest, np.float32(0))], axis=1)
-        self._most = most[:, most.shape[1] - _CHUNKS_KEPT + 1 :]
-        most = np.lib.stride_tricks.sliding_window_view(most, _CHUNKS_KEPT, axis=1).max(axis=-1)
+        max_energy = np.concatenate([self._max_energy, np.fmax(highest, np.float32(0))], axis=1)
+        self._max_energy = max_energy[:, max_energy.shape[1] - _N_CHUNKS + 1 :]
+        max_energy = np.lib.stride_tricks.sliding_window_view(max_energy, _N_CHUNKS, axis=1).max(axis=-1)
         n_kept = self._windows.shape[1]
         means = means[:, : n_known // _WINDOW_HOPS]
         if not n_kept and means.shape[1] < _CHUNK_WINDOWS:
@@ -131,13 +132,13 @@ class VibrationOnsets:
             shorter = energies[:, : n_known // length * length]
             means = shorter.reshape(n_channels, -1, length, n_bands).mean(axis=2)
         windows = np.concatenate([self._windows, means], axis=1)
-        self._windows = windows[:, -_WINDOWS_KEPT:]
+        self._windows = windows[:, -_N_WINDOWS:]
         noise = np.empty_like(highest)
         for number in range(noise.shape[1]):
             stop = n_kept + _CHUNK_WINDOWS * (number + 1)
             if not self._n_hops:
                 stop = max(stop, START_CHUNKS * _CHUNK_WINDOWS)
-            latest = windows[:, max(min(stop, windows.shape[1]) - _WINDOWS_KEPT, 0) : stop]
+            latest = windows[:, max(min(stop, windows.shape[1]) - _N_WINDOWS, 0) : stop]
             place = int(_QUIET_SHARE * latest.shape[1])
             noise[:, number] = np.partition(latest, place, axis=1)[:, place]
             lacking = np.isnan(latest).any(axis=(1, 2))
@@ -145,7 +146,7 @@ class VibrationOnsets:
                 quiet = latest[channel][~np.isnan(latest[channel]).any(axis=1)]
                 place = int(_QUIET_SHARE * len(quiet))
                 noise[channel, number] = np.partition(quiet, place, axis=0)[place] if len(quiet) else np.nan
-        return np.float32(_QUIET_FACTOR) * noise, np.float32(_ROUNDING) * most
+        return np.float32(_QUIET_FACTOR) * noise, np.float32(_ROUNDING) * max_energy
 
     def _rises_of(self, energies: Singles, noise: Singles, rounding: Singles) -> Singles:
         """Return the rise at each hop (n_channels, n_hops), three hops late, because it looks ahead by that much."""
@@ -157,9 +158,9 @@ class VibrationOnsets:
         before = before[:, :n_hops] + before[:, 4 : n_hops + 4]
         now = joined[:, 9 : n_hops + 9] + joined[:, 10 : n_hops + 10]
         now += joined[:, 11:]
-        least = np.maximum(np.maximum(np.float32(RISE_OVER_NOISE / RISE) * noise, rounding), _TINY)
+        lowest = np.maximum(np.maximum(np.float32(RISE_OVER_NOISE / RISE) * noise, rounding), _TINY)
         shape = (n_channels, noise.shape[1], -1, n_bands)
-        before = np.maximum(before.reshape(shape), np.float32(_BEFORE) * least[:, :, None])
+        before = np.maximum(before.reshape(shape), np.float32(_BEFORE) * lowest[:, :, None])
         ratio = now.reshape(shape)
         ratio /= before
         np.sqrt(ratio, out=ratio)
@@ -203,7 +204,7 @@ class VibrationOnsets:
                 # The chunk that decided the place.
                 chunk = (first + place + 2 - (self._n_hops - n_hops)) // (self.chunk // self.hop)
                 level = noise[channel, min(chunk, noise.shape[1] - 1)]
-                onsets.append(self._blow(row, channel, first + top, level, read))
+                onsets.append(self._impact(row, channel, first + top, level, read))
         return onsets
 
     def _is_new(self, row: int, place: int) -> bool:
@@ -214,16 +215,16 @@ class VibrationOnsets:
             latest[1].again = latest[1].again or place * self.hop
         return False
 
-    def _blow(self, row: int, channel: int, place: int, noise: Floats, read: Read) -> Onset:
+    def _impact(self, row: int, channel: int, place: int, noise: Floats, read: Read) -> Onset:
         start = max((place - 5) * self.hop, 0)
         samples = read(start, place * self.hop)[channel]
         sample = start + onset_in(samples, max(round(self._sampling_rate / _ONSET_RATE), 1))
         latest = self._latest[row]
         if latest is not None:
             sample = max(sample, latest[1].sample + 1)
-        blow = Onset(row, channel, sample, noise=noise)
-        self._latest[row] = (place, blow)
-        return blow
+        impact = Onset(row, channel, sample, noise=noise)
+        self._latest[row] = (place, impact)
+        return impact
 
     def end_of(self, onset: Onset, samples: Floats) -> int:
         """Return the duration of an event in samples from its onset, -1 if it is longer than these samples (n,)."""
@@ -288,7 +289,7 @@ def onset_in(samples: Floats, width: int) -> int:
         return 0
     energy = np.cumsum(differences**2)
     count = np.arange(2, n - 2)
-    least = max(energy[-1] * _ROUNDING, np.finfo(np.float64).tiny)
-    early = np.maximum(energy[count - 1], least) / count
-    late = np.maximum(energy[-1] - energy[count - 1], least) / (n - count)
+    lowest = max(energy[-1] * _ROUNDING, np.finfo(np.float64).tiny)
+    early = np.maximum(energy[count - 1], lowest) / count
+    late = np.maximum(energy[-1] - energy[count - 1], lowest) / (n - count)
     return int(count[np.argmin(count * np.log(early) + (n - count) * np.log(late))]) + behind

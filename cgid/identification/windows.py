@@ -103,7 +103,7 @@ def measure_windows(
     equalisation: Sequence[Equalisation] | None = None,
 ) -> Floats:
     """Return features (n_windows, n_channels * n_features), channel by channel; nan where not measurable."""
-    is_complete = whole_windows(windows)
+    is_complete = complete_windows(windows)
     if not is_complete.all():
         table = np.full((len(windows), windows.shape[1] * len(names)), np.nan)
         if is_complete.any():
@@ -115,7 +115,7 @@ def measure_windows(
     return np.concatenate(parts, axis=1)
 
 
-def whole_windows(windows: NDArray[np.floating]) -> NDArray[np.bool_]:
+def complete_windows(windows: NDArray[np.floating]) -> NDArray[np.bool_]:
     """Return which windows (n_windows, n_channels, n_samples) lack no sample."""
     return np.asarray(~np.isnan(windows.max(axis=(1, 2), initial=-np.inf)))
 
@@ -128,8 +128,8 @@ def columns_of(names: Sequence[str], selected: Sequence[str], n_columns: int) ->
 
 #: Copies of each window that teach with some noise, and of those that show what drowning is; the power of the window
 #: over that of their noise [dB]; the largest change of their gain [dB]; the steepest noise, power over 1/frequency^n.
-CLEAR_COPIES, DROWNED_COPIES = 2, 1
-_CLEAR_SNR, _DROWNED_SNR, _GAIN, _STEEPEST = (CLEAR, 45.0), (-10.0, CLEAR), 3.0, 1.0
+CLEAR_COPIES, NOISY_COPIES = 2, 1
+_CLEAR_SNR, _NOISE_SNR, _GAIN, _STEEPEST = (CLEAR, 45.0), (-10.0, CLEAR), 3.0, 1.0
 
 
 class NoisyCopies:
@@ -140,7 +140,7 @@ class NoisyCopies:
 
     def of(self, windows: NDArray[np.floating]) -> Iterator[tuple[Floats, Floats]]:
         """Yield for each window its copies and their power over that of the noise [dB], (n_copies,)."""
-        ranges = [_CLEAR_SNR] * CLEAR_COPIES + [_DROWNED_SNR] * DROWNED_COPIES
+        ranges = [_CLEAR_SNR] * CLEAR_COPIES + [_NOISE_SNR] * NOISY_COPIES
         for window in windows:
             levels, slopes, gains = self._random.random((3, len(ranges)))
             snr = np.array([low + level * (high - low) for (low, high), level in zip(ranges, levels, strict=True)])
