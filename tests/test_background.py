@@ -197,7 +197,7 @@ def test_the_file_lies_beside_the_scene(tmp_path, monkeypatch):
         (lambda path: path.write_bytes(b"RIFF"), BadData, "WAV"),
         (lambda path: path.symlink_to("/dev/null"), BadData, "a recorded background must be a regular file"),
         (lambda path: (path.touch(), os.truncate(path, 2 << 30)), BadData, "at most 1024 MiB, it has 2048 MiB"),
-        (lambda path: wavfile.write(path, 8000, np.full(100, 0.5, np.float32)), BadData, "more than a constant"),
+        (lambda path: wavfile.write(path, 8000, np.full(100, 0.5, np.float32)), BadData, "must not be constant"),
         (lambda path: wavfile.write(path, 8000, np.zeros((100, 2), np.float32)), BadData, "recorded.channel"),
     ],
 )

@@ -271,7 +271,7 @@ BAD = {
         [CalibrationImpact(motion=of(tap.motion, sampling_rate=2 * RATE), force=of(tap.force, sampling_rate=2 * RATE))],
     ),
     "must have a sensor of motion": lambda tap: calibrated(varied(BEFORE, quantity="force"), [tap]),
-    "motion must stand out of its noise": lambda tap: calibrated(BEFORE, [rebuilt(tap, noise)]),
+    "motion must exceed its noise": lambda tap: calibrated(BEFORE, [rebuilt(tap, noise)]),
     "force must rise 8 times above its noise": lambda tap: calibrated(BEFORE, [rebuilt(tap, None, noise)]),
     "force must rise 8 times above its noise of 0 N, its peak is 0 N": lambda tap: calibrated(
         BEFORE, [rebuilt(tap, None, np.zeros_like)]
@@ -282,7 +282,7 @@ BAD = {
     ),
     "motion must begin 8 samples or more after": lambda tap: calibrated(BEFORE, [late(drop(0)[0])]),
     "motion must stay within the range": lambda tap: calibrated(varied(BEFORE, range="1 g"), [tap]),
-    "motion must come from the blow": lambda tap: calibrated(
+    "motion must be due to the impact": lambda tap: calibrated(
         scene_of(slice(0, 1)), [rebuilt(tap, lambda samples: np.roll(samples, 900))]
     ),
     "impact_point must be x and y": lambda tap: CalibrationImpact(

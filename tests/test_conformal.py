@@ -191,7 +191,7 @@ def test_an_impact_is_rejected_unless_its_set_is_a_single_label(trained: Trained
                 assert (after.label,) == after.prediction_set == (before.label,)
                 assert after.problem == ""
             else:
-                both = f"coal or gangue: the prediction set at coverage {coverage:g} holds both"
+                both = f"coal or gangue: the prediction set at coverage {coverage:g} contains both"
                 none = f"the prediction set at coverage {coverage:g} is empty"
                 assert (both if after.prediction_set else none) in after.problem
                 assert after.label == "unknown"

@@ -581,7 +581,9 @@ class Watched:
         self.unexplained, self.ratio = unexplained, ratio
         self.looks: list[tuple[int, bool, bool, bool]] = []
 
-    def at_other_filter(self, vibrations: VibrationBatch, filters: np.ndarray, again: np.ndarray) -> tuple[Any, Any, Any]:
+    def at_other_filter(
+        self, vibrations: VibrationBatch, filters: np.ndarray, again: np.ndarray
+    ) -> tuple[Any, Any, Any]:
         number = vibrations.samples[:, 0].astype(int)
         self.looks += zip(number.tolist(), *filters.T.tolist(), again.tolist(), strict=True)
         misfit = np.where(filters, np.array([self.ratio, 1.0]), np.inf)

@@ -24,7 +24,7 @@ from cgid.physics import (
 from cgid.physics.laws import MIN_VISCOELASTIC, viscoelastic_number
 from cgid.physics.materials import STEEL, YANG2018_SPHERES, Material
 from cgid.scene import parse_scene, synthesise
-from cgid.scene.draws import LUMP
+from cgid.scene.draws import SPHERE_SHAPE
 from cgid.scene.plan import plan
 from cgid.scene.stream import record
 from cgid.scene.synthesis import columns_of
@@ -173,7 +173,7 @@ def rebuilt(scene, parameters, rows=slice(None)):
     own = {name: parameters[name][rows] for name in parameters if name != "label"}
     material = Material(**{name: own[name] for name in ("density", "youngs_modulus", "poisson_ratio")})
     return Impact(
-        sphere=Sphere(material=material, radius=own["radius"], **{name: own[name] for name in LUMP}),
+        sphere=Sphere(material=material, radius=own["radius"], **{name: own[name] for name in SPHERE_SHAPE}),
         target=scene.body, velocity=own["velocity"], stiffness="hertz",
         dissipation=HuntCrossley(restitution=own["restitution"]),
     )  # fmt: skip
@@ -184,12 +184,12 @@ def test_a_scene_of_lumps_holds_the_impacts_of_its_parameters():
     (batch,), (spheres,) = (list(synthesise(one, 200, dtype="float64")) for one in (scene, plain))
     frames = rebuilt(scene, batch.parameters).force_frames(200e3, 2048, batch.parameters["onset"])
     assert np.abs(batch.signals - frames).max() < 1e-12 * frames.max()
-    assert {*batch.parameters} - {*spheres.parameters} == {*LUMP}
+    assert {*batch.parameters} - {*spheres.parameters} == {*SPHERE_SHAPE}
     for name in set(spheres.parameters) - {"peak_force", "contact_duration"}:
         assert np.array_equal(batch.parameters[name], spheres.parameters[name], equal_nan=True)
     assert np.median(batch.parameters["curvature"]) == pytest.approx(np.sqrt(0.1), rel=0.15)
     assert batch.parameters["effective_mass"].min() < 0.45
-    assert np.abs(np.corrcoef(*(batch.parameters[name] for name in LUMP))[0, 1]) < 0.2
+    assert np.abs(np.corrcoef(*(batch.parameters[name] for name in SPHERE_SHAPE))[0, 1]) < 0.2
     assert parse_scene(json.loads(scene.text)) == scene
 
 
@@ -231,7 +231,7 @@ def test_viscoelastic_rocks_rebound_as_asked_and_lose_more_before_they_turn():
         list(synthesise(scene_of({"dissipation": name}, SHAPE, {}), 200, dtype="float64"))
         for name in ("hunt-crossley", "kuwabara-kono")
     )
-    for name in ("restitution", "velocity", "radius", *LUMP):
+    for name in ("restitution", "velocity", "radius", *SPHERE_SHAPE):
         assert batch.parameters[name] == pytest.approx(damped.parameters[name], rel=1e-10)
     impact = replace(
         rebuilt(scene_of(), damped.parameters), dissipation=Viscoelastic(restitution=damped.parameters["restitution"])

@@ -30,7 +30,7 @@ _TRAINING = 10_000
     "--learner",
     "n_training",
     type=int,
-    help=f"Also train a learner on this many signals; {_TRAINING} for scenes without a limit.",
+    help=f"Train a learner on this many signals, too; {_TRAINING} for scenes without a limit.",
 )
 @json_option
 def ceiling(scene: str, n_signals: int, seed: int, drop_height: bool, n_training: int | None, as_json: bool) -> None:

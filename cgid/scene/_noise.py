@@ -2,7 +2,7 @@
 
 Philox4x32-10 (Salmon, Moraes, Dror & Shaw 2011) turns a counter of four words and a key of two into four random
 words; Box and Muller's (1958) transform turns two words into two normal numbers. There is no state, so any samples can
-be had without those before them. Only correctly rounded operations (+, -, *, /, square root) are used and no
+be generated without earlier ones. Only correctly rounded operations (+, -, *, /, square root) are used and no
 `fastmath`: every machine gives the same bits up to those of its sine, logarithm and root.
 
 The loops run over short arrays that stay in the cache, from their start and of a fixed length, which is what lets the
@@ -22,9 +22,9 @@ from cgid.compiled import jit
 Array = NDArray[Any]
 Word = np.uint64  # it holds 32 bits, and their products
 
-#: Counters that are turned at once.
+#: Counters processed at once.
 LANES = 128
-#: Samples that come of them, four a counter.
+#: Samples from these, four per counter.
 TILE = 4 * LANES
 
 _real = np.float32
@@ -61,7 +61,7 @@ def random_words(first: int, row: Word, block: Word, high: Word, key_0: Word, ke
 
 @jit
 def to_normal(words: Array, angles: Array, scratch: Array, normal: Array) -> None:
-    """Turn words and angles (`LANES`) of 32 random bits into normal numbers (2, `LANES`); scratch is as large."""
+    """Convert words and angles (`LANES`) of 32 random bits to normal numbers (2, `LANES`), using scratch."""
     # u = (word + 1/2)/2^32; sqrt(-2 ln u) (cos, sin) of the angle. Its last bit is the half turn, the others the place
     # in it.
     uniform, fraction = scratch[0], scratch[1]

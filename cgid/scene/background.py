@@ -26,7 +26,7 @@ QUANTITIES = {
     "velocity": ("speed", "m/s"),
     "displacement": ("length", "m"),
 }
-#: Lowest level of a background; its square is a number, too.
+#: Minimum level of a background, whose square does not underflow.
 _MIN_LEVEL = 1e-100
 #: Largest recorded background; it is held in memory [bytes].
 _MAX_RECORDING = 1 << 30
@@ -77,7 +77,7 @@ class ColouredNoise(Section):
         return self
 
     def problems(self, path: str, quantity: str) -> list[str]:
-        """Return error messages for densities that are no densities of a quantity."""
+        """Return error messages for densities that are not densities of a quantity."""
         read = partial(_level, quantity=quantity, kind=" noise density")
         return _complaints(f"{path}.density", read, self.density)
 
@@ -114,14 +114,14 @@ def with_spectrum(content: dict[str, Any], folder: Path) -> dict[str, Any]:
 
 
 def _read_spectrum(path: Path) -> dict[str, list[float]]:
-    """Return frequencies and densities of a file; only the shape of the densities counts, so any unit will do."""
+    """Return frequencies and densities of a file; only the shape of the densities matters, so any unit is accepted."""
     lines = read_cells(path, "the table of a spectrum", _MAX_SPECTRUM)
     titles = lines[0][1] if lines else []
     density = [title for title in titles if _DENSITY.fullmatch(title)]
     if titles.count("frequency [Hz]") != 1 or len(density) != 1:
         raise BadData(
             f"{path}: a table of a spectrum must have the columns 'frequency [Hz]' and 'density [N/sqrt(Hz)]' (or "
-            "another unit per sqrt(Hz)) once each; it has not: name them in its first line"
+            "another unit per sqrt(Hz)) once each; name them in its first line"
         )
     columns: dict[str, list[float]] = {"frequencies": [], "density": []}
     for (name, numbers), title in zip(columns.items(), ("frequency [Hz]", density[0]), strict=True):
@@ -151,7 +151,7 @@ class HumLine(Section):
     @model_validator(mode="after")
     def _one_amplitude(self) -> Self:
         if (self.amplitude is None) == (self.relative_amplitude is None):
-            raise ValueError("must have either amplitude or relative_amplitude, and not both")
+            raise ValueError("must have either amplitude or relative_amplitude")
         return self
 
     def amplitude_in(self, quantity: str) -> float:
@@ -171,7 +171,7 @@ class RecordedBackground(Section):
     signal_to_noise: Decibel
     """Level of the impacts over the background."""
     sampling_rate: Frequency | None = None
-    """Where the recording does not state it."""
+    """Sampling rate, if the recording does not state it."""
     channel: str | None = None
     """Name or number of the channel."""
 
@@ -196,7 +196,7 @@ class BackgroundSection(Section):
     @model_validator(mode="after")
     def _something(self) -> Self:
         if not self.hum and self.coloured is None and self.recorded is None:
-            raise ValueError("must have at least one of hum, coloured, recorded; or take it out")
+            raise ValueError("must have at least one of hum, coloured, recorded; or remove it")
         return self
 
     def problems(self, quantity: str, sampling_rate: float, *, is_stream: bool) -> list[str]:
@@ -227,7 +227,7 @@ class BackgroundSection(Section):
             problems += self.coloured.problems("background.coloured", quantity)
         return problems
 
-    def known_power(self, quantity: str) -> float:
+    def deterministic_power(self, quantity: str) -> float:
         """Return the mean square of hum and coloured noise in SI units; that of a recording depends on the impacts."""
         amplitudes = [line.amplitude_in(quantity) for line in self.hum]
         lines = sum(0.5 * amplitude * amplitude for amplitude in amplitudes)

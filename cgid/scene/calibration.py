@@ -22,26 +22,26 @@ from cgid.signals import Signal
 from cgid.units import STANDARD_GRAVITY
 from cgid.validation import Complex, Floats
 
-#: Samples kept before the start of an impact, and at most on either side of the largest.
+#: Samples before the start of an impact, and maximum on either side of the largest.
 _BEFORE, _AROUND = 32, 1 << 15
-#: Minimum number of samples before a drop: they show noise and offset.
+#: Minimum number of samples before a drop, for noise and offset.
 _QUIET = 8
 #: A hammer's force extends from the first to the last sample above this fraction of its peak and this multiple of its
 #: noise, with a margin of samples on both sides; the outermost samples taper to zero.
 _FORCE_FLOOR, _NOISE_FLOOR, _MARGIN, _TAPER = 1e-3, 4.0, 8, 3
-#: Lowest peak of an impact over the noise.
+#: Minimum peak of an impact over the noise.
 _STANDS_OUT = 8.0
 #: Largest delay between hammer and sensor channels [samples].
-_CHANNELS_APART = 4
+_MAX_DELAY = 4
 #: Fraction of the flight after a drop that is kept, because the sphere falls again.
 _FLIGHT = 0.8
-#: Points of the force of a drop to a sample.
+#: Points of the force of a drop per sample.
 _FINER = 16
-#: What still rings after twice the length of a recording comes back damped by this factor.
+#: Ring-down after twice the length of a recording wraps around, damped by this factor.
 _WRAPPED = 1e-9
 #: Numbers of a transfer function that are computed at once.
 _AT_ONCE = 1 << 20
-#: An impact that explains less of the motion did not cause it.
+#: Minimum fraction of the motion explained by its impact.
 _MIN_EXPLAINED = 0.02
 #: Steps of the fit, and largest change of a delay [samples].
 _STEPS, _MAX_CHANGE = 8, 0.5
@@ -54,13 +54,13 @@ class CalibrationImpact:
     Parameters
     ----------
     motion : Signal
-        From the scene's sensor, with a quiet stretch before the blow.
+        From the scene's sensor, with a quiet stretch before the impact.
     force : Signal, optional
         Recorded by the hammer with the same clock and length, above 0 where it pushes.
     impact : Impact, optional
         A drop of known mass instead of a force: one impact on `scene.body` at the `free_fall_velocity` of its height.
     impact_point : tuple of float, optional
-        Where it fell, x and y [m]; by default that of the scene, if it is a single point.
+        Location, x and y [m]; by default that of the scene, if it is a single point.
     force_filtered : bool
         Whether the force passed the same anti-alias filter (or bandwidth) as the motion, as in two channels of one
         recorder. The filter then cancels.
@@ -80,7 +80,7 @@ class CalibrationImpact:
     def __post_init__(self) -> None:
         validation.instance("motion", self.motion, Signal)
         if (self.force is None) == (self.impact is None):
-            raise InvalidValue("a blow must have either force or impact, what made the motion, and not both")
+            raise InvalidValue("a calibration impact must have either force or impact")
         if self.impact_point is not None and validation.real("impact_point", self.impact_point, "m").shape != (2,):
             raise InvalidValue(f"impact_point must be x and y [m], got {self.impact_point!r}")
         if self.force is not None:
@@ -131,8 +131,8 @@ def calibrated(scene: Scene | str | Path, impacts: Sequence[CalibrationImpact]) 
 
     The gain is the factor between the recordings and the synthesised motion of the same impacts, by least squares over
     all samples. Each recording is scaled by its largest sample, so all have the same weight. Offsets and delays are
-    fitted as well. Noise in a hammer's channel biases the gain: by some 0.7 % per impact where it is 1 % of the peak of
-    a contact of 5 to 10 samples. The modes of a beam come from `cgid tap` or `cgid calibrate`.
+    fitted as well. Noise in a hammer's channel biases the gain: by some 0.7 % per impact if it is 1 % of the peak of a
+    contact of 5 to 10 samples. The modes of a beam come from `cgid tap` or `cgid calibrate`.
 
     Parameters
     ----------
@@ -189,7 +189,7 @@ def calibrated(scene: Scene | str | Path, impacts: Sequence[CalibrationImpact]) 
     with threadpool_limits(1, "blas"):
         models = [_Model(scene, blow, row) for blow, row in zip(impacts, rows, strict=True)]
         clearest = max(models, key=lambda model: model.correlation()[1])
-        # A shift by half a period with the opposite sign fits almost as well: the clearest impact sets the sign.
+        # A shift by half a period with the opposite sign fits almost as well: the clearest impact determines the sign.
         sign = np.sign(clearest.correlation()[2])
         for model in models:
             model.begin(model.correlation(sign)[0])
@@ -197,8 +197,8 @@ def calibrated(scene: Scene | str | Path, impacts: Sequence[CalibrationImpact]) 
     worst = int(np.argmin(explained))
     if explained[worst] < _MIN_EXPLAINED:
         raise BadData(
-            f"{impacts[worst].motion.name}: motion must come from the blow, which explains "
-            f"{100 * explained[worst]:.1f} % of it; check that force and motion are of one blow, and where it fell"
+            f"{impacts[worst].motion.name}: motion must be due to the impact, which explains "
+            f"{100 * explained[worst]:.1f} % of it; check that force and motion belong together, and the impact point"
         )
     content = json.loads(scene.text)
     content["sensor"] |= {"gain": gain}
@@ -220,7 +220,8 @@ def _checked(scene: Scene, impacts: Sequence[CalibrationImpact]) -> list[Calibra
             raise InvalidValue(f"impacts must be of CalibrationImpact, got {type(blow).__name__}")
     if scene.sensor.quantity == "force":
         raise InvalidValue(
-            f"scene {scene.name} must have a sensor of motion on a tail beam to be calibrated, its sensor feels force"
+            f"scene {scene.name} must have a sensor of motion on a tail beam to be calibrated, its sensor measures "
+            "force"
         )
     return impacts
 
@@ -238,7 +239,7 @@ def _point(beam: TailBeamSection, blow: CalibrationImpact) -> tuple[float, float
     extremes = [getattr(beam.impact_point, axis).extremes for axis in ("x", "y")]
     if any(low != high for low, high in extremes):
         raise InvalidValue(
-            f"{blow.motion.name}: impact_point must be given, the scene's rocks fall on more than one place"
+            f"{blow.motion.name}: impact_point must be given, the scene's rocks fall on more than one point"
         )
     return extremes[0][0], extremes[1][0]
 
@@ -249,7 +250,7 @@ def _point(beam: TailBeamSection, blow: CalibrationImpact) -> tuple[float, float
 class _Model:
     """The motion of one impact that the scene predicts, for any delay of the force."""
 
-    # Force and response are transformed along `s = decay + i omega`, so that what rings for longer does not come back.
+    # Force and response are transformed along `s = decay + i omega`, so that long ring-down does not wrap around.
 
     def __init__(self, scene: Scene, blow: CalibrationImpact, participation: Floats) -> None:
         self.blow, self._sensor, self._rate = blow, scene.sensor, scene.sampling.sampling_rate
@@ -264,7 +265,7 @@ class _Model:
             self.onset, force = start - self.first, force[part]
             if blow.force_filtered:  # the filter is in both channels
                 filters, self._limited = tuple(part for part in filters if isinstance(part, Resonance)), False
-            lags = np.arange(-_CHANNELS_APART, _CHANNELS_APART + 1)
+            lags = np.arange(-_MAX_DELAY, _MAX_DELAY + 1)
         else:
             assert blow.impact is not None
             force = np.ravel(blow.impact.force(np.arange(_FINER * n) / (_FINER * self._rate)))
@@ -296,27 +297,27 @@ class _Model:
         return float(self._lags[best]), float(product[best] ** 2 / max(size, 1e-300)), float(product[best])
 
     def begin(self, delay: float) -> None:
-        """Cut the recording to the impact, and require that it stands out."""
+        """Cut the recording to the impact, which must exceed the noise."""
         self.delay, stop, blow = delay, self.samples.size, self.blow
         if blow.impact is not None:
             self.onset = int(delay)
             if self.onset < _QUIET:
                 raise BadData(
                     f"{blow.motion.name}: motion must begin {_QUIET} samples or more after the recording, got "
-                    f"{self.onset}; leave a quiet stretch before the blow"
+                    f"{self.onset}; leave a quiet stretch before the impact"
                 )
             flight = 2 * blow.impact.rebound_velocity.item() / STANDARD_GRAVITY
             lasts = blow.impact.contact_duration.item() + _FLIGHT * flight
             stop = min(self.onset + int(np.ceil(lasts * self._rate)), stop)
         self._part = slice(max(self.onset - _BEFORE, 0), stop)
-        own, before = self.samples[self._part], self.samples[self._part.start : self.onset]
+        ratio, before = self.samples[self._part], self.samples[self._part.start : self.onset]
         noise = float(before.std()) if before.size >= 2 else 0.0
-        self.level = float(np.abs(own).max())
+        self.level = float(np.abs(ratio).max())
         if not self.level > _STANDS_OUT * noise:
             raise BadData(
-                f"{blow.motion.name}: motion must stand out of its noise {_STANDS_OUT:g} times, its peak is "
-                f"{self.level:.3g} over a noise of {noise:.3g} before the blow; tap harder, or cut the recording to "
-                "one blow"
+                f"{blow.motion.name}: motion must exceed its noise {_STANDS_OUT:g} times, its peak is "
+                f"{self.level:.3g} over a noise of {noise:.3g} before the impact; tap harder, or cut the recording to "
+                "one impact"
             )
 
     def motion(self, *, slope: bool = False) -> Floats:
@@ -329,8 +330,8 @@ class _Model:
         return self._scaled(self.samples)
 
     def _scaled(self, samples: Floats) -> Floats:
-        own = samples[self._part]
-        return np.asarray((own - own.mean()) / self.level)
+        ratio = samples[self._part]
+        return np.asarray((ratio - ratio.mean()) / self.level)
 
 
 def _fitted(models: Sequence[_Model]) -> tuple[float, Floats]:
@@ -341,7 +342,7 @@ def _fitted(models: Sequence[_Model]) -> tuple[float, Floats]:
         parts = []
         for model in models:
             motion, slope, recorded = model.motion(), model.motion(slope=True), model.recorded
-            # What its delay explains is uninformative about the gain.
+            # The part explained by its delay is uninformative about the gain.
             free = motion - slope * (float(slope @ motion) / max(float(slope @ slope), 1e-300))
             information, pull = information + float(free @ free), pull + float(free @ recorded)
             parts.append((motion, slope, recorded))
@@ -350,7 +351,9 @@ def _fitted(models: Sequence[_Model]) -> tuple[float, Floats]:
             step = float(slope @ (recorded - gain * motion)) / max(gain * float(slope @ slope), 1e-300, key=abs)
             model.delay += float(np.clip(step, -_MAX_CHANGE, _MAX_CHANGE))
     left = [model.recorded - gain * model.motion() for model in models]
-    return gain, np.array([1 - (own @ own) / (m.recorded @ m.recorded) for own, m in zip(left, models, strict=True)])
+    return gain, np.array(
+        [1 - (ratio @ ratio) / (m.recorded @ m.recorded) for ratio, m in zip(left, models, strict=True)]
+    )
 
 
 # ---- recordings ------------------------------------------------------------------------------------------------------
@@ -372,17 +375,17 @@ def _motion(scene: Scene, blow: CalibrationImpact) -> Floats:
     samples = np.asarray(motion.in_si().samples, np.float64)
     if sensor.range is not None and np.abs(samples).max() >= 0.999 * sensor.range:
         raise BadData(
-            f"{motion.name}: motion must stay within the range of {sensor.range:g} {sensor.unit}; tap lighter"
+            f"{motion.name}: motion must stay within the range of {sensor.range:g} {sensor.unit}; tap more gently"
         )
     return samples
 
 
 def _hammered(force: Signal) -> tuple[int, Floats]:
-    """Return the first sample of a hammer's force, and the force, 0 before and after its blow."""
+    """Return the first sample of a hammer's force, and the force, 0 before and after its contact."""
     samples = np.asarray(force.in_si().samples, np.float64)
     samples = samples - np.median(samples)
     peak, lowest = float(samples.max()), float(-samples.min())
-    # Most of a recording holds no force, so its median deviation is that of the noise.
+    # Most of a recording contains no force, so its median deviation is that of the noise.
     noise = 1.4826 * float(np.median(np.abs(samples)))
     if not max(peak, lowest) > _STANDS_OUT * noise:
         raise BadData(
@@ -390,9 +393,11 @@ def _hammered(force: Signal) -> tuple[int, Floats]:
             f"{peak:.3g} N; check the hammer's channel"
         )
     if lowest > peak:
-        raise BadData(f"{force.name}: force must be above 0 where it pushes, its peak is below; use Signal.inverted()")
+        raise BadData(
+            f"{force.name}: force must be positive for compression, its peak is negative; use Signal.inverted()"
+        )
     strong = np.flatnonzero(np.abs(samples) > max(_NOISE_FLOOR * noise, _FORCE_FLOOR * peak))
-    # Noise passes the floor occasionally, so parts that a quiet stretch separates from the impact are left out.
+    # Noise exceeds the floor occasionally, so parts separated from the impact by a quiet stretch are excluded.
     at = int(np.searchsorted(strong, np.argmax(samples)))
     gaps = np.diff(strong) > 2 * _MARGIN
     begins = np.flatnonzero(gaps[:at])

@@ -1,4 +1,4 @@
-"""The numbers of a scene file (`"3.1 GPa"`, or `3.1e9` in the SI unit) and the distributions they are drawn from."""
+"""The numbers of a scene file (`"3.1 GPa"`, or `3.1e9` in the SI unit) and their distributions."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from scipy.special import ndtr, ndtri
 from cgid.units import DIMENSIONS, parse
 from cgid.validation import Floats, Rule, positive, real, shown
 
-#: Dimension -> lowest and highest value in SI units: wider than any real impact, but no formula overflows within them.
+#: Dimension -> lowest and highest value in SI units: wider than any real impact, and without overflow in any formula.
 LIMITS: dict[str, tuple[float, float]] = {
     "density": (1e-3, 1e5),
     "modulus": (1e3, 1e15),
@@ -50,7 +50,7 @@ class Quantity:
         return next(iter(DIMENSIONS[self.dimension])) if self.dimension else ""
 
     def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
-        """Read the unit before pydantic sees the value, and check the rule after it."""
+        """Parse the unit before the validation by pydantic, and check the rule after it."""
         read = None
         if self.dimension:
             read = parse if source is float else _list_in_si if get_origin(source) is tuple else _in_si
@@ -66,7 +66,7 @@ class Quantity:
         return core_schema.no_info_wrap_validator_function(validate, handler(source))
 
     def require(self, value: Any, content: Any) -> None:
-        """Raise `ValueError` unless a number, all numbers of a list, or all that can be drawn meet the rule."""
+        """Raise `ValueError` unless a number, all numbers of a list, or all values of a distribution meet the rule."""
         drawn = isinstance(value, _Distribution)
         try:
             numbers = np.atleast_1d(np.asarray(value.extremes if drawn else value, np.float64))
@@ -80,7 +80,7 @@ class Quantity:
             elif isinstance(value, tuple):
                 text += f" at index {index}"
             elif drawn and not isinstance(value, Constant):
-                text = f", it can be drawn as {wrong:.3g}{unit}; give it lowest and highest, or other parameters"
+                text = f", its distribution includes {wrong:.3g}{unit}; give lowest and highest, or other parameters"
             raise ValueError(f"must {self.rule.sentence(self.unit)}{text}")
 
 
@@ -91,7 +91,7 @@ def _list_in_si(content: Any, dimension: str) -> Any:
 
 
 def quantity_of(field: FieldInfo) -> Quantity | None:
-    """Return what the numbers of a key are; None for a section or a text."""
+    """Return the type of the numbers of a key; None for a section or a text."""
     return next((one for one in _metadata(field) if isinstance(one, Quantity)), None)
 
 
@@ -121,14 +121,14 @@ Inclination = Annotated[float, Quantity("angle", Rule(0, 1.5))]
 Decibel = Annotated[float, Quantity("decibel", Rule(-200, 200))]
 #: A dimensionless number; strings and booleans are rejected.
 Number = Annotated[float, Strict()]
-Whole = Annotated[int, Strict()]
+WholeNumber = Annotated[int, Strict()]
 #: A number without a unit, or in per cent.
 Share = Annotated[float, Quantity("ratio", Rule(0, 1))]
 DampingRatio = Annotated[float, Quantity("ratio", Rule(0, 1, without="ends"))]
 
 
 class Section(BaseModel):
-    """A section of the file: no unknown keys, no nan. Text below a key describes it in docs, errors and reference."""
+    """A section of the file: no unknown keys, no nan. Strings below keys are their documentation."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, use_attribute_docstrings=True)
 
@@ -165,8 +165,8 @@ class _Distribution(Section):
 
     @property
     def extremes(self) -> tuple[float, float]:
-        """The smallest and the largest value that can ever be drawn."""
-        with np.errstate(all="ignore"):  # an overflow is infinite, beyond all bounds
+        """The smallest and the largest possible value."""
+        with np.errstate(all="ignore"):  # overflow gives infinity, beyond all bounds
             low, high = self.quantile(np.array([MIN_UNIFORM, MAX_UNIFORM]))
         return float(low), float(high)
 
@@ -187,12 +187,12 @@ class _Weighted(_Distribution):
     """One of several, with weights (equal by default)."""
 
     weights: tuple[Number, ...] | None = None
-    """How often each is drawn, relative to the others; equal by default."""
+    """Relative frequency of each; equal by default."""
 
     @property
     @abstractmethod
     def _among(self) -> tuple[str, int]:
-        """The key of what is chosen among, and how many there are."""
+        """The key of the alternatives, and their number."""
 
     @model_validator(mode="after")
     def _weights_fit(self) -> Self:
@@ -225,7 +225,7 @@ class Choice(_Weighted):
         return "values", len(self.values)
 
     def quantile(self, uniform: Floats) -> Floats:
-        """Return the value whose interval of the cumulative weights holds the uniform number."""
+        """Return the value whose interval of the cumulative weights contains the uniform number."""
         return np.asarray(self.values, np.float64)[np.searchsorted(self._edges, uniform, side="right")]
 
     @property
@@ -285,9 +285,9 @@ class _Truncatable(_Distribution):
     """A distribution that may be truncated to its bounds."""
 
     lowest: float | None = None
-    """Values below are not drawn."""
+    """Values below are excluded."""
     highest: float | None = None
-    """Values above are not drawn."""
+    """Values above are excluded."""
 
     @abstractmethod
     def _cumulative(self, value: float) -> float: ...
@@ -299,7 +299,7 @@ class _Truncatable(_Distribution):
     def _holds_something(self) -> Self:
         low, high = self._probabilities
         if not high - low > 1e-12:
-            raise ValueError(f"lowest {self.lowest} and highest {self.highest} must leave something between them")
+            raise ValueError(f"lowest {self.lowest} and highest {self.highest} must leave a range between them")
         return self
 
     @property
@@ -330,9 +330,9 @@ class Normal(_Truncatable):
     @model_validator(mode="after")
     def _bounds_fit_name(self) -> Self:
         if self.distribution == "truncated-normal" and (self.lowest is None or self.highest is None):
-            raise ValueError("truncated-normal must have lowest and highest; without bounds it is normal")
+            raise ValueError("truncated-normal must have lowest and highest; without bounds use normal")
         if self.distribution == "normal" and not (self.lowest is None and self.highest is None):
-            raise ValueError("normal has no lowest or highest; with bounds it is truncated-normal")
+            raise ValueError("normal has no lowest or highest; with bounds use truncated-normal")
         return self
 
     def _cumulative(self, value: float) -> float:
@@ -395,7 +395,7 @@ class Mixed(_Weighted):
         return "parts", len(self.parts)
 
     def quantile(self, uniform: Floats) -> Floats:
-        """Return the quantiles of the parts whose intervals hold the uniform numbers, at the places within these."""
+        """Return the quantiles of the parts selected by the uniform numbers, at the positions within these."""
         edges = self._edges
         which = np.searchsorted(edges, uniform, side="right")
         below = np.concatenate([np.zeros(1), edges])[which]

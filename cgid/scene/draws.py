@@ -29,29 +29,29 @@ from cgid.validation import Floats
 #: Samples that share one address.
 BLOCK = 256
 #: Purposes of random numbers; a new purpose gets a new number.
-PARAMETERS, NOISE, TAPS, SECOND_HITS, CLIPPING, RANDOMISED, LUMPS, VISCOUS = 1, 2, 3, 4, 5, 6, 7, 8
+PARAMETERS, NOISE, TAPS, SECOND_HITS, CLIPPING, RANDOMISED, ROCK_SHAPES, VISCOUS = 1, 2, 3, 4, 5, 6, 7, 8
 IMPACT_POINTS, ARRIVALS, HUM, COLOURED, RECORDED, COLOURED_NOISE, MODES = 16, 17, 18, 19, 20, 21, 22
 
 PARTICLE = ("density", "youngs_modulus", "poisson_ratio", "radius")
-#: The columns of a rock's numbers, in order. Quantities of which a population has only one share a number.
+#: The columns of a rock's numbers, in order. Quantities of which a population has only one use the same number.
 FALL = (*PARTICLE, "restitution", "drop_height")
 _SHARED = {"velocity": "drop_height", "yield_pressure": "restitution", "strength": "restitution"}
-#: The shape of a lump and its values for a sphere, which every rock has that draws none.
-LUMP = {"curvature": 1.0, "effective_mass": 1.0}
+#: The parameters of a rock's shape and their values for a sphere, the default.
+SPHERE_SHAPE = {"curvature": 1.0, "effective_mass": 1.0}
 #: The columns of optional purposes.
 _LATER = {
     TAPS: ("peak_force", "contact_duration"),
     SECOND_HITS: ("second_hit_delay", "second_hit_ratio"),
     CLIPPING: ("clipped_at",),
-    LUMPS: tuple(LUMP),
+    ROCK_SHAPES: tuple(SPHERE_SHAPE),
     VISCOUS: ("viscous_restitution",),
 }
-#: Drawn settings that are settings of a sensor as they are.
+#: Randomised settings that are settings of a sensor.
 _OF_SENSOR = ("relative_noise", "noise_exponent", "relative_range")
 
 
 def _units(section: type[Section], *names: str) -> dict[str, str]:
-    """Return the units of keys that are drawn."""
+    """Return the units of randomised keys."""
     units = {name: quantity.unit for name in names if (quantity := quantity_of(section.model_fields[name]))}
     return {name: unit or "1" for name, unit in units.items()}
 
@@ -64,23 +64,23 @@ PARAMETER_UNITS = {
 }
 #: Parameters of some scenes; the sampling rate is not among them, because each batch states its own.
 _MORE_UNITS = {
-    **_units(Population, *LUMP, "yield_pressure", "strength", "viscous_restitution"),
+    **_units(Population, *SPHERE_SHAPE, "yield_pressure", "strength", "viscous_restitution"),
     "second_hit_delay": "s",
     "second_hit_ratio": "1",
     **_units(Population, "clipped_at"),
 }
 POINT_UNITS = {"impact_x": "m", "impact_y": "m"}
-#: Settings of the sensor that a scene may draw for each block.
+#: Settings of the sensor that a scene may randomise for each block.
 RANDOMISED_UNITS = _units(
     RandomiseSection, *(name for name in RandomiseSection.model_fields if name != "sampling_rate")
 )
-#: A low-pass with an edge above this share of the sampling rate counts as unlimited: the transition of a bandwidth,
-#: half as wide as its frequency, reaches beyond the band of the frame.
+#: A low-pass with an edge above this fraction of the sampling rate counts as unlimited: the transition of a bandwidth,
+#: half as wide as its frequency, extends beyond the band of the frame.
 UNLIMITED = 0.45
 
 
 def require_seed(seed: int) -> int:
-    """Return a seed as an integer, or raise `InvalidValue` unless it is one within 0 and 2^63 - 1."""
+    """Return a seed as an integer, or raise `InvalidValue` unless it is within 0 and 2^63 - 1."""
     return validation.whole("seed", seed, 0, 2**63 - 1)
 
 
@@ -112,7 +112,7 @@ def parameter_units(scene: Scene) -> dict[str, str]:
 
 @dataclass(frozen=True)
 class Drawn:
-    """The drawn numbers of one block, before any law of impact is applied."""
+    """The random numbers of one block, before any contact law is applied."""
 
     labels: NDArray[np.str_]
     # by the names of `parameter_units`, each (n_signals,), nan where not drawn; restitution as requested
@@ -132,13 +132,13 @@ class Drawn:
         return np.flatnonzero(self.shapes >= 0)
 
 
-def at_once(scene: Scene, most: int) -> int:
-    """Return how many blocks to draw at once: `most`, but one where each has its own rig, or a beam takes the time."""
-    return most if scene.randomise is None and scene.tail_beam is None else 1
+def at_once(scene: Scene, max_blocks: int) -> int:
+    """Return how many blocks to sample at once: `max_blocks`, but 1 with settings drawn per block or with a beam."""
+    return max_blocks if scene.randomise is None and scene.tail_beam is None else 1
 
 
 def drawn_block(scene: Scene, seed: int, block: int, n_blocks: int = 1) -> Drawn:
-    """Return the drawn numbers of one block of 256 frames, or of several that share their settings (`at_once`)."""
+    """Return the random quantities of one block of 256 frames, or of several with equal settings (`at_once`)."""
     blocks = range(block, block + n_blocks)
     settings, sources = settings_of(scene, seed, block), scene.sources
     here = with_drawn_modes(settled(scene, settings), seed, block)
@@ -183,8 +183,8 @@ def quantities_of(
     values = {name: np.full(which.size, np.nan) for name in names}
     for index, source in enumerate(sources):
         rows = np.flatnonzero(which == index)
-        for name in LUMP.keys() & values.keys() if isinstance(source, Population) else ():
-            values[name][rows] = LUMP[name]
+        for name in SPHERE_SHAPE.keys() & values.keys() if isinstance(source, Population) else ():
+            values[name][rows] = SPHERE_SHAPE[name]
         for name, law in source.laws.items():
             number = numbers[_SHARED.get(name, name)]
             values[name][rows] = law.quantile(number[rows])
@@ -251,7 +251,7 @@ def settled(scene: Scene, settings: Mapping[str, float]) -> Scene:
 
 
 def with_drawn_modes(scene: Scene, seed: int, block: int) -> Scene:
-    """Return the scene of one block with its learned modes drawn; the scene itself where these are certain or none."""
+    """Return the scene of one block with sampled modes; the scene itself if it has no uncertain ones."""
     learned = None if scene.tail_beam is None else scene.tail_beam.learned_modes
     if learned is None or learned.deviation is None:
         return scene
@@ -272,12 +272,12 @@ def onset_of(scene: Scene, number: Floats) -> Floats:
 
 
 def levels_of(settings: Mapping[str, float]) -> dict[str, Floats]:
-    """Return the columns of the settings of a block that are stored."""
+    """Return the columns of the stored settings of a block."""
     return {name: np.full(BLOCK, value) for name, value in settings.items() if name in RANDOMISED_UNITS}
 
 
 def points_of_impact(scene: Scene, seed: int, block: int, recording: int = 0) -> dict[str, Floats]:
-    """Return the point of the first hit of each rock of a block [m], by name; empty without a beam of known size."""
+    """Return the point of the first impact of each rock of a block [m], by name; empty without a beam of known size."""
     if scene.panel is None:
         return {}
     assert scene.tail_beam is not None and scene.tail_beam.impact_point is not None
@@ -288,7 +288,7 @@ def points_of_impact(scene: Scene, seed: int, block: int, recording: int = 0) ->
 
 def specimen_of(particle: list[Floats]) -> NDArray[np.uint64]:
     """Mix the numbers of a particle or a tap into one 64-bit number (splitmix64's finaliser, Steele et al. 2014)."""
-    # Rounded to float32 first, so that the last digits of a processor's functions do not count.
+    # Rounded to float32 first, so that it does not depend on the last digits of a processor's functions.
     mixed = np.zeros(particle[0].shape, np.uint64)
     for values in particle:
         bits = np.asarray(values, np.float32).view(np.uint32).astype(np.uint64)

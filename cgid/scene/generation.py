@@ -40,11 +40,11 @@ from cgid.workers import SERIAL, Workers, workers
 SHARD_SIGNALS = 4096
 #: Maximum number of signals of a dataset or table.
 MAX_SIGNALS = 10**9
-#: Limits of the signals made ahead: memory [bytes], but at least one block, and number of blocks.
+#: Limits of the signals made in advance: memory [bytes], but at least one block, and number of blocks.
 _AHEAD_BYTES, _AHEAD_BLOCKS = 32 << 20, 16
 #: Largest size of a number in a table, and in CSV with its comma [bytes].
 _BYTES, _BYTES_OF_TEXT = 8, 25
-#: The order in which root attributes are written: the bytes depend on it, and HDF5 does not keep it.
+#: The order in which root attributes are written: the bytes depend on it, and HDF5 does not store it.
 _ORDER = (
     "format",
     "schema_version",
@@ -84,7 +84,7 @@ def generate(
         Ending in .h5 or .hdf5 for one file, else a folder of shards.
     n_signals, seed : int
     jobs : int
-        Worker processes; each holds one shard in memory.
+        Worker processes; each has one shard in memory.
     dtype : {"float32", "float64"}
         Type of the samples.
     shard_signals : int
@@ -143,10 +143,10 @@ def generate(
     # More workers than shards or processors would only cost memory.
     jobs = min(jobs, description.n_files, os.cpu_count() or 1)
     if not single and compression == "none":
-        # What is there is kept or replaced by as much.
+        # Existing files are kept or replaced by as much.
         size = plan.size(n_signals) - sum(file.stat().st_size for file in path.glob("shard-*.h5"))
-        require_room(path, path.parent, size, "signals", "make room, or fewer signals")
-    # The workers come first, so that a missing cluster is reported before anything is written.
+        require_room(path, path.parent, size, "signals", "free some space, or make fewer signals")
+    # The workers are created first, so that a missing cluster is reported before anything is written.
     with workers(jobs, scheduler) as pool, begun(path, description, overwrite=overwrite, resume=resume) as run:
         n_missing = sum(description.part(number)["n_signals"] for number in run.missing)
         if progress is not None and n_missing < n_signals:
@@ -178,7 +178,7 @@ def attributes_of(scene: Scene, seed: int, compression: str = "none") -> dict[st
     packages += f", {_processor()}"
     if compression != "none":
         packages += f", {library(compression)}"
-    found = {
+    instructions = {
         "seed": seed,
         "scene_name": scene.name,
         "scene": scene.text,
@@ -186,19 +186,19 @@ def attributes_of(scene: Scene, seed: int, compression: str = "none") -> dict[st
         "versions": f"cgid {__version__}, Python {platform.python_version()}, {packages}",
     }
     if scene.own_laws:
-        found["laws"] = json.dumps(scene.own_laws)
+        instructions["laws"] = json.dumps(scene.own_laws)
     if scene.background is not None and scene.background.recorded is not None:
-        # The scene only names the file; the samples depend on its content.
+        # The scene contains only the name of the file; the samples depend on its content.
         with scene.background.recorded.file(scene.folder).open("rb") as stream:
-            found["background_sha256"] = hashlib.file_digest(stream, "sha256").hexdigest()
-    return found
+            instructions["background_sha256"] = hashlib.file_digest(stream, "sha256").hexdigest()
+    return instructions
 
 
 def _processor() -> str:
-    """Return the instructions that numpy uses here and the kernel of BLAS: they decide last digits."""
-    found = np.show_config(mode="dicts").get("SIMD Extensions", {}).get("found") or ["baseline"]
+    """Return the instructions that numpy uses here and the kernel of BLAS: the last digits depend on them."""
+    instructions = np.show_config(mode="dicts").get("SIMD Extensions", {}).get("found") or ["baseline"]
     kernels = {str(library.get("architecture")) for library in threadpool_info() if library["user_api"] == "blas"}
-    return f"instructions {found[-1]}, BLAS {'/'.join(sorted(kernels)) or 'unknown'}"
+    return f"instructions {instructions[-1]}, BLAS {'/'.join(sorted(kernels)) or 'unknown'}"
 
 
 def in_order(attributes: Mapping[str, Any]) -> dict[str, Any]:
@@ -271,7 +271,7 @@ def _anywhere(work: _Work) -> _Work:
 def _write_in_turn(
     work: _Work, shards: Sequence[_Shard], progress: Callable[[int], object] | None = None
 ) -> Generator[_Written, None, None]:
-    """Make shards one after another in this process."""
+    """Make shards one by one in this process."""
     dtype: Any = work.plan.dtype
     made = (
         batch
@@ -299,8 +299,8 @@ def _write_one(work: _Work, shard: _Shard) -> _Written:
     return written
 
 
-def ahead(items: Iterable[_T], most: int) -> Generator[_T, None, None]:
-    """Yield items that a thread makes in advance, at most `most`; raise the error of an item in its turn."""
+def ahead(items: Iterable[_T], max_items: int) -> Generator[_T, None, None]:
+    """Yield items that a thread makes in advance, at most `max_items`; raise the error of an item in its place."""
     source, context = iter(items), copy_context()  # so that counters also count in the thread
     with ThreadPoolExecutor(max_workers=1) as maker:
 
@@ -310,7 +310,7 @@ def ahead(items: Iterable[_T], most: int) -> Generator[_T, None, None]:
         def ask() -> Future[_T | None]:
             return maker.submit(context.run, make)
 
-        asked = deque(ask() for _ in range(most))
+        asked = deque(ask() for _ in range(max_items))
         try:
             while (item := asked.popleft().result()) is not None:
                 asked.append(ask())
@@ -320,7 +320,7 @@ def ahead(items: Iterable[_T], most: int) -> Generator[_T, None, None]:
 
 
 def next_signals(batches: Iterator[Batch], count: int, progress: Callable[[int], object] | None) -> Iterator[Batch]:
-    """Yield the batches of the next `count` signals; no batch extends past the end of a shard."""
+    """Yield the batches of the next `count` signals; no batch extends beyond the end of a shard."""
     while count:
         batch = next(batches)
         yield batch
@@ -353,7 +353,7 @@ def tabulate(
     path = check_table_output(output, overwrite)
     next(iter(columns_of(asked, 1, seed)))  # raises errors of the plan or the seed before anything is written
     size = n_signals * (2 + len(asked.column_units)) * (_BYTES_OF_TEXT if path.suffix == ".csv" else _BYTES)
-    require_room(path, path.parent, size, "rows", "make room, or fewer signals")
+    require_room(path, path.parent, size, "rows", "free some space, or make fewer signals")
     header = TableHeader(
         kind=asked.kind,
         units=asked.column_units,

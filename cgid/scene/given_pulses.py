@@ -1,4 +1,4 @@
-"""Signals of given pulses, from another solver or measured, as sensor and recorder of a scene would record them."""
+"""Signals of given pulses, computed by another solver or measured, through the sensor and recorder of a scene."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ from cgid.validation import Floats
 
 __all__ = ["SolvedImpacts"]
 
-#: Parameters that follow from the pulses and may not be given.
+#: Parameters determined by the pulses, which may not be given.
 _OF_PULSES = ("peak_force", "contact_duration")
 #: The rules of parameters; others may be any finite number.
 _RULES: dict[str, Callable[..., Floats]] = {
@@ -122,12 +122,12 @@ def synthesise_given(
     known = _known(parameters or {}, scene, n)
     synthesis_plan = plan(scene, dtype=dtype)
     for first in range(0, n, BLOCK):
-        # Blocks are drawn whole: rows after the last pulse repeat it and are cut from the batch.
+        # Blocks are complete: rows after the last pulse repeat it and are cut from the batch.
         rows = np.minimum(np.arange(first, first + BLOCK), n - 1)
         part = {name: values[rows] for name, values in known.items()}
-        blows = _blows(synthesis_plan, pulses.taken(rows), names[rows], part, seed, first // BLOCK)
-        frames = make_frames(blows, seed, first // BLOCK, dtype)
-        yield batch_of(scene, blows, frames, slice(0, min(n - first, BLOCK)))
+        pulses_of_block = _block_pulses(synthesis_plan, pulses.taken(rows), names[rows], part, seed, first // BLOCK)
+        frames = make_frames(pulses_of_block, seed, first // BLOCK, dtype)
+        yield batch_of(scene, pulses_of_block, frames, slice(0, min(n - first, BLOCK)))
 
 
 def _known(parameters: Mapping[str, ArrayLike], scene: Scene, n: int) -> dict[str, Floats]:
@@ -137,7 +137,7 @@ def _known(parameters: Mapping[str, ArrayLike], scene: Scene, n: int) -> dict[st
         if name in _OF_PULSES:
             raise InvalidValue(f"{name} must be left out, it is that of the pulses")
         if name in RANDOMISED_UNITS:
-            raise InvalidValue(f"{name} must be left out, it is that of the scene's sensor; vary the scene")
+            raise InvalidValue(f"{name} must be left out, it is that of the scene's sensor; change the scene")
         validation.choice("parameter", name, units)
         if column.shape != (n,) or column.dtype.kind not in "fiu":
             raise InvalidValue(f"{name} must be one number for each of {n} pulses, got shape {column.shape}")
@@ -159,7 +159,7 @@ def _require_on_panel(known: Mapping[str, Floats], scene: Scene) -> None:
             )
 
 
-def _blows(
+def _block_pulses(
     plan: Plan, pulses: SampledPulses, labels: NDArray[np.str_], known: dict[str, Floats], seed: int, block: int
 ) -> Blows:
     settings = settings_of(plan.scene, seed, block)
@@ -171,9 +171,9 @@ def _blows(
     values |= levels_of(settings)
     # Each unknown particle counts as a separate specimen.
     particle = [known.get(name, np.full(BLOCK, np.nan)) for name in PARTICLE]
-    stranger = np.isnan(np.sum(particle, axis=0))
+    unknown_particle = np.isnan(np.sum(particle, axis=0))
     number = block * BLOCK + np.arange(BLOCK, dtype=np.uint64)
-    specimen = np.where(stranger, number, specimen_of([np.ascontiguousarray(column) for column in particle]))
+    specimen = np.where(unknown_particle, number, specimen_of([np.ascontiguousarray(column) for column in particle]))
     strike = Strike(np.arange(BLOCK), pulses, values["onset"])
     return Blows(labels, values, specimen, (strike,), plan.for_block(here))
 
@@ -212,7 +212,7 @@ class SolvedImpacts:
         yield from synthesise_given(scene, self.pulses.stretched(radius**2, radius), self.labels, known, seed)
 
     def to_bytes(self) -> bytes:
-        """Return the content of a file; the same impacts give the same bytes."""
+        """Return the content of a file; equal impacts give equal bytes."""
         arrays: dict[str, NDArray[Any]] = {
             "made": np.frombuffer(json.dumps(dict(self.made), sort_keys=True).encode(), np.uint8),
             "shares": self.pulses.shares,
@@ -258,7 +258,7 @@ def _require_sound(labels: NDArray[Any], columns: Mapping[str, Floats], made: An
 
 
 def radii(scene: Scene, labels: NDArray[np.str_], seed: int) -> Floats:
-    """Return radii [m] as a scene draws them for labels; the first population of a label counts."""
+    """Return random radii [m] of a scene for labels, from the first population of each label."""
     sizes = np.empty(len(labels))
     laws = {population.label: population.radius for population in reversed(scene.populations)}
     for first in range(0, len(labels), BLOCK):

@@ -1,4 +1,4 @@
-"""Impacts at the extremes of a population: invalid scenes, and where gravity matters.
+"""Impacts at the extremes of a population: invalid scenes, and the effect of gravity.
 
 In the dimensionless equation a body's weight is `gamma = g L / v^2`. Impacts without it come from closed forms and the
 table; impacts with it are integrated. Leaving it out changes peak force, contact duration, restitution and, relative to
@@ -24,7 +24,7 @@ from cgid.physics.materials import Material
 from cgid.scene.sections import ImpactSection, Population
 from cgid.validation import Floats, unchecked
 
-#: Default of the largest relative error from leaving gravity out.
+#: Default maximum relative error of neglecting gravity.
 GRAVITY_TOLERANCE = 1e-3
 #: Largest relative error over gamma / e.
 _ERROR = 2.4
@@ -34,18 +34,18 @@ MAX_INELASTICITY = 30.0
 
 
 def tolerance_of(section: ImpactSection) -> float:
-    """Return the largest relative error that a scene allows for leaving gravity out."""
+    """Return the maximum relative error of a scene for neglecting gravity."""
     return GRAVITY_TOLERANCE if section.gravity_tolerance is None else section.gravity_tolerance
 
 
 def error_without_weight(impact: Impact, gravity: float) -> Floats:
-    """Return the bound on the relative error of weightless impacts, none on a thin plate."""
+    """Return the bound on the relative error of weightless impacts; infinite on a thin plate."""
     speed = impact.length_scale / impact.time_scale
     return np.asarray(_ERROR * gravity * impact.length_scale / (speed * speed) / impact.restitution)
 
 
 def largest_error(section: ImpactSection, target: Target, populations: Iterable[Population]) -> float:
-    """Return the bound on the error of leaving gravity out of any impact; 0 for a scene without gravity."""
+    """Return the bound on the error of neglecting gravity in any impact; 0 for a scene without gravity."""
     if section.gravity is None:
         return 0.0
     if isinstance(target, ThinPlate):
@@ -73,7 +73,7 @@ def weighed(section: ImpactSection, **parts: Any) -> Contacts:
 def heaviest_impact(
     section: ImpactSection, target: Target, population: Population, *, with_weight: bool = False
 ) -> Contacts:
-    """Return the impact of a population in which weight matters most: every number at its extreme."""
+    """Return the impact of a population with the largest effect of weight: every number at its extreme."""
     # `gamma = g L / v^2` with `L = (m v^2 / K)^(2/5)` grows with mass and falls with stiffness and speed.
     low, high = population.poisson_ratio.extremes
     softest = min(abs(low), abs(high)) if low * high > 0 else 0.0
@@ -90,15 +90,15 @@ def heaviest_impact(
 
 
 def problem_of_weight(section: ImpactSection, target: Target, population: Population) -> str | None:
-    """Return an error message if gravity leaves an impact of this population without a rebound, else None."""
+    """Return an error message if gravity prevents a rebound of this population, else None."""
     if section.gravity is None:
         return None
     try:
         heaviest_impact(section, target, population, with_weight=True).curves.require_rebound()
     except InvalidValue as error:
         return (
-            f"the slowest, largest and softest impact that can be drawn must be one that gravity leaves a rebound: "
-            f"{error}; or leave impact.gravity out"
+            f"the slowest, largest and softest possible impact must rebound under gravity: {error}; or leave "
+            "impact.gravity out"
         )
     return None
 
@@ -118,22 +118,22 @@ def problem_on_plate(target: Target, theory: str, population: Population, thickn
     if inelasticity <= MAX_INELASTICITY:
         return None
     return (
-        f"lambda of the thin plate must be at most {MAX_INELASTICITY:g}, it can be drawn as {inelasticity:.3g}; "
+        f"lambda of the thin plate must be at most {MAX_INELASTICITY:g}, its maximum is {inelasticity:.3g}; "
         f"raise {thickness}, or give radius, density, youngs_modulus and speed a lower highest value"
     )
 
 
 def _speeds(population: Population) -> tuple[float, float]:
-    """Return the lowest and the highest speed at onset that can be drawn [m/s]."""
+    """Return the lowest and the highest possible speed at onset [m/s]."""
     if population.velocity is not None:
         return population.velocity.extremes
-    assert population.drop_height is not None  # the population has checked it
+    assert population.drop_height is not None  # checked by the population
     low, high = population.drop_height.extremes
     return float(speed_of_fall(np.asarray(low))), float(speed_of_fall(np.asarray(high)))
 
 
 def _largest_sphere(population: Population, youngs_modulus: float, poisson_ratio: float, *, sharp: bool) -> Sphere:
-    """Return the heaviest rock of a population, touching with its sharpest corner or its flattest side."""
+    """Return the heaviest rock of a population, hitting with its sharpest corner or its flattest side."""
     material = unchecked(
         Material, density=population.density.extremes[1], youngs_modulus=youngs_modulus, poisson_ratio=poisson_ratio
     )

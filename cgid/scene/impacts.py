@@ -23,7 +23,7 @@ from cgid.physics.plates import PanelShapes
 from cgid.physics.response import Response
 from cgid.physics.sampled import SampledPulses
 from cgid.physics.tail_beam import TailBeam
-from cgid.scene.draws import LUMP, PARTICLE, at_once, drawn_block
+from cgid.scene.draws import PARTICLE, SPHERE_SHAPE, at_once, drawn_block
 from cgid.scene.gravity import weighed
 from cgid.scene.plan import NEGLIGIBLE_ECHO, RESPONSE_TOLERANCE, STORED, Plan, highest_frequency
 from cgid.scene.schema import Scene
@@ -31,7 +31,7 @@ from cgid.scene.sections import SHAPES, TailBeamSection
 from cgid.validation import Floats, unchecked
 
 #: Maximum number of blocks that are drawn at once.
-_MOST = 16
+_MAX_BLOCKS = 16
 
 # -- the beam and the recorder ----------------------------------------------------------------------------
 
@@ -215,7 +215,7 @@ def _collision(scene: Scene, values: Mapping[str, Floats], rows: NDArray[np.intp
     """Return the arguments of an impact except its target."""
     *of_material, radius = PARTICLE
     material = unchecked(Material, **{name: values[name][rows] for name in of_material})
-    shape = {name: values[name][rows] for name in LUMP if name in values}
+    shape = {name: values[name][rows] for name in SPHERE_SHAPE if name in values}
     return {
         "sphere": unchecked(Sphere, material=material, radius=values[radius][rows], **shape),
         "velocity": values["velocity"][rows],
@@ -358,7 +358,7 @@ def draw(scene: Scene, seed: int, block: int) -> Blows:
 
 def draws(scene: Scene, seed: int, n_blocks: int = sys.maxsize) -> Iterator[Blows]:
     """Yield the pulses of the first blocks, as `draw`, many at once where they share a rig."""
-    asked, step = Plan(scene=scene, kind="pulses"), at_once(scene, _MOST)
+    asked, step = Plan(scene=scene, kind="pulses"), at_once(scene, _MAX_BLOCKS)
     for first in range(0, n_blocks, step):
         yield blows_of(asked, seed, first, min(step, n_blocks - first))
 

@@ -1,4 +1,4 @@
-"""Addressed noise: each sample of each signal has its own noise, however the signal is split."""
+"""Addressed noise: the noise of a sample does not depend on how the signal is split."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from cgid.validation import Floats
 
 #: Samples of a signal that have an address: 93 hours at 51.2 kHz.
 MAX_SAMPLES = TILE // LANES << 32
-#: Upper bound of the noise in standard deviations: sqrt(2 ln 2^33) = 6.764, and room for rounding.
+#: Upper bound of the noise in standard deviations: sqrt(2 ln 2^33) = 6.764, with a margin for rounding.
 MAX_NOISE = 6.77
 
 
@@ -56,13 +56,13 @@ def add_noise(
 _MAX_TERM = 10_000
 #: Blocks of 256 rocks used for the median peak of a scene.
 _REFERENCE_BLOCKS = 4
-#: An impact has passed its peak within this many samples.
+#: An impact reaches its peak within this many samples.
 _REFERENCE_SAMPLES = 2048
 
 
 @dataclass(frozen=True)
 class Coloured:
-    """Noise of a given spectrum at one sampling rate: a background's, or a sensor's of standard deviation 1."""
+    """Noise of a given spectrum at one sampling rate: of a background, or of a sensor with standard deviation 1."""
 
     of: ColouredNoise | Sensor
     quantity: str  # of the sensor
@@ -70,7 +70,7 @@ class Coloured:
     purpose: int  # of its numbers
 
     def in_frames(self, seed: int, block: int, n_samples: int) -> Floats:
-        """Return noise of its own for each frame of one block, (`BLOCK`, n_samples)."""
+        """Return independent noise for each frame of one block, (`BLOCK`, n_samples)."""
         # A period of at least twice the frame, so that the ends of the frame are independent.
         length = 1 << (2 * n_samples - 1).bit_length()
         return self._rows(self.density(length, n_samples), seed, block, 0, BLOCK)[:, :n_samples]
@@ -115,8 +115,8 @@ def _density(of: ColouredNoise | Sensor, quantity: str, sampling_rate: float, le
         assert of.noise_exponent is not None
         density = np.power(frequency / lowest, -of.noise_exponent)
     else:
-        known = of.noise_spectrum.frequencies
-        density = of.noise_spectrum.at(np.clip(frequency, known[0], known[-1]), quantity)
+        given = of.noise_spectrum.frequencies
+        density = of.noise_spectrum.at(np.clip(frequency, given[0], given[-1]), quantity)
     return np.asarray(density / ((density[0] / 2 + density[1:].sum()) * (sampling_rate / length)))
 
 
@@ -191,8 +191,10 @@ class Background:
 
     @cached_property
     def rms(self) -> float:
-        """Root mean square of the whole background, in SI units."""
-        return float(np.sqrt(self.section.known_power(self.quantity) + self.recorded_level * self.recorded_level))
+        """Root mean square of the complete background, in SI units."""
+        return float(
+            np.sqrt(self.section.deterministic_power(self.quantity) + self.recorded_level * self.recorded_level)
+        )
 
     @property
     def _coloured(self) -> Coloured | None:
@@ -207,7 +209,7 @@ def _wave(turns: Floats) -> Floats:
 
 @lru_cache(maxsize=16)
 def reference_peak(scene: Scene) -> float:
-    """Return the median peak of the first hits of a scene's rocks, drawn by the weights of their populations."""
+    """Return the median peak of the first impacts of a scene's rocks, by the weights of their populations."""
     plan = Plan(scene=scene)
     peaks = [_peaks(blows_of(plan, 0, block)) for block in range(_REFERENCE_BLOCKS)]
     slope = 0.0 if scene.stream is None else scene.stream.inclination
@@ -215,11 +217,11 @@ def reference_peak(scene: Scene) -> float:
     return float(np.median(peaks) * np.power(np.cos(slope), 1.2))
 
 
-def _peaks(blows: Blows) -> Floats:
-    if not blows.plan.responds:
-        return blows.parameters["peak_force"]
-    frames = np.zeros((BLOCK, blows.scene.sampling.samples or _REFERENCE_SAMPLES))
-    blows.add_to_frames(frames)
+def _peaks(pulses: Blows) -> Floats:
+    if not pulses.plan.responds:
+        return pulses.parameters["peak_force"]
+    frames = np.zeros((BLOCK, pulses.scene.sampling.samples or _REFERENCE_SAMPLES))
+    pulses.add_to_frames(frames)
     return np.asarray(np.abs(frames).max(axis=1))
 
 
@@ -260,7 +262,7 @@ def _unit_recording(
     ratio = Fraction(sampling_rate / signals[0].sampling_rate).limit_denominator(_MAX_TERM)
     if not ratio:
         raise BadData(
-            f"{path}: a background's sampling rate must be nearer to {sampling_rate:g} Hz, it is "
+            f"{path}: a background's sampling rate must be closer to {sampling_rate:g} Hz, it is "
             f"{signals[0].sampling_rate:g} Hz"
         )
     samples -= samples.mean()
@@ -269,7 +271,7 @@ def _unit_recording(
         samples -= samples.mean()
     level = np.sqrt(np.mean(samples * samples))
     if not level > 0:
-        raise BadData(f"{path}: a background must contain more than a constant; give another recording")
+        raise BadData(f"{path}: a background must not be constant; give another recording")
     samples /= level
     samples.setflags(write=False)
     return samples

@@ -1,4 +1,4 @@
-"""Decide which stages run for the requested output of a scene, and why: one function a stage."""
+"""Decide which stages run for the requested output of a scene, and why: one function per stage."""
 
 from __future__ import annotations
 
@@ -37,22 +37,22 @@ QUANTITIES = {
     "dissipated_energy": "J",
     "radiated_energy": "J",
 }
-#: Quantities that the scene file specifies for a tap.
+#: Quantities of a tap in the scene file.
 OF_TAPS = ("peak_force", "contact_duration")
 #: Quantities that are stored with signals and features.
 STORED = ("restitution", "peak_force", "contact_duration")
 #: Prefix of true values in a table of measured ones.
 TRUE = "true_"
 
-#: Error of the response over its largest sample: sets the resolution of a contact and the modes too quiet to compute.
+#: Error of the response over its largest sample: determines the resolution of a contact and the negligible modes.
 RESPONSE_TOLERANCE = 3e-5
 #: Below this lambda echoes from the edges of a beam are ignored: they change the restitution by about lambda at most.
 NEGLIGIBLE_ECHO = 0.02
-#: Modes are found up to this multiple of the recorder's highest frequency, because their tails reach into its band.
+#: Modes are computed up to this multiple of the recorder's highest frequency, because their tails extend into its band.
 BEYOND_BAND = 1.25
-#: Modes above this frequency respond quasi-statically to any contact long enough to feel the edges of a beam [Hz].
+#: Modes above this frequency respond quasi-statically to any contact long enough for echoes from the edges [Hz].
 MAX_RESPONSE_FREQUENCY = 20e3
-#: A frequency is in the band if the anti-alias filter passes at least this share of its amplitude.
+#: A frequency is in the band if the anti-alias filter passes at least this fraction of its amplitude.
 _MIN_AUDIBLE = 0.1
 #: Longer lists of features are abbreviated.
 _MAX_LISTED = 13
@@ -106,8 +106,10 @@ class Plan:
             lacking = next(
                 (otherwise for has, otherwise in (_NEEDS[need] for need in needs.split()) if not has(self)), None
             )
-            found = Decision(False, lacking) if lacking else decide(self)
-            self._decided[stage] = found if isinstance(found, Decision) else Decision(bool(found), found or "off")
+            outcome = Decision(False, lacking) if lacking else decide(self)
+            self._decided[stage] = (
+                outcome if isinstance(outcome, Decision) else Decision(bool(outcome), outcome or "off")
+            )
         return self._decided[stage]
 
     def runs(self, stage: str) -> bool:
@@ -116,11 +118,11 @@ class Plan:
 
     @property
     def responds(self) -> bool:
-        """Whether a beam or a sensor with poles turns the forces into the signals."""
+        """Whether a beam or a sensor with poles acts on the forces."""
         return self.runs("tail beam") or self.runs("sensor chain")
 
     def for_block(self, scene: Scene) -> Plan:
-        """Return the plan of a block, whose scene has nothing left to draw."""
+        """Return the plan of a block, whose scene has no random settings."""
         return self if scene is self.scene else replace(self, scene=scene)
 
     @property
@@ -130,17 +132,17 @@ class Plan:
 
     @property
     def sensed(self) -> bool:
-        """Whether the output needs signals as the sensor gives them."""
+        """Whether the output needs signals of the sensor."""
         return self.kind in ("frames", "recordings", "features")
 
     @property
     def kept(self) -> bool:
-        """Whether whole signals are requested."""
+        """Whether complete signals are requested."""
         return self.kind in ("pulses", "frames", "recordings")
 
     @property
     def column_units(self) -> dict[str, str]:
-        """The columns of the requested table and their units; empty where signals are kept."""
+        """The columns of the requested table and their units; empty for signals."""
         if self.kept:
             return {}
         parameters = parameter_units(self.scene)
@@ -179,9 +181,9 @@ def plan(
 ) -> Plan:
     """Return the plan for an output of a scene.
 
-    "parameters" are the drawn numbers, "closed-form" gives quantities of impacts without their pulses, "pulses" are
-    forces without beam and sensor, "frames" are signals as the sensor gives them. "features" are measured on such
-    signals, which are not kept. A stream has "recordings" and nothing else.
+    "parameters" are the sampled numbers, "closed-form" gives quantities of impacts without their pulses, "pulses" are
+    forces without beam and sensor, "frames" are signals of the sensor. "features" are measured on such signals, which
+    are not stored. A stream has "recordings" and nothing else.
 
     Parameters
     ----------
@@ -216,7 +218,7 @@ def plan(
     validation.choice("output", output, OUTPUTS)
     for name, given, needed in (("features", features, "features"), ("quantities", quantities, "closed-form")):
         if given is not None and output != needed:
-            raise InvalidValue(f"{name} must come with the output {needed!r}, which is not asked; leave them out")
+            raise InvalidValue(f"{name} need the output {needed!r}, which is not requested; leave them out")
     _require_recordings(scene, output)
     validation.choice("dtype", dtype, ("float32", "float64"))
     made = Plan(scene=scene, kind=output, dtype=dtype)
@@ -235,8 +237,8 @@ def supported_by(scene: Scene, features: Iterable[str]) -> tuple[str, ...]:
         names = supported(names, rate, scene.sampling.samples)
     if not names:
         raise InvalidValue(
-            f"scene {scene.name}: frames must be sampled fast and long enough for one feature at least, "
-            f"{scene.sampling.samples} samples at {scene.sampling.sampling_rate:g} Hz hold none; record longer"
+            f"scene {scene.name}: frames must be sampled fast and long enough for at least one feature, "
+            f"{scene.sampling.samples} samples at {scene.sampling.sampling_rate:g} Hz allow none; record longer"
         )
     return names
 
@@ -245,11 +247,11 @@ def _require_recordings(scene: Scene, output: str) -> None:
     """Raise `InvalidValue` unless a stream makes only recordings, and other scenes make none."""
     if scene.stream is not None and output != "recordings":
         raise InvalidValue(
-            f"output of scene {scene.name} must be recordings, for it is a stream, got {output}; "
+            f"output of scene {scene.name} must be recordings, since it is a stream, got {output}; "
             "make recordings of it (cgid generate SCENE -o RECORDING.h5)"
         )
     if scene.stream is None and output == "recordings":
-        raise InvalidValue(f"output of scene {scene.name} must not be recordings, for which it needs a section stream")
+        raise InvalidValue(f"output of scene {scene.name} must not be recordings, which need a section stream")
 
 
 def _features(scene: Scene, features: Iterable[str] | None) -> tuple[str, ...]:
@@ -274,7 +276,7 @@ def _quantities(quantities: Iterable[str] | None) -> tuple[str, ...]:
 
 
 def highest_frequency(scene: Scene) -> float:
-    """Return the frequency up to which the modes of a scene's beam are found [Hz]."""
+    """Return the frequency up to which the modes of a scene's beam are computed [Hz]."""
     if scene.sensor.quantity == "force":  # modes are not recorded, but act on contacts that outlast their echo
         return MAX_RESPONSE_FREQUENCY
     anti_alias = scene.sensor.anti_alias
@@ -300,13 +302,13 @@ def _arrivals(plan: Plan) -> str:
 def _impacts(plan: Plan) -> str:
     scene = plan.scene
     if isinstance(scene.body, ThinPlate) or scene.tail_beam is not None:
-        return "integrated: a plate or beam that gives way leaves no closed form"
+        return "integrated: no closed form with a yielding plate or beam"
     if plan.runs("gravity"):
-        return "closed forms, integrated where gravity is felt"
+        return "closed forms, integrated if gravity matters"
     integrated = "kuwabara-kono impacts integrated one by one" * ("kuwabara-kono" in scene.dissipations)
     if scene.plastic:
         names = ", ".join(dict.fromkeys(scene.dissipations))
-        others = "; those of other laws as if alone" * scene.mixes_laws + f", {integrated}" * bool(integrated)
+        others = "; those of other laws separately" * scene.mixes_laws + f", {integrated}" * bool(integrated)
         both = any(population.viscous_restitution is not None for population in scene.populations)
         both_ways = ", those with viscous loss integrated" * both
         pulses = f"pulses of {' and '.join(scene.plastic)} in three branches"
@@ -314,12 +316,12 @@ def _impacts(plan: Plan) -> str:
     if integrated:
         return integrated
     if _damps_beyond(scene):
-        return f"integrated where law {scene.impact.law} damps beyond the table of pulses"
+        return f"integrated where law {scene.impact.law} exceeds the damping of the table of pulses"
     return "closed forms and the table of pulses are exact here"
 
 
 def _damps_beyond(scene: Scene) -> bool:
-    """Return whether the law can deliver a lower restitution than the table of pulses covers."""
+    """Return whether the law can give a lower restitution than the table of pulses covers."""
     lowest = [source.restitution.extremes[0] for source in scene.populations if source.restitution is not None]
     if not lowest or scene.impact.law == "exact":
         return False
@@ -344,12 +346,12 @@ def _coupling(plan: Plan) -> str | Decision:
     if beam is None:
         return Decision(False, "the scene has no tail beam")
     if beam.coupling == "impedance":
-        return Decision(False, "coupling impedance: the beam as an endless plate")
+        return Decision(False, "coupling impedance: the beam as an infinite plate")
     if beam.modes is not None:
-        return "every impact through the modes: those of a table have no impedance"
+        return "every impact through the modes: a table of modes has no impedance"
     if beam.coupling == "modes":
         return "coupling modes: every impact through them"
-    why = "coupling auto: through the modes where waves come back from an edge during contact and lambda is above "
+    why = "coupling auto: through the modes if waves return from an edge during contact and lambda is above "
     return Decision(True, f"{why}{NEGLIGIBLE_ECHO:g}, else as an endless plate", NEGLIGIBLE_ECHO)
 
 
@@ -366,17 +368,17 @@ def _tail_beam(plan: Plan) -> Decision:
     if scene.tail_beam is None:
         return Decision(False, "the scene has none")
     if scene.sensor.quantity == "force":
-        return Decision(False, "the sensor feels the force: no mode is heard")
+        return Decision(False, "the sensor measures the force: no modes")
     if scene.tail_beam.modes is not None:
         modes = f"the {len(scene.tail_beam.modes)} modes of the table"
     else:
         assert scene.panel is not None
-        # The asymptotic modal density: a plan solves nothing.
+        # The asymptotic modal density, since a plan solves nothing.
         highest = highest_frequency(scene)
         number = max(round(scene.panel.modal_density * highest), 1)
         modes = f"about {number} modes up to {highest:.3g} Hz, none further beyond the band"
     gain = "" if scene.sensor.gain is None else f" times {scene.sensor.gain:g}"
-    why = f"{scene.sensor.quantity}{gain}: {modes}; those too quiet at the sensor are left out"
+    why = f"{scene.sensor.quantity}{gain}: {modes}; those negligible at the sensor are omitted"
     return Decision(True, why, RESPONSE_TOLERANCE)
 
 
@@ -395,30 +397,30 @@ def _sensor_chain(plan: Plan) -> str | Decision:
 def _frame_remainder(plan: Plan) -> str | Decision:
     scene, sensor = plan.scene, plan.scene.sensor
     if plan.kept:
-        return "whole signals are asked for"
+        return "complete signals are requested"
     if kind_of(plan.features) != "pulse":
         return "a vibration is measured all through the frame"
     if not allow_truncation(plan.features):
         everywhere = [name for name in plan.features if FEATURES[name].whole_frame]
         return f"{', '.join(everywhere)} looks at samples far from the pulse"
     if sensor.quantity != "force" or sensor.filters:
-        return "what is heard of a blow through a beam or a filter rings on"
+        return "ring-down of a beam or a filter"
     if scene.background is not None:
-        return "a background may stand out anywhere"
+        return "a background may have peaks anywhere"
     if sensor.coloured:
-        return "coloured noise is made of whole frames"
+        return "coloured noise is made for complete frames"
     drawn = [name for name in ("noise_exponent", "hum", "anti_alias_frequency") if scene.draws(name)]
     if drawn:
         return f"for each block whose {' or '.join(drawn)} needs it"
     if sensor.relative_noise * FAINT > 1 and not scene.draws("relative_noise"):
-        return f"a pulse below {FAINT:g} times the noise is looked for in all the frame"
-    return Decision(False, "no asked feature looks there; made for the signals where that is not certain")
+        return f"a pulse below {FAINT:g} times the noise is searched in the complete frame"
+    return Decision(False, "no requested feature needs it; made for signals for which this is not certain")
 
 
 def _bandwidth(plan: Plan) -> str:
     edge = plan.scene.sensor.bandwidth
     if plan.scene.draws("bandwidth"):
-        return "drawn for each block; always whole frames"
+        return "random for each block; always complete frames"
     return "" if edge is None else f"{edge:g} Hz; always whole frames"
 
 
@@ -426,11 +428,11 @@ def _noise(plan: Plan) -> str:
     if not plan.scene.sensor.noisy and not plan.scene.draws("relative_noise"):
         return ""
     extent = plan.runs("rest of the frames")
-    return _colour(plan) + ("whole frames" if extent else "up to the last sample that a feature looks at")
+    return _colour(plan) + ("whole frames" if extent else "up to the last sample that a feature uses")
 
 
 def _colour(plan: Plan) -> str:
-    """Return what colours the noise, with the frequency below which it is flat."""
+    """Return the description of coloured noise, with the frequency below which it is flat."""
     sensor, rate = plan.scene.sensor, plan.scene.extreme_rates[0]
     if plan.scene.draws("noise_exponent"):
         return "colour drawn for each block; "
@@ -459,24 +461,23 @@ def _digitising(plan: Plan) -> str:
 def _measuring(plan: Plan) -> str | Decision:
     names = plan.features
     if not names:
-        return Decision(False, "no features are asked for")
+        return Decision(False, "no features are requested")
     listed = ", ".join(names) if len(names) <= _MAX_LISTED else f"{names[0]} to {names[-1]}, {len(names)} of them"
     fitted = "a fit" if any(FEATURES[name].fitted for name in names) else "no fit"
     spectral = any(FEATURES[name].spectral for name in names if FEATURES[name].kind == "pulse")
     return f"{listed}; {fitted}, {'spectra' if spectral else 'no spectra'}"
 
 
-#: What a stage may need, and what is said where that is missing.
+#: Requirements of a stage, and the reason if one is missing.
 _NEEDS: Mapping[str, tuple[Callable[[Plan], bool], str]] = {
-    "rocks": (lambda asked: bool(asked.scene.populations), "no populations: taps have no law of impact"),
-    "results": (lambda asked: bool(asked.quantities), "only what is drawn is asked for"),
-    "signals": (lambda asked: asked.signals, "no signals are asked for"),
-    "sensor": (lambda asked: asked.sensed, "no sensed signals are asked for"),
-    "stream": (lambda asked: asked.scene.stream is not None, "the scene is no stream"),
-    "recordings": (lambda asked: asked.kind == "recordings", "no recordings are asked for"),
+    "rocks": (lambda asked: bool(asked.scene.populations), "no populations: taps have no contact law"),
+    "results": (lambda asked: bool(asked.quantities), "only sampled numbers are requested"),
+    "signals": (lambda asked: asked.signals, "no signals are requested"),
+    "sensor": (lambda asked: asked.sensed, "no sensor signals are requested"),
+    "stream": (lambda asked: asked.scene.stream is not None, "the scene is not a stream"),
+    "recordings": (lambda asked: asked.kind == "recordings", "no recordings are requested"),
 }
-#: Every stage in processing order: what it needs, and whether a scene asks for it, and why (a text alone: yes; none:
-#: it is off).
+#: Every stage in processing order: its requirements, and whether a scene has it, and why (only a text: yes; none: off).
 STAGES: Mapping[str, tuple[str, Callable[[Plan], str | Decision]]] = {
     "arrivals": ("stream recordings", _arrivals),
     "impacts": ("rocks results", _impacts),
@@ -491,7 +492,7 @@ STAGES: Mapping[str, tuple[str, Callable[[Plan], str | Decision]]] = {
     "second hits": (
         "signals",
         lambda asked: (
-            "the same pulse once more, delay and ratio are drawn"
+            "the same pulse again, with random delay and ratio"
             * any(source.second_hit is not None for source in asked.scene.sources)
         ),
     ),
@@ -503,7 +504,7 @@ STAGES: Mapping[str, tuple[str, Callable[[Plan], str | Decision]]] = {
     "background": ("sensor", _background),
     "clipping": (
         "sensor",
-        lambda asked: "clipped_at is drawn" * any(source.clipped_at is not None for source in asked.scene.sources),
+        lambda asked: "random clipped_at" * any(source.clipped_at is not None for source in asked.scene.sources),
     ),
     "offset, range and bits": ("sensor", _digitising),
     "features": ("", _measuring),

@@ -1,4 +1,4 @@
-"""Write recordings of a stream to disk; the required space is checked before any work is done."""
+"""Write recordings of a stream to disk; the required space is checked first."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from cgid.terminal import counted
 
 #: Memory for the truth of an impact, including sorting and writing [bytes],
 _IMPACT_BYTES = 500
-#: and the limit for a whole recording [bytes].
+#: and the limit for a complete recording [bytes].
 MAX_TRUTH = 1 << 30
 #: Maximum number of recordings in a folder.
 MAX_RECORDINGS = 100_000
@@ -35,8 +35,8 @@ MAX_RECORDINGS = 100_000
 _DEVIATIONS = 6.0
 
 
-def most_impacts(scene: Scene) -> float:
-    """Return a safe upper limit of the impacts in a recording: six deviations above the expected rocks."""
+def max_impacts(scene: Scene) -> float:
+    """Return a safe upper limit of the impacts in a recording: six standard deviations above the expected rocks."""
     assert scene.stream is not None
     stream = scene.stream
     rocks = float(arrivals_of(stream).expected(stream.duration))
@@ -48,7 +48,7 @@ def most_impacts(scene: Scene) -> float:
 def require_capacity(scene: Scene, dtype: str) -> None:
     """Raise `InvalidValue` if a recording would not fit into a file, or its truth into memory."""
     assert scene.stream is not None
-    duration, impacts = scene.stream.duration, most_impacts(scene)
+    duration, impacts = scene.stream.duration, max_impacts(scene)
     samples = samples_of(scene)
     size = samples * np.dtype(dtype).itemsize
     if size > MAX_RECORDING:
@@ -102,7 +102,7 @@ def generate_recordings(
     overwrite : bool
         Replace existing recordings.
     resume : bool
-        Continue an unfinished run; a finished one is left as it is.
+        Continue an unfinished run; a finished one is unchanged.
     progress : callable, optional
         Called with the number of newly finished samples.
 
@@ -123,7 +123,7 @@ def generate_recordings(
     """
     scene = load_scene(scene)
     if scene.stream is None:
-        raise InvalidValue(f"scene {scene.name} must have a section stream to make a recording of; it has none")
+        raise InvalidValue(f"scene {scene.name} must have a section stream for recordings; it has none")
     n_recordings = validation.whole("n_recordings", n_recordings, 1, MAX_RECORDINGS)
     path = Path(output)
     if n_recordings > 1 and is_single_file(path):
@@ -143,7 +143,7 @@ def generate_recordings(
             progress((n_recordings - len(run.missing)) * plan.n_samples)
         files = [] if single else [path / description.name(number) for number in run.missing]
         size = len(run.missing) * plan.size - sum(file.stat().st_size for file in files if file.exists())
-        require_room(path, path.parent, size, "samples", "make room, or a shorter recording")
+        require_room(path, path.parent, size, "samples", "free some space, or make a shorter recording")
         make_recordings(run, scene, seed, plan, run.missing, progress, overwrite=overwrite or not single)
     return path
 
@@ -191,9 +191,9 @@ def write_recording(
 ) -> None:
     """Write one recording of a stream, by its number; see `generate_recordings`."""
     dtype: Any = plan.dtype
-    own = replace(plan, attributes={**plan.attributes, "recording": number})
+    of_recording = replace(plan, attributes={**plan.attributes, "recording": number})
     truth = []
-    with writing(path, own, overwrite=overwrite) as writer:
+    with writing(path, of_recording, overwrite=overwrite) as writer:
         for samples, impacts in parts_of_recording(scene, seed, number, dtype=dtype):
             writer.add(samples)
             truth.append(impacts)

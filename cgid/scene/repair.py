@@ -1,4 +1,4 @@
-"""Repair of a folder: what is damaged or lost follows from the description, as when a run is resumed."""
+"""Repair of a folder: damaged or lost files are regenerated from the description, as when a run is resumed."""
 
 from __future__ import annotations
 
@@ -23,9 +23,10 @@ Progress = Callable[[int], object]
 
 
 def repair(verified: Verified, scene: Scene | None = None, progress: Progress | None = None) -> None:
-    """Make the damaged and lost files of a folder again, list the sums of what is whole, and remove leftovers.
+    """Regenerate damaged and lost files of a folder, list the sums of complete files, and remove leftovers.
 
-    What is unfinished is not completed, and no file is replaced that follows from another description.
+    An
+    unfinished run is not completed, and files of another description are not replaced.
 
     Parameters
     ----------
@@ -34,12 +35,12 @@ def repair(verified: Verified, scene: Scene | None = None, progress: Progress | 
     scene : Scene, optional
         Only a dataset with a recorded background needs it.
     progress : callable, optional
-        Is called with the number of signals or samples made since the last call.
+        Called with the number of signals or samples made since the last call.
 
     Raises
     ------
     BadData
-        It is no folder of this version with a sound description.
+        It is not a folder of this version with a valid description.
     CannotCreate
         Its files do not follow from the description here, a run writes into the folder, or the disk has no room.
     WriteFailed
@@ -64,7 +65,7 @@ def repair(verified: Verified, scene: Scene | None = None, progress: Progress | 
 
 
 def _maker(path: Path, description: Description, given: Scene | None, n_files: int) -> Callable[..., None]:
-    """Return what makes the files of a folder; raises `BadData` if this cgid does not make them of its description."""
+    """Return the function that makes the files of a folder; raises `BadData` if this cgid would make different ones."""
     file, content, attributes = path / DESCRIPTION, description.content, description.content["attributes"]
     seed, dtype = attributes.get("seed"), content["dtype"]
     if type(seed) is not int or seed < 0:
@@ -73,22 +74,22 @@ def _maker(path: Path, description: Description, given: Scene | None, n_files: i
     plan: Any
     make: Callable[..., None]
     if description.kind == RECORDING_FORMAT:
-        plan, here = recordings.planned(scene, seed, content["n_recordings"], dtype)
+        plan, current = recordings.planned(scene, seed, content["n_recordings"], dtype)
         make, size = recordings.make_recordings, plan.size
     else:
         counts = content["n_signals"], content["shard_signals"]
-        plan, here = generation.planned(path, scene, seed, *counts, dtype, content["compression"])
+        plan, current = generation.planned(path, scene, seed, *counts, dtype, content["compression"])
         make, size = generation.make_shards, plan.size(content["shard_signals"])
-    require_same(path, content, here.content, "use the versions and the scene that made it, or generate it again")
+    require_same(path, content, current.content, "use the versions and the scene that made it, or generate it again")
     require_room(path, path, n_files * size, "files that are made again", "make room")
     return partial(make, scene=scene, seed=seed, plan=plan)
 
 
 def _how_to_make(file: Path) -> str:
-    """Return how to make a single file again."""
+    """Return how to regenerate a single file."""
     kind, _, about = examine_file(file)
     if kind not in (FORMAT, RECORDING_FORMAT) or "seed" not in about or about.get("first_signal"):
-        return f"{file}: make it again by the command that made it; if that was cgid generate, with --overwrite"
+        return f"{file}: repeat the command that made it; if that was cgid generate, with --overwrite"
     options = f"-n {about.get('n_signals', 1)} --seed {about['seed']}"
     options += "".join(f" --{name} {about[name]}" for name in ("dtype", "compression") if name in about)
     name, output = shlex.quote(str(about.get("scene_name"))), shlex.quote(str(file))
@@ -99,11 +100,11 @@ def _scene_of(path: Path, attributes: Any, given: Scene | None) -> Scene:
     """Return the scene of a folder: `given`, read from its own file, or the one stored in `attributes`."""
     scene = given or stored_scene(attributes, str(path))
     if scene is None:
-        raise BadData(f"{path}: does not say of what scene it was made; make it again by cgid generate")
+        raise BadData(f"{path}: does not state its scene; make it again by cgid generate")
     if given is None and scene.background is not None and scene.background.recorded is not None:
-        # An untrusted file must not make us open other files.
+        # An untrusted file must not open other files.
         raise BadData(
-            f"{path}: was made with the recorded background {scene.background.recorded.path}; give the scene file that "
-            "lies beside it by --scene FILE"
+            f"{path}: was made with the recorded background {scene.background.recorded.path}; give the scene file next "
+            "to it by --scene FILE"
         )
     return scene

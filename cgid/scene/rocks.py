@@ -1,11 +1,10 @@
 """The rocks of a stream: their arrivals, properties and rebounds.
 
-Arrivals are drawn stretch by stretch of the time axis. Rocks move from one impact to the next by formula, one
-generation of rebounds after the other, without time steps. They do not meet or spin, and the beam takes nothing of
-their speed along it.
+Arrivals are drawn stretch by stretch of the time axis. Rocks move from impact to impact by formula, one generation of
+rebounds at a time, without time steps. They do not collide or spin, and keep their speed along the beam.
 
-x runs along the length from the held edge, down the slope of an inclined beam, and y across. A beam known only by
-measured modes has no points, nor has a half space; nothing falls off these.
+x runs along the length from the held edge, down the slope of an inclined beam, and y across. A beam of measured modes
+and a half space have no points, so nothing falls off these.
 """
 
 from __future__ import annotations
@@ -23,9 +22,9 @@ from cgid.scene.draws import (
     ARRIVALS,
     BLOCK,
     FALL,
-    LUMP,
     PARTICLE,
     POINT_UNITS,
+    SPHERE_SHAPE,
     laws_of,
     optional_numbers,
     points_of_impact,
@@ -64,7 +63,7 @@ class PoissonTimes:
 
     @cached_property
     def _knots(self) -> tuple[Floats, Floats, Floats]:
-        """Times, rates and expected number of arrivals before each time; the last rate holds for ever."""
+        """Times, rates and expected number of arrivals before each time; the last rate continues."""
         times, values = np.array(self.table.times), np.array(self.table.values)
         if times[0] > 0:
             times, values = np.append(0.0, times), np.append(values[0], values)
@@ -79,7 +78,7 @@ class PoissonTimes:
         return np.asarray(before[piece] + (at - knots[piece]) * (values[piece] + np.interp(at, knots, values)) / 2)
 
     def time_of(self, expected: Floats) -> Floats:
-        """Return when this many arrivals are expected [s]: the inverse of `expected`."""
+        """Return the time at which this many arrivals are expected [s]: the inverse of `expected`."""
         knots, values, before = self._knots
         slopes = np.append(np.diff(values) / np.diff(knots), 0.0)
         piece = np.clip(np.searchsorted(before, expected, side="right") - 1, 0, knots.size - 1)
@@ -140,12 +139,12 @@ def arrivals_of(stream: StreamSection) -> PoissonTimes | GivenTimes:
     arrivals = stream.arrivals
     if arrivals.times is not None:
         return GivenTimes(arrivals.times)
-    assert arrivals.rate is not None  # the section has checked it
+    assert arrivals.rate is not None  # checked by the section
     return PoissonTimes(arrivals.rate)
 
 
 def populations_of(scene: Scene, times: Floats, uniform: Floats) -> NDArray[np.intp]:
-    """Return the population of rocks that arrive at these times [s], (n,), from one uniform number a rock."""
+    """Return the population of rocks that arrive at these times [s], (n,), from one uniform number per rock."""
     shares = population_shares(scene, times)
     edges = np.cumsum(shares, axis=0)
     edges /= edges[-1]
@@ -153,7 +152,7 @@ def populations_of(scene: Scene, times: Floats, uniform: Floats) -> NDArray[np.i
 
 
 def population_shares(scene: Scene, times: Floats) -> Floats:
-    """Return the share of every population among the arriving rocks, (n_populations, n_times)."""
+    """Return the fraction of every population among the arriving rocks, (n_populations, n_times)."""
     assert scene.stream is not None
     mixture = scene.stream.mixture
     given = {} if mixture is None else {label: mixture.at(label, times) for label in mixture.shares}
@@ -174,13 +173,13 @@ def population_shares(scene: Scene, times: Floats) -> Floats:
 
 
 def on_beam(scene: Scene, x: Floats, y: Floats) -> NDArray[np.bool_]:
-    """Return which points [m] lie on the beam; all, for a beam without points."""
+    """Return which points [m] are on the beam; all, for a beam without points."""
     if scene.panel is None:
         return np.ones(x.shape, bool)
     return np.asarray((x >= 0) & (x <= scene.panel.length) & (y >= 0) & (y <= scene.panel.width))
 
 
-_QUANTITIES = (*FALL, *LUMP, "yield_pressure", "strength", "viscous_restitution", "velocity")
+_QUANTITIES = (*FALL, *SPHERE_SHAPE, "yield_pressure", "strength", "viscous_restitution", "velocity")
 #: The state of a rock before an impact.
 COLUMNS = {
     "time": np.float64,  # of onset [s]
@@ -190,7 +189,7 @@ COLUMNS = {
     "specimen": np.uint64,
     **dict.fromkeys(
         (
-            *(*PARTICLE, *LUMP, "restitution", "yield_pressure", "viscous_restitution"),
+            *(*PARTICLE, *SPHERE_SHAPE, "restitution", "yield_pressure", "viscous_restitution"),
             *("drop_height", "velocity", "dissipation"),
         ),
         np.float64,
@@ -266,10 +265,10 @@ def thrown_back(
     """Return the rocks still followed after an impact, before their next one; `delivered` is the restitution."""
     # A rock leaves with the normal speed u = e v, flies for `2 u / (g cos alpha)` and returns with it; it moves down
     # the slope by `u t + g sin(alpha) t^2 / 2`. An eccentric impact by the share r of its mass leaves its centre `u =
-    # ((1 + e) r - 1) v`; where that is not above 0 the rock topples over and is followed no further.
+    # ((1 + e) r - 1) v`; if that is not above 0 the rock topples over and is dropped.
     assert scene.stream is not None
     rebounds, slope = scene.stream.rebounds, scene.stream.inclination
-    assert rebounds is not None  # ensured by the plan
+    assert rebounds is not None  # guaranteed by the plan
     count("rebounds", len(rocks))
     aside = (1 - rocks["effective_mass"]) * (1 + delivered)
     velocity = (delivered - aside) * rocks["velocity"]

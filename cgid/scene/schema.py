@@ -1,4 +1,4 @@
-"""The scene file, in TOML, and variations of a scene; it is validated at once, and every mistake has its path."""
+"""The scene file, in TOML, and variations of a scene; validation reports every mistake with its path."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ from cgid.validation import cut, shown, suggestion
 
 #: Largest scene file [bytes] and most keys in it: 10,000 measured modes have 60,000.
 _MAX_FILE_SIZE, _MAX_KEYS = 8 << 20, 100_000
-#: Frequency of the mains where `randomise.hum_frequency` does not state it [Hz].
+#: Frequency of the mains without `randomise.hum_frequency` [Hz].
 HUM_FREQUENCY = 50.0
 #: Maximum number of mistakes in one report.
 _MAX_MISTAKES = 20
@@ -52,9 +52,9 @@ class Scene(Section):
     """A complete scene; see `load_scene`."""
 
     name: str = Field(min_length=1, max_length=64)
-    """Name of the scene, which datasets and model cards carry."""
+    """Name of the scene, which datasets and model cards include."""
     description: str = ""
-    """What the scene is, for readers."""
+    """Description of the scene for readers."""
     impact: ImpactSection
     """The laws of the impact and the target."""
     sampling: SamplingSection
@@ -62,9 +62,9 @@ class Scene(Section):
     sensor: Sensor = Sensor()
     """The sensor; without it an exact recorder of the force."""
     tail_beam: TailBeamSection | None = None
-    """The beam that the rocks hit and a sensor of motion sits on."""
+    """The beam that the rocks hit, and on which a sensor of motion is mounted."""
     randomise: RandomiseSection | None = None
-    """Settings that are drawn instead of fixed."""
+    """Settings that are random instead of fixed."""
     populations: tuple[Population, ...] = Field(default=(), max_length=64)
     """The rocks that fall."""
     taps: tuple[Tap, ...] = Field(default=(), max_length=64)
@@ -74,11 +74,11 @@ class Scene(Section):
     background: BackgroundSection | None = None
     """Hum, noise or a recording that is added to the signals."""
 
-    #: Modules of the laws that the user named, for other processes; no scene file names one.
+    #: Modules of custom laws named by the user, for other processes; scene files cannot name one.
     _law_modules: tuple[str, ...] = PrivateAttr(default_factory=sources)
 
     def __setstate__(self, state: dict[Any, Any]) -> None:
-        """Load the laws in the process that the scene has come to."""
+        """Load the laws in another process."""
         super().__setstate__(state)
         for source in self._law_modules:
             if source not in sources():
@@ -88,10 +88,10 @@ class Scene(Section):
     def _parts_fit(self) -> Self:
         problems = []
         if not self.sources:
-            problems.append("populations: must be at least 1 where there are no taps, got none of either")
+            problems.append("populations: must be at least 1 without taps, got none of either")
         problems += self._problems_of_dissipation()
         problems += self._problems_of_beam()
-        if not problems:  # an invalid beam cannot serve as target
+        if not problems:  # an invalid beam cannot be a target
             thickness = "impact.target.thickness" if self.tail_beam is None else "tail_beam.thickness"
             for index, population in enumerate(self.populations):
                 problem = problem_on_plate(
@@ -100,7 +100,7 @@ class Scene(Section):
                 if problem is not None:
                     problems.append(f"populations.{index}: {problem}")
         if self.impact.gravity_tolerance is not None and self.impact.gravity is None:
-            problems.append("impact.gravity_tolerance: must come with impact.gravity; give that, too, or leave it out")
+            problems.append("impact.gravity_tolerance: needs impact.gravity; give that, too, or leave it out")
         if self.impact.gravity is not None and self.tail_beam is not None:
             problems.append("impact.gravity: must be left out, an impact on a tail beam has no weight")
         problems += self._problems_of_band()
@@ -127,7 +127,7 @@ class Scene(Section):
         size = f"frames of {samples_of(self)} samples"
         if self.stream is not None:
             size = f"a recording of {self.stream.duration:g} s"
-        rate = "a drawn rate" if self.draws("sampling_rate") else f"{self.sampling.sampling_rate:g} Hz"
+        rate = "a random rate" if self.draws("sampling_rate") else f"{self.sampling.sampling_rate:g} Hz"
         return f"Scene({self.name!r}: {sources}; {size} at {rate} [{self.sensor.unit}])"
 
     __str__ = __repr__
@@ -146,14 +146,14 @@ class Scene(Section):
                     other = f", or {instead}" * (instead is not None)
                     problems.append(f"{place}.{name}: is missing, {dissipation} dissipation needs it{other}")
             if population.yield_pressure is not None and population.strength is not None:
-                problems.append(f"{place}.strength: must be left out beside yield_pressure, which it stands for")
+                problems.append(f"{place}.strength: must be left out with yield_pressure, which it replaces")
             if population.viscous_restitution is not None and "viscous_restitution" not in named(dissipation).keys:
                 hint = "leave it out" if needed is None else "give restitution, which is viscous"
                 problems.append(
                     f"{place}.viscous_restitution: must be left out when dissipation is {dissipation}; {hint}"
                 )
         for dissipation in dict.fromkeys(name for name in self.dissipations if on_solid_ground(name)):
-            hint = "leave it out, or take hunt-crossley"
+            hint = "leave it out, or use hunt-crossley"
             for name, wrong in {
                 "impact.gravity": self.impact.gravity is not None,
                 "impact.target.thickness": getattr(self.impact.target, "thickness", None) is not None,
@@ -167,14 +167,12 @@ class Scene(Section):
         if self.tail_beam is None:
             if self.sensor.quantity == "force":
                 return []
-            return [
-                f"tail_beam: is missing, a sensor of {self.sensor.quantity} sits on one; or take quantity = 'force'"
-            ]
+            return [f"tail_beam: is missing, a sensor of {self.sensor.quantity} needs one; or use quantity = 'force'"]
         target = self.impact.target
         if isinstance(target, str):
-            return ["impact.target: must be the material of the tail beam, got 'rigid', which no beam is"]
+            return ["impact.target: must be the material of the tail beam, got 'rigid'"]
         if target.thickness is not None:
-            return ["impact.target.thickness: must be left out, the tail beam has its own"]
+            return ["impact.target.thickness: must be left out, the tail beam has one"]
         try:
             _ = self.panel
         except InvalidValue as error:
@@ -212,30 +210,30 @@ class Scene(Section):
 
     @cached_property
     def body(self) -> Target:
-        """The target of every impact; a beam of known size yields as an infinite plate."""
+        """The target of every impact; a beam of known size counts as an infinite plate."""
         if self.panel is not None:
             return self.panel.plate
         return self.impact.body
 
     @cached_property
     def dissipations(self) -> tuple[str, ...]:
-        """How the rocks of each population lose energy."""
+        """The dissipation of each population."""
         return tuple(population.dissipation or self.impact.dissipation for population in self.populations)
 
     @property
     def law_names(self) -> tuple[str, ...]:
-        """The laws of loss by their index in data: those of cgid, then those of your own, as populations name them."""
+        """The laws of loss by their index in data: built-in ones, then custom ones in the order of populations."""
         return tuple(dict.fromkeys((*DISSIPATIONS, *self.dissipations)))
 
     @property
     def own_laws(self) -> dict[str, str]:
-        """The laws of your own that the scene uses, by name, and the SHA-256 of their modules."""
+        """The custom laws of the scene, by name, and the SHA-256 of their modules."""
         own = {name: own_law(name) for name in self.law_names[len(DISSIPATIONS) :]}
         return {name: law.sha256 for name, law in own.items() if law is not None}
 
     @property
     def plastic(self) -> tuple[str, ...]:
-        """The dissipations among them whose contacts unload on another path."""
+        """The dissipations with different paths of loading and unloading."""
         return tuple(name for name in PLASTIC if name in self.dissipations)
 
     @cached_property
@@ -265,7 +263,7 @@ class Scene(Section):
 
     @property
     def text(self) -> str:
-        """The whole scene as JSON with sorted keys, as stored in datasets and hashed."""
+        """The complete scene as JSON with sorted keys, as stored in datasets and hashed."""
         content = self.model_dump(mode="json", exclude_none=True)
         # Unused parts are omitted, so adding a new kind of part does not change the identity of old scenes.
         if self.sensor.quantity == "force":
@@ -283,7 +281,7 @@ class Scene(Section):
         return hashlib.sha256(self.text.encode()).hexdigest()
 
     def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> Self:
-        """Return a copy; what was cached of fields that it replaces is not its own, but its identity stays."""
+        """Return a copy without cached values of the replaced fields, but with the same identity."""
         copy = super().model_copy(update=update, deep=deep)
         for name in ("panel", "body", "dissipations", "mixes_laws", "sources"):
             copy.__dict__.pop(name, None)
@@ -338,7 +336,7 @@ def load_scene(path: str | Path | Scene) -> Scene:
 
 
 def stored_scene(attributes: Mapping[str, Any], source: str) -> Scene | None:
-    """Return the scene that a dataset or recording holds among its attributes; None if it holds none."""
+    """Return the scene in the attributes of a dataset or recording; None without one."""
     try:
         content = json.loads(attributes["scene"])
     except (KeyError, TypeError, ValueError, RecursionError):
@@ -387,7 +385,7 @@ def _path(location: tuple[int | str, ...]) -> str:
 
 
 def _secondary(entry: Any, errors: Sequence[Any]) -> bool:
-    """Return whether an error only follows from another one, or concerns the form of target that was not chosen."""
+    """Return whether an error is a consequence of another, or concerns the unused form of target."""
     if entry["type"] == "too_short":  # a list all of whose rows are invalid
         place = entry["loc"]
         return any(other["loc"][: len(place)] == place and len(other["loc"]) > len(place) for other in errors)
@@ -408,13 +406,13 @@ def _message(entry: Any) -> str:
     if entry["type"] == "extra_forbidden":
         keys = [key for section in _sections_at(entry["loc"][:-1]) for key in section.model_fields]
         hint = suggestion(entry["loc"][-1], keys)
-        return f"unknown key{hint or '; look for a misspelling, or take it out'}"
+        return f"unknown key{hint or '; check the spelling, or remove it'}"
     if entry["type"] == "missing":
         return f"is missing{_description(entry['loc'])}"
     if entry["type"] in ("too_short", "too_long"):
         context = entry["ctx"]
-        least, bound = ("at least", "min_length") if entry["type"] == "too_short" else ("at most", "max_length")
-        return f"must have {least} {context[bound]}, got {context['actual_length'] or 'none'}"
+        minimum, bound = ("at least", "min_length") if entry["type"] == "too_short" else ("at most", "max_length")
+        return f"must have {minimum} {context[bound]}, got {context['actual_length'] or 'none'}"
     if entry["type"] in ("union_tag_not_found", "union_tag_invalid"):
         got = f", got {shown(entry['ctx']['tag'])}" if "tag" in entry.get("ctx", {}) else ""
         return f"must name its distribution: one of {', '.join(DISTRIBUTION_NAMES)}{got}"
@@ -428,7 +426,7 @@ def _message(entry: Any) -> str:
 
 
 def _description(location: Sequence[int | str]) -> str:
-    """Return what a key is, for the end of a message."""
+    """Return the description of a key, for the end of a message."""
     name, fields = location[-1], [one.model_fields for one in _sections_at(location[:-1])]
     field = next((one[str(name)] for one in fields if name in one), None)
     if field is None or not field.description:
@@ -439,9 +437,9 @@ def _description(location: Sequence[int | str]) -> str:
 
 
 def _sections_at(location: Sequence[int | str]) -> list[type[BaseModel]]:
-    """Return the section at a path; all distributions, where it is one."""
+    """Return the section at a path; all distributions, if it is one."""
     sections: list[type[BaseModel]] = [Scene]
-    for part in location:  # numbers of rows and names of alternatives are no keys
+    for part in location:  # row numbers and names of alternatives are not keys
         types = [one.model_fields[part].annotation for one in sections if part in one.model_fields]
         sections = [section for annotation in types for section in _sections_in(annotation)] or sections
     return sections
@@ -458,9 +456,9 @@ def _sections_in(annotation: Any) -> list[type[BaseModel]]:
 MIN_PRE_TRIGGER = 64
 _SECTIONS: dict[str, type[BaseModel]] = {"impact": ImpactSection, "sampling": SamplingSection, "sensor": Sensor}
 _LISTS: dict[str, type[BaseModel]] = {"populations": Population, "taps": Tap}
-#: Settings of which one replaces the other, and what is drawn instead of which setting under another name.
+#: Settings that replace each other, and randomised settings with another name than the fixed one.
 _INSTEAD = {"velocity": "drop_height", "drop_height": "velocity", "range": "relative_range", "relative_range": "range"}
-_DRAWN_AS = {"anti_alias": "anti_alias_frequency", "range": "relative_range"}
+_RANDOMISED_AS = {"anti_alias": "anti_alias_frequency", "range": "relative_range"}
 _SOURCE_KEYS = ("label", "weight", "dissipation")
 
 
@@ -505,7 +503,7 @@ def varied(scene: Scene | str | Path, *, keep_frame: bool = False, **changes: An
     for name, value in changes.items():
         places = _places(content, name)
         if not places:
-            raise InvalidValue(f"{name} must be a setting of scene {scene.name}, which has none of this name to change")
+            raise InvalidValue(f"{name} must be a setting of scene {scene.name}, which has no setting of this name")
         for place in places:
             for other in (name, _INSTEAD.get(name, name)):
                 place.pop(other, None)
@@ -517,7 +515,7 @@ def varied(scene: Scene | str | Path, *, keep_frame: bool = False, **changes: An
 def _places(content: dict[str, Any], name: str) -> list[dict[str, Any]]:
     """Return the sections of a scene that may have this key, and remove it from `randomise`."""
     randomise = content.get("randomise", {})
-    for drawn in (name, _DRAWN_AS.get(name, name)):
+    for drawn in (name, _RANDOMISED_AS.get(name, name)):
         if drawn in RandomiseSection.model_fields and randomise.pop(drawn, None) is not None and not randomise:
             del content["randomise"]
     if name in ("name", "description"):
@@ -534,8 +532,8 @@ def _same_frame(scene: Scene, changes: dict[str, Any]) -> dict[str, Any]:
     given = sorted({"samples", "pre_trigger"} & changes.keys())
     if "sampling_rate" not in changes or given:
         raise InvalidValue(
-            "keep_frame must come with sampling_rate and without samples and pre_trigger, which follow from it, "
-            f"got {', '.join(sorted(changes)) or 'nothing'}"
+            "keep_frame needs sampling_rate without samples and pre_trigger, which follow from it, got "
+            f"{', '.join(sorted(changes)) or 'nothing'}"
         )
     old = scene.sampling
     # Parsed like the file, because it may be a string with a unit.

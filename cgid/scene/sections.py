@@ -41,7 +41,7 @@ from cgid.scene.distributions import (
     Quantity,
     Section,
     Share,
-    Whole,
+    WholeNumber,
     quantity_of,
 )
 from cgid.validation import Floats, Rule, poisson_ratio
@@ -69,7 +69,7 @@ CURVATURES, MIN_MASS = (1e-3, 10.0), 1e-2
 _MAX_MODES = 10_000
 
 
-def _or_own_law(value: Any, handler: Callable[[Any], Any]) -> Any:
+def _or_custom_law(value: Any, handler: Callable[[Any], Any]) -> Any:
     """Accept the name of a law of your own, too."""
     return value if isinstance(value, str) and value not in DISSIPATIONS and known(value) else handler(value)
 
@@ -90,7 +90,7 @@ if TYPE_CHECKING:
     Shape = str
     Loss = str
 else:
-    Loss = Annotated[Literal[*DISSIPATIONS], WrapValidator(_or_own_law)]
+    Loss = Annotated[Literal[*DISSIPATIONS], WrapValidator(_or_custom_law)]
     Law = Literal[*HUNT_CROSSLEY_LAWS]
     Shape = Literal[*SHAPES]
 
@@ -265,9 +265,9 @@ class SamplingSection(Section):
 
     sampling_rate: Frequency
     """Samples per second."""
-    samples: Annotated[Whole, Quantity(rule=Rule(16, 2**20))] = 0
+    samples: Annotated[WholeNumber, Quantity(rule=Rule(16, 2**20))] = 0
     """Length of a frame; required, except in a stream, where it is left out."""
-    pre_trigger: Annotated[Whole, Quantity(rule=Rule(2))] = 0
+    pre_trigger: Annotated[WholeNumber, Quantity(rule=Rule(2))] = 0
     """Samples before onset; required, except in a stream, where it is left out."""
     jitter: Annotated[Number, Quantity(rule=Rule(0, 1))] = 1.0
     """The onset falls anywhere within this part of a sample."""
@@ -289,7 +289,7 @@ class SamplingSection(Section):
         return [f"sampling.{name}: is missing" for name in ("samples", "pre_trigger") if not getattr(self, name)]
 
     @model_validator(mode="after")
-    def _room_for_a_pulse(self) -> Self:
+    def _frame_fits_pulse(self) -> Self:
         if self.samples and self.pre_trigger > self.samples - 8:
             raise ValueError(
                 f"pre_trigger must leave 8 samples of the frame's {self.samples} for the pulse, got {self.pre_trigger}"
@@ -365,7 +365,7 @@ class SensorPoint(Section):
 class RibsSection(Section):
     """Longitudinal ribs under the skin."""
 
-    number: Annotated[Whole, Quantity(rule=Rule(1, 100))]
+    number: Annotated[WholeNumber, Quantity(rule=Rule(1, 100))]
     """Number of ribs, evenly spaced over the width."""
     depth: Length
     """Depth of a rib, perpendicular to the skin."""

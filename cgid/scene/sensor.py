@@ -22,19 +22,19 @@ from cgid.scene.distributions import (
     Number,
     Quantity,
     Section,
-    Whole,
+    WholeNumber,
     quantity_of,
 )
 from cgid.units import parse
 from cgid.validation import Floats, Rule
 
-#: The keys in the unit of the quantity -> suffix of the name of their dimension.
+#: Keys in the unit of the quantity -> suffix of the name of their dimension.
 _LEVELS = {"absolute_noise": "", "noise_density": " noise density", "range": "", "offset": "", "drift": " per time"}
 #: An offset, or its change: of either sign.
 _Shift = Annotated[Number, Quantity(rule=Rule(-1e15, 1e15))]
-#: Lowest full scale that follows from a peak.
+#: Minimum full scale relative to a peak.
 _MIN_SCALE = 1e-25
-#: Samples of a recording that share one address: the longest period of a stream's coloured noise.
+#: Samples of a recording with one address: the longest period of a stream's coloured noise.
 CHUNK = 1 << 16
 
 
@@ -44,7 +44,7 @@ class Mounting(Section):
     frequency: Frequency
     """Resonance frequency."""
     damping_ratio: DampingRatio = 0.05
-    """Share of critical damping."""
+    """Fraction of critical damping."""
 
 
 class AntiAlias(Section):
@@ -52,16 +52,16 @@ class AntiAlias(Section):
 
     frequency: Frequency
     """-3 dB point."""
-    order: Annotated[Whole, Quantity(rule=Rule(1, 12))] = 8
+    order: Annotated[WholeNumber, Quantity(rule=Rule(1, 12))] = 8
     """Order of the filter."""
 
 
 class Sensor(Section):
     """A sensor and its recorder.
 
-    The order is that of a measuring chain: mounting, anti-alias filter or bandwidth, gain, noise, offset and drift,
-    range, bits. Each stage is off when left out. Levels are in the unit of the quantity, as numbers or strings with a
-    unit.
+    The stages of the measuring chain are, in order: mounting, anti-alias filter or bandwidth, gain, noise, offset and
+    drift, range, bits. Each stage is off by default. Levels are in the unit of the quantity, as numbers or strings with
+    a unit.
     """
 
     quantity: Literal["force", "acceleration", "velocity", "displacement"] = "force"
@@ -75,8 +75,8 @@ class Sensor(Section):
     absolute_noise: Level = 0.0
     """Standard deviation of the noise."""
     noise_density: Level | None = None
-    """White noise per sqrt(Hz); its standard deviation is this times sqrt(sampling rate / 2). The noises add in
-    power.
+    """White noise per sqrt(Hz); its standard deviation is this times sqrt(sampling rate / 2). The powers of the noises
+    add up.
     """
     noise_exponent: Annotated[Number, Quantity(rule=Rule(-1, 2))] | None = None
     """Makes relative and absolute noise coloured: its power per Hz falls with frequency to the power of this. 0
@@ -84,17 +84,17 @@ class Sensor(Section):
     standard deviation of the noise is the stated one.
     """
     noise_spectrum: ColouredNoise | None = None
-    """The same by a measured spectrum, scaled to the stated standard deviation; or the name of a CSV file beside
-    the scene file with columns `frequency [Hz]` and `density [N/sqrt(Hz)]`, in any unit per sqrt(Hz). It must
-    reach from one period of the frame (or 65,536 samples), below which it is flat, to half the sampling rate.
+    """The same by a measured spectrum, scaled to the stated standard deviation; or the name of a CSV file next to the
+    scene file with columns `frequency [Hz]` and `density [N/sqrt(Hz)]`, in any unit per sqrt(Hz). It must extend from
+    one period of the frame (or 65,536 samples), below which it is flat, to half the sampling rate.
     """
     bandwidth: Frequency | None = None
     """Half-amplitude frequency of a zero-phase low-pass [Hz], with a raised-cosine transition half as wide;
     excludes `anti_alias`.
     """
     gain: Annotated[Number, Quantity(rule=Rule(-1e9, 1e9))] | None = None
-    """Factor of a motion of the beam, negative for an inverted sensor. `calibrated` fits it to recordings where
-    the beam is known by its dimensions. It does not change how the beam yields to a rock.
+    """Factor of a motion of the beam, negative for an inverted sensor. `calibrated` fits it to recordings of a beam
+    with given dimensions. It does not change the contact with a rock.
     """
     offset: _Shift | None = None
     """Constant shift."""
@@ -106,7 +106,7 @@ class Sensor(Section):
     """Full scale over the largest sample of each signal before the noise, for a force over the true peak: below
     1 it is clipped. Excludes `range`; not for a stream.
     """
-    bits: Annotated[Whole, Quantity(rule=Rule(2, 32))] | None = None
+    bits: Annotated[WholeNumber, Quantity(rule=Rule(2, 32))] | None = None
     """Resolution of the converter over its full scale; needs `range` or `relative_range`."""
 
     @field_validator(*_LEVELS, mode="before")
@@ -124,24 +124,22 @@ class Sensor(Section):
     @model_validator(mode="after")
     def _parts_fit(self) -> Self:
         if self.bandwidth is not None and self.anti_alias is not None:
-            raise ValueError("must have either bandwidth (zero phase) or anti_alias (causal), and not both")
+            raise ValueError("must have either bandwidth (zero phase) or anti_alias (causal)")
         if self.gain is not None and self.quantity == "force":
-            raise ValueError("gain must be left out for a force, it is that of a motion of the beam")
+            raise ValueError("gain must be left out for a force, it applies to motions of the beam")
         if self.gain == 0:
-            raise ValueError("gain must not be 0, where nothing is heard; leave it out for a gain of 1")
+            raise ValueError("gain must not be 0; leave it out for a gain of 1")
         return self
 
     def problems(self, band: tuple[float, float], drawn: Collection[str]) -> list[str]:
-        """Return error messages for the converter, and the noise in a band [Hz], where some settings are drawn."""
+        """Return error messages for the converter, and the noise in a band [Hz], with some randomised settings."""
         problems, scales = [], self._given(("range", "relative_range"), drawn)
         if len(scales) > 1:
-            problems.append("sensor.range: must be left out with relative_range; take one of the two")
+            problems.append("sensor.range: must be left out with relative_range; use one of the two")
         if self._given(("bits",), drawn) and not scales:
-            problems.append(
-                "sensor.bits: must come with range or relative_range: without a full scale there is no step; give one"
-            )
+            problems.append("sensor.bits: needs range or relative_range, without which there is no step; give one")
         if self._given(("bandwidth",), drawn) and "anti_alias_frequency" in drawn:
-            problems.append("randomise.anti_alias_frequency: must be left out with bandwidth; take one of the two")
+            problems.append("randomise.anti_alias_frequency: must be left out with bandwidth; use one of the two")
         return problems + self._problems_of_noise(band, drawn)
 
     def _given(self, names: Iterable[str], drawn: Collection[str]) -> list[str]:
@@ -152,25 +150,25 @@ class Sensor(Section):
         if not colours:
             return []
         if len(colours) > 1:
-            problems.append(f"sensor.noise_spectrum: must be left out with {colours[0]}; take one of the two")
+            problems.append(f"sensor.noise_spectrum: must be left out with {colours[0]}; use one of the two")
         if self.noise_density:
             problems.append(
-                f"sensor.noise_density: must be left out with {colours[0]}, for it is that of white noise; give the "
+                f"sensor.noise_density: must be left out with {colours[0]}, since it is of white noise; give the "
                 "standard deviation of the noise as absolute_noise, or white noise as background.coloured"
             )
         elif not self.noisy and "relative_noise" not in drawn:
             problems.append(
-                f"sensor.{colours[0]}: must come with relative_noise or absolute_noise, the level of the noise; give "
-                "one of these, or leave it out"
+                f"sensor.{colours[0]}: needs relative_noise or absolute_noise, the level of the noise; give one of "
+                "these, or leave it out"
             )
         if self.noise_spectrum is not None:
             problems += self.noise_spectrum.problems("sensor.noise_spectrum", self.quantity)
             first, last = self.noise_spectrum.frequencies[0], self.noise_spectrum.frequencies[-1]
             if first > band[0] or last < band[1]:
                 problems.append(
-                    f"sensor.noise_spectrum.frequencies: must reach from one period of the signals, {band[0]:g} Hz, to "
-                    f"half the sampling rate, {band[1]:g} Hz, got {first:g} to {last:g} Hz; measure the rest, or add "
-                    "rows for it"
+                    f"sensor.noise_spectrum.frequencies: must extend from one period of the signals, {band[0]:g} Hz, "
+                    f"to half the sampling rate, {band[1]:g} Hz, got {first:g} to {last:g} Hz; measure the missing "
+                    "part, or add rows for it"
                 )
         return problems
 
@@ -209,10 +207,10 @@ class Sensor(Section):
         return fft_filter(rows, sampling_rate, high=self.bandwidth, taper=SENSOR_TAPER).astype(frames.dtype)
 
     def full_scale(self, peak: Floats) -> float | Floats | None:
-        """Return the full scale for signals with these peaks, if there is one."""
+        """Return the full scale for signals with these peaks, if any."""
         if self.relative_range is None:
             return self.range
-        # A signal of nothing but zeros needs a step, too.
+        # A signal of zeros needs a step, too.
         return np.asarray(np.maximum(self.relative_range * peak, _MIN_SCALE))
 
     def digitise(self, frames: NDArray[np.floating], sampling_rate: float, peak: Floats, first: int = 0) -> None:

@@ -1,4 +1,4 @@
-"""Make a long recording of a scene and the truth of its impacts; memory holds one stretch at a time."""
+"""Make a long recording of a scene and the truth of its impacts, with one stretch in memory at a time."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from cgid.counting import count
 from cgid.errors import InvalidValue
 from cgid.physics import Impact
 from cgid.physics.coupled import ModalImpact
-from cgid.scene.draws import LUMP, PARAMETER_UNITS, POINT_UNITS, require_seed
+from cgid.scene.draws import PARAMETER_UNITS, POINT_UNITS, SPHERE_SHAPE, require_seed
 from cgid.scene.impacts import Recorder, contacts_of, recorder_of
 from cgid.scene.noise import Background, add_noise, ar_noise_of, background_of
 from cgid.scene.plan import RESPONSE_TOLERANCE, STORED, Plan, plan
@@ -40,7 +40,7 @@ class TimeAxis:
         return self.samples[: stop - self.first]
 
     def add(self, first: NDArray[np.int64], windows: NDArray[np.floating]) -> None:
-        """Add windows (n, width), each at its first sample; parts before the axis are lost."""
+        """Add windows (n, width), each at its first sample; parts before the axis are dropped."""
         width = windows.shape[1]
         samples = self.until(int(first.max()) + width)
         for start, window in zip((first - self.first).tolist(), windows, strict=True):
@@ -54,7 +54,7 @@ class TimeAxis:
         return part
 
 
-#: Windows that are low-passed have no larger prime factor: transforms of such lengths are slow.
+#: Maximum prime factor of the length of low-passed windows, for fast transforms.
 _MAX_FACTOR = 509
 #: Columns in stored order, and their units.
 _UNITS = {"time": "s", "rock": "1", "bounce": "1"} | {
@@ -79,7 +79,7 @@ def impact_units(scene: Scene) -> dict[str, str]:
     more = {"yield_pressure": "Pa"} if "thornton" in scene.dissipations else {}
     more |= {"dissipation": "1"} if scene.mixes_laws else {}
     drawn = {name for population in scene.populations for name in population.laws}
-    more |= {name: "1" for name in (*LUMP, "viscous_restitution") if name in drawn}
+    more |= {name: "1" for name in (*SPHERE_SHAPE, "viscous_restitution") if name in drawn}
     place = {} if scene.panel is None else POINT_UNITS
     return {**_UNITS, **more, **place, **_NEIGHBOUR_UNITS}
 
@@ -93,7 +93,7 @@ def truth_of(scene: Scene, rocks: Rocks, delivered: Mapping[str, Floats]) -> dic
 
 
 def empty_truth(scene: Scene) -> dict[str, NDArray[Any]]:
-    """Return the truth of no impacts."""
+    """Return an empty truth."""
     return truth_of(scene, Rocks.joined([]), dict.fromkeys(STORED, np.empty(0)))
 
 
@@ -133,7 +133,7 @@ def add_impacts(plan: Plan, axis: TimeAxis, rocks: Rocks, recorder: Recorder | N
 
 
 def _is_quick(length: int) -> bool:
-    """Return whether a transform of this length is quick: it has no prime factor above `_MAX_FACTOR`."""
+    """Return whether a transform of this length is fast: it has no prime factor above `_MAX_FACTOR`."""
     remaining = length
     for factor in (2, *range(3, _MAX_FACTOR + 1, 2)):
         while remaining % factor == 0:
@@ -164,12 +164,12 @@ def _add_response(
     pulses: Impact | ModalImpact,
     columns: Mapping[str, Floats],
 ) -> None:
-    """Run the poles of beam and sensor from the first onset to the end of the last ringing, or of the recording."""
+    """Run the poles of beam and sensor from the first onset to the end of the last ring-down, or of the recording."""
     rate = scene.sampling.sampling_rate
     first, last = int(np.floor(columns["time"].min() * rate)), samples_of(scene)
     if first >= last:
         return
-    # The slowest pole decays to its share of the response's tolerance in this time.
+    # The slowest pole decays to its fraction of the response's tolerance in this time.
     poles = recorder.response.poles
     ringing = float(np.log(poles.size / RESPONSE_TOLERANCE) / -poles.real.max())
     end = columns["time"].max() + pulses.end_of_contact.max() + ringing
@@ -190,8 +190,8 @@ def lead(plan: Plan) -> int:
 
 
 def hearing_limit(scene: Scene, background: Background | None) -> float:
-    """Return the peak force below which an impact is lost in noise and background and its rock is dropped [N]."""
-    # It is 0 for a sensor of motion, whose signal does not follow from the force alone.
+    """Return the peak force below which noise and background hide an impact and its rock is dropped [N]."""
+    # It is 0 for a sensor of motion, whose signal depends not only on the force.
     if scene.sensor.quantity != "force":
         return 0.0
     noise = float(scene.sensor.noise_level(np.zeros(()), scene.sampling.sampling_rate))
@@ -239,7 +239,7 @@ def parts_of_recording(
 ) -> Iterator[tuple[NDArray[Any], dict[str, NDArray[Any]]]]:
     """Yield the next samples of a recording and the truth of some impacts, perhaps before or after these samples."""
     if scene.stream is None:
-        raise InvalidValue(f"scene {scene.name} must have a section stream to make a recording of; it has none")
+        raise InvalidValue(f"scene {scene.name} must have a section stream for recordings; it has none")
     seed, number = require_seed(seed), validation.whole("number of the recording", number, 0, 2**32 - 1)
     recording_plan = plan(scene, "recordings", dtype=dtype)
     background = background_of(scene) if recording_plan.runs("background") else None
@@ -269,7 +269,7 @@ def parts_of_recording(
             loud = delivered["peak_force"] > audible
             coming = thrown_back(scene, now, delivered["restitution"], delivered["contact_duration"], loud)
         carried = Rocks.joined(waiting)
-        # Later impacts, including what the low-pass spreads ahead of onset, start after this sample.
+        # Later impacts, including the low-pass before onset, start after this sample.
         final = min(max(int(stretch.stop * scene.sampling.sampling_rate) - lead(recording_plan), 0), n_samples)
         yield recorded(range(done, final // CHUNK)), _joined_truth(scene, truth)
         done = max(done, final // CHUNK)

@@ -8,7 +8,7 @@ from typing import Annotated, Any, Self
 import numpy as np
 from pydantic import BaseModel, BeforeValidator, ConfigDict, model_validator
 
-from cgid.scene.distributions import LIMITS, Duration, Inclination, Moments, Quantity, Section, Speed, Whole
+from cgid.scene.distributions import LIMITS, Duration, Inclination, Moments, Quantity, Section, Speed, WholeNumber
 from cgid.scene.sections import Population
 from cgid.scene.sensor import Sensor
 from cgid.units import parse
@@ -125,7 +125,7 @@ class MixtureSection(Section):
 class ReboundsSection(Section):
     """Rocks are followed for at most this many rebounds, and while their normal speed is at least this."""
 
-    most: Annotated[Whole, Quantity(rule=Rule(1, 1000))] = 5
+    most: Annotated[WholeNumber, Quantity(rule=Rule(1, 1000))] = 5
     """Rebounds of a rock after which it is no longer followed."""
     least_speed: Speed = 0.1
     """Normal speed below which a rock is no longer followed."""

@@ -75,10 +75,10 @@ def synthesise(
         raise InvalidValue(f"output must be frames or pulses where signals are wanted, got {output}")
     together = min(TOGETHER, max(_MAX_SAMPLES // (BLOCK * scene.sampling.samples), 1))
     for block, part in blocks(n_signals, first, at_once(scene, together)):
-        blows = blows_of(synthesis_plan, seed, block, _spanned(part))
-        frames = make_frames(blows, seed, block, synthesis_plan.dtype)
+        pulses = blows_of(synthesis_plan, seed, block, _spanned(part))
+        frames = make_frames(pulses, seed, block, synthesis_plan.dtype)
         for _, one in _by_block(part):
-            yield batch_of(scene, blows, frames, one)
+            yield batch_of(scene, pulses, frames, one)
 
 
 def blocks(n_signals: int, first: int, n_blocks: int = 1) -> Iterator[tuple[int, slice]]:
@@ -113,39 +113,39 @@ def require_frames(scene: Scene) -> None:
         )
 
 
-def batch_of(scene: Scene, blows: Blows, frames: NDArray[Any], part: slice) -> Batch:
+def batch_of(scene: Scene, pulses: Blows, frames: NDArray[Any], part: slice) -> Batch:
     """Return some of these signals of a scene, (n_signals, n_samples), with labels, parameters and specimens."""
-    plan = blows.plan
+    plan = pulses.plan
     return Batch(
         signals=frames[part],
-        labels=blows.labels[part],
-        sampling_rate=blows.scene.sampling.sampling_rate,
+        labels=pulses.labels[part],
+        sampling_rate=pulses.scene.sampling.sampling_rate,
         unit=scene.sensor.unit if plan.sensed else "N",
         pre_trigger=scene.sampling.pre_trigger,
-        specimen=blows.specimen[part],
-        parameters={name: values[part] for name, values in blows.parameters.items()},
+        specimen=pulses.specimen[part],
+        parameters={name: values[part] for name, values in pulses.parameters.items()},
         source=scene.sha256,
     )
 
 
-def make_frames(blows: Blows, seed: int, block: int, dtype: DTypeLike) -> NDArray[Any]:
+def make_frames(pulses: Blows, seed: int, block: int, dtype: DTypeLike) -> NDArray[Any]:
     """Return the frames of one block, or of several from it on, as planned."""
-    return make_beginnings(blows, seed, block, dtype, blows.scene.sampling.samples)[0]
+    return make_beginnings(pulses, seed, block, dtype, pulses.scene.sampling.samples)[0]
 
 
 def make_beginnings(
-    blows: Blows, seed: int, block: int, dtype: DTypeLike, n_samples: int
+    pulses: Blows, seed: int, block: int, dtype: DTypeLike, n_samples: int
 ) -> tuple[NDArray[Any], Floats]:
     """Return the first samples of frames, equal to those of `make_frames`, and upper bounds of the rest."""
     # All contacts must end within them or begin after the frame.
-    plan, sampling, sensor = blows.plan, blows.scene.sampling, blows.scene.sensor
-    n_signals, rate = len(blows.labels), sampling.sampling_rate
+    plan, sampling, sensor = pulses.plan, pulses.scene.sampling, pulses.scene.sensor
+    n_signals, rate = len(pulses.labels), sampling.sampling_rate
     max_after = np.zeros(n_signals)
     # The transform of a low-pass is periodic over the whole frame.
     filtered = plan.runs("bandwidth")
     frames: NDArray[Any] = np.zeros((n_signals, sampling.samples if filtered else n_samples), dtype)
-    blows.add_to_frames(frames)
-    peak = blows.parameters["peak_force"]
+    pulses.add_to_frames(frames)
+    peak = pulses.parameters["peak_force"]
     if filtered:
         frames = sensor.limit_band(frames, rate)
         max_after = frames[:, n_samples:].max(axis=1, initial=0.0).astype(np.float64)
@@ -155,9 +155,9 @@ def make_beginnings(
     if plan.runs("noise"):
         level = sensor.noise_level(peak, rate)
         for number, part in _by_block(slice(0, n_signals)):
-            add_sensor_noise(frames[part], level[part], blows.scene, seed, block + number)
+            add_sensor_noise(frames[part], level[part], pulses.scene, seed, block + number)
         max_after += MAX_NOISE * level
-    background = background_of(blows.scene) if plan.runs("background") else None
+    background = background_of(pulses.scene) if plan.runs("background") else None
     if background is not None:
         count("background_samples", frames.size)
         for number, part in _by_block(slice(0, n_signals)):
@@ -166,7 +166,7 @@ def make_beginnings(
     count("frame_samples", frames.size)
     if plan.runs("clipping"):
         count("clipped_frames", n_signals)
-        clip(frames, blows.parameters["clipped_at"] * peak)
+        clip(frames, pulses.parameters["clipped_at"] * peak)
     if plan.runs("offset, range and bits"):
         count("digitised_frames", n_signals)
         sensor.digitise(frames, rate, peak)
@@ -220,15 +220,15 @@ def _untimed(plan: Plan, seed: int, block: int, part: slice) -> Rows:
     )
 
 
-def _beginning(blows: Blows) -> int:
+def _beginning(pulses: Blows) -> int:
     """Return the number of samples of each frame that the features will most likely use."""
-    sampling, names = blows.scene.sampling, blows.plan.features
-    if blows.plan.runs("rest of the frames"):
+    sampling, names = pulses.scene.sampling, pulses.plan.features
+    if pulses.plan.runs("rest of the frames"):
         return sampling.samples
     rate = sampling.sampling_rate
     needed = [
         samples_needed(names, strike.onset * rate, strike.pulses.contact_duration * rate).max()
-        for strike in blows.strikes
+        for strike in pulses.strikes
     ]
     return int(min(max(needed), sampling.samples))
 
@@ -246,8 +246,8 @@ def _measured(plan: Plan, n_signals: int, seed: int, first: int) -> Iterator[Row
 def _features(plan: Plan, seed: int, drawn: list[tuple[int, slice, Blows]]) -> Rows:
     """Return the features of some blocks, each with its number and its requested signals."""
     names, sampling = plan.features, drawn[0][2].scene.sampling
-    length = max(_beginning(blows) for _, _, blows in drawn)
-    made = [make_beginnings(blows, seed, block, np.float32, length) for block, _, blows in drawn]
+    length = max(_beginning(pulses) for _, _, pulses in drawn)
+    made = [make_beginnings(pulses, seed, block, np.float32, length) for block, _, pulses in drawn]
     frames = np.concatenate([signals[part] for (_, part, _), (signals, _) in zip(drawn, made, strict=True)])
     behind = np.concatenate([highest[part] for (_, part, _), (_, highest) in zip(drawn, made, strict=True)])
     if length == sampling.samples:
@@ -258,12 +258,12 @@ def _features(plan: Plan, seed: int, drawn: list[tuple[int, slice, Blows]]) -> R
             table[~certain] = _features_of_frames(names, seed, drawn, ~certain)
     values = dict(zip(names, table.T, strict=True))
     for name in parameter_units(plan.scene):
-        values[f"{TRUE}{name}"] = np.concatenate([blows.parameters[name][part] for _, part, blows in drawn])
+        values[f"{TRUE}{name}"] = np.concatenate([pulses.parameters[name][part] for _, part, pulses in drawn])
     if "sampling_rate" in plan.column_units:
         values["sampling_rate"] = np.full(len(table), sampling.sampling_rate)
     return Rows(
-        labels=np.concatenate([blows.labels[part] for _, part, blows in drawn]),
-        specimen=np.concatenate([blows.specimen[part] for _, part, blows in drawn]),
+        labels=np.concatenate([pulses.labels[part] for _, part, pulses in drawn]),
+        specimen=np.concatenate([pulses.specimen[part] for _, part, pulses in drawn]),
         columns=values,
     )
 
@@ -273,11 +273,11 @@ def _features_of_frames(
 ) -> Floats:
     """Return the features of signals whose first samples did not suffice, (n_wanted, n_features)."""
     sampling, rows, place = drawn[0][2].scene.sampling, [], 0
-    for block, part, blows in drawn:
+    for block, part, pulses in drawn:
         here = needed[place : place + part.stop - part.start]
         place += here.size
         if here.any():
-            rows.append(make_frames(blows, seed, block, np.float32)[part][here])
+            rows.append(make_frames(pulses, seed, block, np.float32)[part][here])
     return extract_array(
         np.concatenate(rows), sampling.sampling_rate, names, pre_trigger=sampling.pre_trigger, invalid="nan"
     )
