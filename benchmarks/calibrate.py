@@ -27,10 +27,10 @@ from scipy.interpolate import RectBivariateSpline
 from threadpoolctl import threadpool_limits
 
 from cgid.errors import BadData
-from cgid.identification.contact import ThroughBeam
 from cgid.identification.model import Model
 from cgid.identification.prediction import load_model
 from cgid.identification.rows import measure
+from cgid.identification.through_beam import ThroughBeam
 from cgid.identification.training import train
 from cgid.measure.beam import Beam, corrected, gain
 from cgid.measure.modes import Modes, NodeShapes, nodes

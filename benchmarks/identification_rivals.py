@@ -39,10 +39,10 @@ from threadpoolctl import threadpool_limits
 
 from cgid import shipped
 from cgid.identification.classifier import ImpactClassifier
-from cgid.identification.contact import ThroughBeam
 from cgid.identification.model import Model
 from cgid.identification.rows import BEAM_FEATURES, BEAM_GUARDS, DEFAULT_FEATURES, DEFAULT_GUARDS
 from cgid.identification.share import wilson_interval
+from cgid.identification.through_beam import ThroughBeam
 from cgid.measure import features as known
 from cgid.measure.features import extract_array
 from cgid.scene import load_scene, synthesise

@@ -20,10 +20,10 @@ from typing import Any
 import numpy as np
 
 from cgid import shipped
-from cgid.identification.contact import ThroughBeam
 from cgid.identification.diagnosis import CHANGED, ChannelAnswers
 from cgid.identification.model import Model
 from cgid.identification.prediction import load_model
+from cgid.identification.through_beam import ThroughBeam
 from cgid.measure.beam import Beam, corrected
 from cgid.measure.features import extract_array
 from cgid.measure.modes import Modes, NodeShapes, nodes

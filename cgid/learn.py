@@ -18,8 +18,8 @@ from sklearn.utils.validation import _check_feature_names_in, check_is_fitted, v
 
 from cgid import validation
 from cgid.errors import BadData, InvalidValue, optional
-from cgid.identification.contact import ThroughBeam
 from cgid.identification.rows import BEAM_FEATURES
+from cgid.identification.through_beam import ThroughBeam
 from cgid.measure.features import FEATURES, choose, extract_array
 from cgid.measure.frames import DETECTION_LIMIT, MINIMUM_FRAME
 from cgid.scene import Scene, load_scene, synthesise

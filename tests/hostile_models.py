@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-import cgid.identification.contact  # noqa: F401 - loaded here, so that no watched process imports it
+import cgid.identification.through_beam  # noqa: F401 - loaded here, so that no watched process imports it
 from cgid.identification.model import MAX_FILE_SIZE, Model
 from cgid.identification.model_file import signed
 from cgid.measure.beam import points_of

@@ -19,9 +19,10 @@ from scipy.optimize import least_squares
 
 from cgid import family
 from cgid.identification.answers import identify_frames
-from cgid.identification.contact import BeamStream, Contact, ThroughBeam
+from cgid.identification.contact import Contact
 from cgid.identification.inversion import ForceEstimate, Inversion, Observations, Start
 from cgid.identification.model import Model
+from cgid.identification.through_beam import BeamStream, ThroughBeam
 from cgid.identification.training import train
 from cgid.measure.ar_noise import ORDER, ARNoise, ar_noise_of
 from cgid.measure.beam import FINE, TOUCH, Beam, filtered, gain, points_of, respond, respond_on_average

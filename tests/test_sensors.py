@@ -13,12 +13,12 @@ from scipy import signal
 
 from cgid.errors import BadData, InvalidValue
 from cgid.identification.answers import Answer, identify, identify_frames
-from cgid.identification.contact import ThroughBeam, clipped_samples
 from cgid.identification.inversion import ForceEstimate, Inversion, Observations
 from cgid.identification.model import Model
 from cgid.identification.prediction_settings import PredictionSettings
 from cgid.identification.rows import BEAM_FEATURES
 from cgid.identification.stream import identify_blocks
+from cgid.identification.through_beam import ThroughBeam, clipped_samples
 from cgid.identification.training import train
 from cgid.measure.beam import Beam, filtered, respond
 from cgid.measure.features import extract_array

@@ -151,7 +151,7 @@ class _Rows:
         selected = _selected_features(self.names, kind, dataset.sampling_rate, dataset.header.n_samples)
         through = None
         if any_through_beam(self.names or ()) or (self.names is None and kind == "vibration"):
-            from cgid.identification.contact import ThroughBeam
+            from cgid.identification.through_beam import ThroughBeam
             from cgid.scene.through_beam import shared_beam
 
             beam, why = shared_beam([dataset])

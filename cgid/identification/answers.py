@@ -25,7 +25,7 @@ from cgid.units import ELECTRICAL, UNITS, quantity_of
 from cgid.validation import UNKNOWN, Floats
 
 if TYPE_CHECKING:
-    from cgid.identification.contact import BeamStream
+    from cgid.identification.through_beam import BeamStream
 
 __all__ = ["Answer", "identify", "identify_frames", "suited"]
 

@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 
 from cgid.errors import BadData, CgidError, InvalidValue, MissingOption, NoInput
 from cgid.files import require_regular
-from cgid.identification.contact import ThroughBeam
 from cgid.identification.detection import ImpactDetector
 from cgid.identification.events import Event, frames_alike
 from cgid.identification.manifest import Annotation, Manifest
@@ -27,6 +26,7 @@ from cgid.identification.model import Model
 from cgid.identification.reference import Equalisations, MeanSpectrum, equalisations_of
 from cgid.identification.rows import Rows, Slicing, sets_for, union_of
 from cgid.identification.silence import Silence, silence_of
+from cgid.identification.through_beam import ThroughBeam
 from cgid.identification.windows import Grid, NoisyCopies, complete_windows, measure_windows, windows_of
 from cgid.measure.features import FEATURES, choose, extract_array, kind_for, kind_of, require_supported, supported
 from cgid.measure.table import Kind

@@ -46,7 +46,7 @@ from cgid.validation import Floats
 
 if TYPE_CHECKING:
     from cgid.identification.classifier import ImpactClassifier
-    from cgid.identification.contact import ThroughBeam
+    from cgid.identification.through_beam import ThroughBeam
 
 #: Largest size of a model file [bytes].
 MAX_FILE_SIZE = 64 << 20
@@ -295,7 +295,7 @@ class Model:
         beam = Beam.from_arrays(self.arrays)
         if beam is None:
             return None
-        from cgid.identification.contact import ThroughBeam
+        from cgid.identification.through_beam import ThroughBeam
 
         return ThroughBeam(beam)
 

@@ -19,7 +19,7 @@ from threadpoolctl import threadpool_limits
 from cgid import validation
 from cgid.deprecated import renamed_arguments
 from cgid.errors import BadData, CgidError, InvalidValue
-from cgid.identification.contact import ThroughBeam
+from cgid.identification.through_beam import ThroughBeam
 from cgid.identification.windows import CLEAR, WINDOW_TIME, columns_of, require_times
 from cgid.measure.beam import Beam
 from cgid.measure.features import FEATURES, any_through_beam, choose, extract_array, kind_for, kind_of, supported

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid.errors import InvalidValue
-from cgid.identification.contact import ThroughBeam
 from cgid.identification.estimation import estimate
 from cgid.identification.inversion import ForceEstimate
+from cgid.identification.through_beam import ThroughBeam
 from cgid.impactor.posterior import ImpactorPopulation
 from cgid.measure.beam import FINE, TOUCH, filtered, respond
 from cgid.measure.template import relative_times

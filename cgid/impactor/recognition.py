@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cgid.errors import InvalidValue
-from cgid.identification.contact import ThroughBeam
 from cgid.identification.estimation import estimate
+from cgid.identification.through_beam import ThroughBeam
 from cgid.impactor.measured import MeasuredPulses
 from cgid.impactor.population import beam_behind, is_behind_beam, population_of
 from cgid.impactor.posterior import LEVELS, SPEED_POWER, TIME_POWER, ImpactorEstimates, ImpactorPopulation

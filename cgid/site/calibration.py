@@ -16,9 +16,9 @@ from cgid import validation
 from cgid.deprecated import renamed_arguments, renamed_attribute
 from cgid.errors import BadData, InvalidValue
 from cgid.files import check_new, write_together
-from cgid.identification.contact import REACH, clipped_samples
 from cgid.identification.detection import ImpactDetector
 from cgid.identification.inversion import Inversion
+from cgid.identification.through_beam import REACH, clipped_samples
 from cgid.measure.ar_noise import ar_noise_of
 from cgid.measure.beam import Beam, corrected
 from cgid.measure.modes import Modes, text_of_table

@@ -20,8 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid.ceiling import Learner
-from cgid.identification.contact import ThroughBeam
 from cgid.identification.rows import BEAM_FEATURES
+from cgid.identification.through_beam import ThroughBeam
 from cgid.measure.features import extract_array
 from cgid.scene import Scene, synthesise
 from cgid.scene.draws import BLOCK
