@@ -21,8 +21,9 @@ ROOT = Path(__file__).parents[1]
 COMMANDS = {"cgid": cli, **cli.commands}
 #: The first word of the help of every option.
 VERBS = """
-    Add Check Continue Estimate Find Guarantee Hold Invert Limit Plot Regenerate Shuffle Start Choose Compress Correct Count Decide Divide Download Draw Give Go Judge Keep Let Make Mark Measure Name
-    Print Publish Put Read Reject Replace Run Say Serve Set Show Simulate Stop Store Survey Tabulate Take Train Turn
+    Add Check Choose Compress Continue Correct Count Decide Divide Download Draw Estimate Find Give Go
+    Guarantee Hold Invert Judge Keep Let Limit Make Mark Measure Name Plot Print Publish Put Read Regenerate
+    Reject Replace Run Say Serve Set Show Shuffle Simulate Start Stop Store Survey Tabulate Take Train Turn
     Use Weight Write
 """
 #: Of minutes.
