@@ -250,7 +250,9 @@ BAD = {
     "impacts must be at least 1, got none": lambda tap: calibrated(BEFORE, []),
     "impacts must be of CalibrationImpact, got Signal": lambda tap: calibrated(BEFORE, [tap.motion]),
     "either force or impact": lambda tap: CalibrationImpact(motion=tap.motion),
-    "and not both": lambda tap: CalibrationImpact(motion=tap.motion, force=tap.force, impact=sphere_from(1.0)),
+    "must have either force or impact": lambda tap: CalibrationImpact(
+        motion=tap.motion, force=tap.force, impact=sphere_from(1.0)
+    ),
     "impact must be one, got 2": lambda tap: CalibrationImpact(
         motion=tap.motion, impact=sphere_from(1.0, np.array([0.02, 0.03]))
     ),
@@ -276,7 +278,7 @@ BAD = {
     "force must rise 8 times above its noise of 0 N, its peak is 0 N": lambda tap: calibrated(
         BEFORE, [rebuilt(tap, None, np.zeros_like)]
     ),
-    "above 0 where it pushes": lambda tap: calibrated(BEFORE, [rebuilt(tap, None, np.negative)]),
+    "must be positive for compression": lambda tap: calibrated(BEFORE, [rebuilt(tap, None, np.negative)]),
     "force must rise and fall within the recording": lambda tap: calibrated(
         BEFORE, [rebuilt(tap, lambda samples: samples[156:], lambda samples: samples[156:])]
     ),

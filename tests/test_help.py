@@ -21,7 +21,7 @@ ROOT = Path(__file__).parents[1]
 COMMANDS = {"cgid": cli, **cli.commands}
 #: The first word of the help of every option.
 VERBS = """
-    Add Check Choose Compress Continue Correct Count Decide Divide Download Draw Estimate Find Give Go
+    Add Check Choose Compress Continue Correct Count Decide Divide Download Draw Estimate Find Fit Give Go
     Guarantee Hold Invert Judge Keep Let Limit Make Mark Measure Name Plot Print Publish Put Read Regenerate
     Reject Replace Run Say Serve Set Show Shuffle Simulate Start Stop Store Survey Tabulate Take Train Turn
     Use Weight Write

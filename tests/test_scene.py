@@ -320,7 +320,7 @@ def test_one_mistake_is_one_line_with_its_path(changes, path, says):
         ({"distribution": "choice", "values": [1, 2], "weights": [1]}, "as many as values"),
         ({"distribution": "choice", "values": [1, 2], "weights": [1e308, 1e308]}, "finite sum"),
         ({"distribution": "mixed", "parts": [1, 2], "weights": [1]}, "as many as parts, 2, got 1"),
-        ({"distribution": "mixed", "parts": [1400, -2]}, "drawn as -2 kg/m^3"),
+        ({"distribution": "mixed", "parts": [1400, -2]}, "distribution includes -2 kg/m^3"),
         ({"distribution": "mixed", "parts": [{"distribution": "mixed", "parts": [1400]}]}, "name its distribution"),
         ({"distribution": "normal", "mean": 1400, "deviation": 9, "lowest": 1}, "use truncated-normal"),
         ({"distribution": "truncated-normal", "mean": 1400, "deviation": 9}, "must have lowest and highest"),
