@@ -81,11 +81,11 @@ def test_a_single_mode_is_known_as_well_as_cramer_and_rao_allow():
 
 def test_without_a_hammer_channel_the_poles_are_the_same(hammered):
     response, _, _ = taps(4, gap=0.7, seed=1)
-    test = tap_test(response[None], RATE, band=BAND)
+    test = tap_test(response[None], RATE, band=(BAND[0], 560.0))
     assert not test.modes.scaled
     assert test.modes.participation().max() == pytest.approx(1, abs=0.2)
     assert test.modes.participation().min() > 0
-    np.testing.assert_allclose(test.modes.frequency, hammered.modes.frequency, rtol=1e-4)
+    np.testing.assert_allclose(test.modes.frequency, hammered.modes.frequency[:5], rtol=1e-4)
 
 
 def test_flawed_taps_are_left_out_and_named():

@@ -158,9 +158,19 @@ def test_volts_enter_from_every_format(
         assert np.abs(signal.samples - row / (2 * BEAM)).max() <= specimen.resolution / (2 * BEAM) + rounding
 
 
+@pytest.fixture(scope="module")
+def expected(tmp_path_factory: pytest.TempPathFactory) -> list[Any]:
+    """Answers for the blows in SI units."""
+    path = tmp_path_factory.mktemp("si") / "si.npy"
+    found = []
+    for row, unit in zip(blows(), ("m/s^2", "N"), strict=True):
+        np.save(path, row)
+        found.append(answers(str(path), "--rate", str(RATE), "--unit", unit))
+    return found
+
+
 @pytest.mark.parametrize("name", ["a.csv", "a.tdms", "a.uff", "a.wav"])
-def test_volts_are_answered_like_newtons_and_accelerations(name: str, tmp_path: Path) -> None:
-    """The last of the issue's shows: the same labels and probabilities on the command line."""
+def test_volts_are_answered_like_newtons_and_accelerations(name: str, expected: list[Any], tmp_path: Path) -> None:
     measured = blows()
     write = {**WRITERS, "a.wav": wav}[name]
     write(tmp_path / name, measured * [[BEAM], [HAMMER]], ["V", "V"])
@@ -168,10 +178,8 @@ def test_volts_are_answered_like_newtons_and_accelerations(name: str, tmp_path: 
         sensitivity = ("--full-scale", "1 V", "--sensitivity", "1=10.2 mV/g", "--sensitivity", "2=2.3 mV/N")
     else:
         sensitivity = SENSITIVITY
-    for channel, unit in enumerate(("m/s^2", "N"), start=1):
-        np.save(tmp_path / "si.npy", measured[channel - 1])
-        expected = answers(str(tmp_path / "si.npy"), "--rate", str(RATE), "--unit", unit)
-        assert_same(answers(str(tmp_path / name), "--channel", str(channel), *sensitivity), expected)
+    for channel, same in enumerate(expected, start=1):
+        assert_same(answers(str(tmp_path / name), "--channel", str(channel), *sensitivity), same)
 
 
 def test_integers_of_a_recorder_are_right_to_their_rounding(tmp_path: Path) -> None:
