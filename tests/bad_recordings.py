@@ -250,6 +250,7 @@ RECORDING_CASES: tuple[tuple[str, tuple[str, ...], int, tuple[str, ...]], ...] =
     ("gain nan", ("predict", "volts.csv", "--gain", "nan"), 65, ("gain must be a number", "'nan'")),
     ("gain of too many dB", ("predict", "volts.csv", "--gain", "1e6 dB"), 65, ("between -400 and 400 dB",)),
     ("full scale zero", ("predict", "counts.wav", "--full-scale", "0 V"), 65, ("--full-scale must be above 0",)),
+    ("full scale of 99 bits", ("predict", "volts.csv", "--full-scale", "10 V at 99 bit"), 65, ("--full-scale", "99")),
     ("full scale in words", ("predict", "counts.wav", "--full-scale", "10 stone"), 65, ("'10 V'", "'10 stone'")),
     ("full scale without a unit", ("predict", "counts.wav", "--full-scale", "10"), 2, ("unit", "--full-scale '10 V'")),
     ("full scale of floats", ("predict", "volts.csv", "--full-scale", "10 V"), 65, ("sound file", "10 V at 24 bit")),

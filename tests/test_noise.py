@@ -12,10 +12,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import signal, stats
 
+from cgid.errors import InvalidValue
 from cgid.scene import load_scene, parse_scene, synthesise
 from cgid.scene._noise import LANES, TILE, random_words, to_normal
 from cgid.scene.draws import BLOCK, NOISE, TAPS
-from cgid.scene.noise import add_noise
+from cgid.scene.noise import MAX_SAMPLES, add_noise
 from cgid.scene.schema import Scene
 from cgid.scene.sensor import CHUNK
 from cgid.scene.stream import record
@@ -339,3 +340,9 @@ def test_a_spectrum_from_a_file_is_the_same_scene(tmp_path):
     assert load_scene(tmp_path / "inline.toml").sha256 == from_file.sha256
     (tmp_path / "hiss.csv").unlink()  # the scene holds its numbers
     assert noise_frames(from_file, 2).std() > 0
+
+
+@pytest.mark.parametrize("first", [-1, MAX_SAMPLES])
+def test_samples_without_an_address_are_refused(first):
+    with pytest.raises(InvalidValue, match="samples with noise"):
+        add_noise(np.zeros((1, 1)), np.ones(1), 1, 0, first_sample=first)

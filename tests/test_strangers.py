@@ -13,6 +13,7 @@ from cgid.scene import load_scene, parse_scene, synthesise, varied
 from cgid.scene.distributions import Constant, Uniform
 from cgid.scene.draws import BLOCK, PARAMETER_UNITS
 from cgid.scene.impacts import draw
+from cgid.scene.sensor import clip
 from cgid.shipped import scene_path
 
 RATE = 200e3
@@ -156,6 +157,12 @@ def test_a_clipped_pulse_is_flat_at_its_share_of_the_peak_and_unchanged_below(dt
     np.testing.assert_array_equal(clipped.signals, np.minimum(np.maximum(free.signals, -level), level))
     np.testing.assert_array_equal(clipped.signals.max(axis=1), level[:, 0])
     assert ((clipped.signals == level).sum(axis=1) > 3).all()
+
+
+def test_clipping_takes_both_sides_of_its_own_frame():
+    frames = np.array([[-3.0, 3.0], [-3.0, 3.0]])
+    clip(frames, np.array([2.0, np.nan]))
+    np.testing.assert_array_equal(frames, [[-2, 2], [-3, 3]])
 
 
 @pytest.mark.parametrize("dtype", ["float32", "float64"])

@@ -11,9 +11,10 @@ from cgid.physics.materials import Material
 from cgid.scene import parse_scene, varied
 from cgid.scene.impacts import impact_of, impacts_by_coupling, recorder_of
 from cgid.scene.plan import plan
-from cgid.scene.rocks import arrivals_of
+from cgid.scene.rocks import PoissonTimes, arrivals_of
 from cgid.scene.schema import samples_of
 from cgid.scene.stream import record
+from cgid.scene.stream_section import RateTable
 
 GRAVITY = 9.80665
 RATE = 25_600.0
@@ -113,6 +114,28 @@ def test_arrivals_follow_a_rate_that_changes():
     held = np.array(wanted) > 0
     squares = (counts[held] - np.array(wanted)[held]) ** 2 / np.array(wanted)[held]
     assert 1e-3 < stats.chi2.cdf(squares.sum(), held.sum()) < 1 - 1e-3
+
+
+@pytest.mark.parametrize("values", [(2.0, 40.0, 0.0), (5.0, 5.0, 5.0), (0.0, 0.0, 3.0)])
+def test_expected_arrivals_and_their_inverse(values):
+    process = PoissonTimes(RateTable(times=(1.0, 4.0, 6.0), values=values))
+    moments = np.linspace(0, 9, 91)
+    wanted = [
+        integrate.quad(lambda t: np.interp(t, [1, 4, 6], values), 0, t, points=[1, 4, 6], limit=200)[0] for t in moments
+    ]
+    np.testing.assert_allclose(process.expected(moments), wanted, atol=1e-9)
+    numbers = np.linspace(0, float(process.expected(9.0)) * (1 - 1e-12), 50)
+    np.testing.assert_allclose(process.expected(process.time_of(numbers)), numbers, atol=1e-9)
+
+
+@pytest.mark.parametrize("many", [3, 700])
+def test_given_times_are_those_of_the_impacts(many):
+    wanted = np.sort(np.random.default_rng(1).uniform(0, 100, many))
+    scene = scene_of(duration="100 s", arrivals={"times": wanted.tolist()})
+    found = record(scene)[1]
+    np.testing.assert_array_equal(found["time"], wanted)
+    np.testing.assert_array_equal(found["rock"], np.arange(many))
+    assert np.unique(found["specimen"]).size == many
 
 
 # ---- what they are ---------------------------------------------------------------------------------------------------
