@@ -6,6 +6,7 @@ import warnings
 from collections.abc import Callable, Mapping
 from functools import wraps
 from importlib import import_module
+from operator import attrgetter
 from typing import Any, TypeVar
 
 F = TypeVar("F", bound=Callable[..., Any])
@@ -36,7 +37,7 @@ def renamed_attribute(old: str, new: str) -> Any:
 
     def read(self: Any) -> Any:
         warn_renamed(f"{type(self).__name__}.{old}", new)
-        return getattr(self, new)
+        return attrgetter(new)(self)
 
     return property(read)
 

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid import __version__
+from cgid.deprecated import renamed_attribute
 from cgid.files import check_new, write_whole
 from cgid.identification.answers import Answer
 from cgid.identification.diagnosis import Hint
@@ -75,6 +76,8 @@ class Report:
             where = f", channel {channel}" if len(last) > 1 else ""
             interval = f"{share.low:.0%} to {share.high:.0%}" if share.n_impacts else "not known"
             yield f"{share.share:.0%}" if share.n_impacts else "-", f"gangue at the end ({interval}{where})"
+
+    has_course = renamed_attribute("has_course", "has_time_history")
 
     @property
     def has_time_history(self) -> bool:

@@ -22,9 +22,11 @@ from cgid.identification.classifier import ImpactClassifier
 from cgid.identification.manifest import read_manifest
 from cgid.identification.prediction_settings import PredictionSettings
 from cgid.identification.rows import measure
-from cgid.impactor import SizeDistribution
+from cgid.impactor import Detection, SizeDistribution
+from cgid.measure.modes import Modes
 from cgid.physics.materials import STEEL
-from cgid.site import SiteCalibration
+from cgid.report import Report
+from cgid.site import SiteCalibration, TapTest
 from cgid.site.tapping import read_times
 
 ROOT = Path(__file__).parents[1]
@@ -35,6 +37,13 @@ OBJECTS = {
     "cgid.recordings.LARGEST_STREAM": "cgid.recordings.MAX_STREAM",
     "cgid.scene.Blow": "cgid.scene.CalibrationImpact",
     "cgid.site.usable_blows": "cgid.site.usable_impacts",
+    "cgid.outlets.Outlets": "cgid.plant.PlantOutputs",
+    "cgid.plots.MOST_CHANNELS": "cgid.plots.recording.MAX_CHANNELS",
+    "cgid.plots.draw_drawn": "cgid.plots.answers.draw_drawn",
+    "cgid.plots.png": "cgid.plots.figure.png",
+    "cgid.plots.written": "cgid.plots.recording.written",
+    "cgid.store.check_output": "cgid.store.run.check_output",
+    "cgid.store.table_writer": "cgid.store.table.table_writer",
     "cgid.striker.StrikerColumns": "cgid.impactor.ImpactorColumns",
     "cgid.striker.StrikerPopulation": "cgid.impactor.ImpactorPopulation",
     "cgid.striker.Strikers": "cgid.impactor.ImpactorEstimates",
@@ -82,6 +91,7 @@ def test_arguments_reach_the_function() -> None:
         (cgid.train, "strangers", "out_of_distribution"),
         (measure, "crew", "workers"),
         (ImpactClassifier().fit, "crew", "workers"),
+        (Detection.learned, "found", "detected"),
     ):
         with pytest.warns(FutureWarning, match=new), pytest.raises(TypeError, match="missing"):
             function(**{old: None})
@@ -102,9 +112,24 @@ def test_attributes_of_results() -> None:
     object.__setattr__(site, "has_converged", True)
     with pytest.warns(FutureWarning, match="has_converged"):
         assert site.at_rest
+    test = TapTest.__new__(TapTest)
+    object.__setattr__(test, "modes", Modes.relative(*np.ones((3, 1))))
+    with pytest.warns(FutureWarning, match="modes.frequency"):
+        assert test.frequency == [1.0]
+    with pytest.warns(FutureWarning, match="modes.damping_ratio"):
+        assert test.damping_ratio == [1.0]
 
 
 def test_attribute() -> None:
+    model, report = cgid.load_model(), Report.__new__(Report)
+    inputs = np.full((1, len(model.inputs)), 0.5)
+    with pytest.warns(FutureWarning, match="most_distant"):
+        assert model.foremost(inputs) == model.most_distant(inputs)
+    with pytest.warns(FutureWarning, match="noise_novelty"):
+        assert model.drowned(inputs) == model.noise_novelty(inputs)
+    object.__setattr__(report, "shares", ())
+    with pytest.warns(FutureWarning, match="has_time_history"):
+        assert not report.has_course
     sphere = cgid.Sphere(material=STEEL, radius=0.02)
     with pytest.warns(FutureWarning, match="impact_mass"):
         assert sphere.mass_in_blow == sphere.impact_mass

@@ -5,6 +5,8 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from cgid.deprecated import renamed
+
 if TYPE_CHECKING:
     from cgid.store.description import FORMAT, SCHEMA_VERSION
     from cgid.store.reading import Dataset
@@ -18,11 +20,16 @@ _HOMES = dict.fromkeys(__all__, "table") | {
     "SCHEMA_VERSION": "description",
     "Dataset": "reading",
 }
+#: Former public name -> present one.
+_MOVED = {"check_output": "cgid.store.run.check_output"} | {
+    name: f"cgid.store.table.{name}"
+    for name in ("Rows", "TableHeader", "check_table_output", "is_table", "table_writer")
+}
 
 
 def __getattr__(name: str) -> Any:
     if name not in _HOMES:
-        raise AttributeError(f"module 'cgid.store' has no attribute {name!r}")
+        return renamed(__name__, _MOVED)(name)
     return getattr(import_module(f"cgid.store.{_HOMES[name]}"), name)
 
 
