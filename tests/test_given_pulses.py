@@ -154,22 +154,6 @@ def test_pulses_that_do_not_fit_a_scene_are_refused(reference_scene):
         shares_of_contact(3)
 
 
-@pytest.mark.parametrize(
-    ("name", "value", "message"),
-    [
-        ("raduis", 0.1, "parameter must be one of 'density', .*, got 'raduis'"),
-        ("velocity", 0.0, "velocity must be above 0, got 0 m/s at index 3"),
-        ("onset", -np.inf, "onset must be finite, got -inf s at index 3"),
-    ],
-)
-def test_impossible_parameters_are_refused(reference_scene, name, value, message):
-    pulses = sampled(impacts(HuntCrossley(restitution=0.5)))
-    values = np.full(5, np.nan)
-    values[3] = value
-    with pytest.raises(InvalidValue, match=message):
-        next(synthesise_given(reference_scene, pulses, ["coal"] * 5, {name: values}))
-
-
 def test_touch_and_points_of_impact_are_drawn_where_they_are_not_known():
     scene = load_scene(DATASETS / "plate.toml")
     pulses, labels = sampled(impacts(HuntCrossley(restitution=0.5))), ["steel"] * 5

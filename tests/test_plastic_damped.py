@@ -8,7 +8,6 @@ import pytest
 from scipy.integrate import quad
 from scipy.optimize import brentq
 
-from cgid.errors import BadData
 from cgid.physics import HuntCrossley, Impact, Sphere, Thornton, WaltonBraun
 from cgid.physics.curves import TOLERANCE
 from cgid.physics.materials import Material
@@ -272,18 +271,3 @@ def test_a_scene_of_crushing_rocks_becomes_one_that_also_damps():
     scene = varied(SCENES["thornton"], viscous_restitution=0.7)
     assert next(iter(synthesise(scene, 9))).parameters["viscous_restitution"] == pytest.approx(0.7)
     assert varied(scene, viscous_restitution=None) == scene_of({"dissipation": "thornton"}, CRUSHED, {})
-
-
-@pytest.mark.parametrize(
-    ("impact", "population", "says"),
-    [
-        ("thornton", {**CRUSHED, "viscous_restitution": 0}, "viscous_restitution: must be between 0.05 and 1"),
-        ("thornton", {**CRUSHED, "restitution": 0.5}, "thornton; for viscous loss beside crushing give viscous_restit"),
-        ("hunt-crossley", BOTH, "left out when dissipation is hunt-crossley; give restitution, which is viscous"),
-        ("elastic", {"restitution": None, **BOTH}, "must be left out when dissipation is elastic; leave it out"),
-    ],
-)
-def test_scenes_that_cannot_be(impact, population, says):
-    with pytest.raises(BadData) as error:
-        scene_of({"dissipation": impact}, population)
-    assert says in str(error.value)

@@ -215,23 +215,6 @@ def test_times_of_day_are_the_time_of_the_rows(text, start):
         assert signal.start_time.strftime("%Y-%m-%d") == "2026-03-04"
 
 
-@pytest.mark.parametrize(
-    ("text", "word"),
-    [
-        ("10:00:00.001,1\n10:00:00.002,2\n10:00:00.005,3\n", "even"),
-        ("10:00:00.001,1\n10:00:00.002,2\n10:00:00.002,3\n", "increase"),
-        ("23:59:59.999,1\n23:59:59.9995,2\n00:00:00.000,3\n", "increase"),
-        ("2026-13-41 10:00:00.001,1\n2026-13-41 10:00:00.002,2\n", "'2026-13-41 10:00:00.001'"),
-        ("10:00:00.001,1\nnoon,2\n10:00:00.003,3\n", "no line"),
-        ("10:00:00.001,1\n10:00:00.002,2\nnoon,3\n", "sample 2 .* 'noon'"),
-        ("2026-03-04 10:00:00\n2026-03-04 10:00:01\n", "no line"),
-    ],
-)
-def test_bad_times_of_day(text, word):
-    with pytest.raises(BadData, match=word):
-        read_text(text)
-
-
 # ---- text that is refused ----
 
 
