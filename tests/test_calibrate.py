@@ -22,7 +22,7 @@ from cgid.scene.through_beam import beam_of, through_modes
 from cgid.site import calibrate
 from cgid.site.calibration import check_scene, count_crossings, prepare_impacts, table_beside, uncertain, usable_impacts
 from cgid.site.dimensions import dimension_errors, learn_dimensions, with_dimensions
-from cgid.site.learning import ImpactFrames, System, search_valleys
+from cgid.site.learning import ImpactFrames, System, newton, search_valleys
 from tests.plan_scenes import toml
 
 RATE, BEFORE = 6400.0, 64
@@ -238,6 +238,17 @@ def test_a_mode_in_a_wrong_valley_is_found(known):
 
 
 # -- the site file ----------------------------------------------------------------------------------------
+
+
+def test_a_step_goes_to_the_optimum_of_misfit_and_prior():
+    curvature, optimum, prior = np.array([[9.0, 2.0], [2.0, 4.0]]), np.array([0.3, -0.2]), np.array([0.5, 2.0])
+    now, pulls = np.array([0.1, 0.1]), np.zeros((5, 2))
+    pulls[:] = curvature @ (optimum - now) / 5
+    found, step, deviation = newton(curvature, pulls, prior, now)
+    both = curvature + np.diag(1 / prior**2)
+    np.testing.assert_allclose(found, np.linalg.solve(both, curvature @ optimum), rtol=1e-12)
+    np.testing.assert_allclose(found - now, step, rtol=1e-12)
+    np.testing.assert_allclose(deviation, np.sqrt(np.diag(np.linalg.inv(both))), rtol=1e-12)
 
 
 def test_site_file_holds_the_scene(found, tmp_path):

@@ -26,7 +26,7 @@ from cgid.errors import BadData, CannotCreate, InvalidValue, NoInput
 from cgid.plant import PlantOutputs, command, mqtt
 from cgid.plant.modbus import HEAD, WIDTH
 from cgid.plant.output import MAX_CLIENTS, Output
-from cgid.plant.state import BIN_TIME, Waveform
+from cgid.plant.state import BIN_TIME, MAX_SUPPORTS, Waveform
 from cgid.plant.web import page
 from tests.streams_of_pulses import RATE, ROOT, stream
 
@@ -340,6 +340,7 @@ def test_only_reads_of_registers_are_answered(outputs) -> None:
         b"\4\xff\xff\0\2": 2,
         b"\x2b\x0e\1\0": 1,
         b"\x11": 1,
+        struct.pack(">BHH", 4, HEAD + WIDTH * MAX_SUPPORTS, 1): 2,
     }
     for request, error in refused.items():
         assert asked(port, modbus_frame(request)) == [modbus_frame(bytes([request[0] | 0x80, error]))]

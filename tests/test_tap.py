@@ -142,6 +142,14 @@ def test_modes_of_a_scene_are_corrected_where_taps_say_more(hammered):
     assert (modes.deviation[0][known] < 1e-4).all()
 
 
+def test_a_mode_with_two_partners_is_left_as_it_is(hammered):
+    computed = np.append(FREQUENCY, 481.0)
+    computed.sort()
+    _, known = matched(hammered, computed, np.full(computed.size, 0.01), 0.005)
+    assert known.sum() == FREQUENCY.size - 1
+    assert not known[(computed > 470) & (computed < 490)].any()
+
+
 def recording(path: Path, columns, titles="acceleration [m/s^2],force [N]"):
     text = f"# sampling_rate: {RATE:g} Hz\n{titles}\n"
     path.write_text(text + "\n".join(",".join(f"{value:.6g}" for value in row) for row in np.transpose(columns)))
