@@ -24,9 +24,9 @@ import pytest
 from cgid.cli.main import run
 from cgid.errors import BadData, CannotCreate, InvalidValue, NoInput
 from cgid.plant import PlantOutputs, command, mqtt
-from cgid.plant.modbus import HEAD, WIDTH
+from cgid.plant.modbus import HEAD, MAX_SUPPORTS, WIDTH
 from cgid.plant.output import MAX_CLIENTS, Output
-from cgid.plant.state import BIN_TIME, MAX_SUPPORTS, Waveform
+from cgid.plant.state import BIN_TIME, Waveform
 from cgid.plant.web import page
 from tests.streams_of_pulses import RATE, ROOT, stream
 
