@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import io
 import json
+import math
 import os
 import sys
 import tempfile
@@ -18,6 +19,7 @@ import pytest
 from scipy.io import wavfile
 
 from cgid.cli.main import run
+from cgid.cli.output import finite
 from cgid.cli.table import ENDINGS, TableOutput, numbers
 from cgid.identification.model import Model
 from cgid.identification.stream import identify_recording
@@ -283,3 +285,7 @@ def test_rows_are_written_in_blocks(ending: str, tmp_path: Path, monkeypatch: py
         assert found["x_m_s2"].tolist() == [value / 3 for value in range(n)]
         assert len(found) == found.iloc[:, 1].isna().sum() == n
         assert found.filter(like="y").to_numpy().tolist() == [[1.0, 2.0]] * n
+
+
+def test_json_has_no_nan_and_no_infinity():
+    assert finite({"a": [math.nan, 1.0, 2], "b": {"c": -math.inf}}) == {"a": [None, 1.0, 2], "b": {"c": None}}
