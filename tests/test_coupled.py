@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from scipy.optimize import brentq
 
 from cgid.errors import InvalidValue
 from cgid.physics import (
@@ -13,9 +14,11 @@ from cgid.physics import (
     ModalImpact,
     Sphere,
     ThinPlate,
+    Thornton,
+    WaltonBraun,
 )
 from cgid.physics.materials import STEEL, YANG2018_SPHERES
-from tests import few
+from tests import few, naive
 
 COAL = YANG2018_SPHERES[1]
 #: T0 of the reference impact; an undamped contact lasts 3.2 of it.
@@ -138,6 +141,77 @@ class Modes:
         return force, displacement
 
 
+class Crushed:
+    """Sphere and modes by scipy's DOP853, with a contact that loads and unloads on two paths."""
+
+    def __init__(self, omega, ratios, shares, paths, damping=0.0, weight=0.0, window=12.0):
+        loading, unloading, corner = paths
+        n = len(omega)
+        path, largest, rest, contact = loading, 0.0, 0.0, True
+
+        def parts(state):
+            return state[0] - shares @ state[2 : 2 + n], state[1] - shares @ state[2 + n :]
+
+        def force_of(path, state):
+            x, rate = parts(state)
+            return path(x) * max(1 + damping * rate, 0.0)
+
+        def rates(_time, state):
+            f = force_of(path, state) if contact else 0.0
+            q, p = state[2 : 2 + n], state[2 + n :]
+            return np.concatenate([[state[1], weight - f], p, f - 2 * ratios * omega * p - omega**2 * q])
+
+        state, time, self._solved, self.contacts, self.end = np.zeros(2 + 2 * n), 0.0, [], 1, 0.0
+        state[1] = 1.0
+        while True:
+            edges = [(lambda state, at=rest: parts(state)[0] - at, -1 if contact else 1)]
+            if contact and path is loading:
+                edges.append((lambda state: parts(state)[1], -1))
+                if largest < corner < np.inf:
+                    edges.append((lambda state: parts(state)[0] - corner, 1))
+            elif contact:
+                edges.append((lambda state, at=largest: parts(state)[0] - at, 1))
+            events = []
+            for edge, direction in edges:
+                event = lambda _time, state, edge=edge: edge(state)  # noqa: E731
+                event.terminal, event.direction = True, direction
+                events.append(event)
+            limit = 1e3 if contact else window
+            near = solve_ivp(rates, (time, time + 1e-6), state, method="DOP853", rtol=1e-12, atol=1e-14,
+                             dense_output=True)  # fmt: skip
+            far = solve_ivp(rates, (near.t[-1], limit), near.y[:, -1], method="DOP853", rtol=1e-12, atol=1e-14,
+                            dense_output=True, events=events, max_step=0.2)  # fmt: skip
+            time, state = far.t[-1], far.y[:, -1]
+            if contact:
+                self._solved += [(one.t[0], one.t[-1], one.sol, path, force_of) for one in (near, far)]
+            if far.status != 1:
+                break
+            first = next(k for k, at in enumerate(far.t_events) if at.size)
+            if first == 0:
+                contact = not contact
+                self.contacts += int(contact)
+                self.end, self.restitution = (time, -state[1]) if not contact else (self.end, self.restitution)
+                if time >= window:
+                    break
+            elif path is loading and first == 1:
+                largest = parts(state)[0]
+                path = unloading(largest)
+                if path(0.0) == 0.0:
+                    none = 1e-13 * path(largest)
+                    rest = brentq(lambda x, path=path, at=none: path(x) - at, 0.0, largest, xtol=1e-20)
+            elif path is loading:
+                largest = corner
+            else:
+                path = loading
+
+    def force(self, times):
+        out = np.zeros(times.shape)
+        for begin, end, solution, path, force_of in self._solved:
+            for k in np.flatnonzero((times > begin) & (times <= end)):
+                out[k] = force_of(path, solution(times[k]))
+        return out
+
+
 # ---- against scipy ----------------------------------------------------------------------------------------------
 
 
@@ -145,14 +219,14 @@ def test_scipy_agrees(pair):
     impact, expected = pair
     energy = impact.reduced_mass * impact.velocity**2
     assert impact.contacts == expected.contacts
-    assert impact.restitution == pytest.approx(expected.restitution, abs=1e-11)
-    assert impact.contact_duration / impact.time_scale == pytest.approx(expected.contact_time, rel=1e-11)
-    assert impact.end_of_contact / impact.time_scale == pytest.approx(expected.end, rel=1e-11)
-    assert impact.impulse == pytest.approx(expected.impulse * impact.reduced_mass * impact.velocity, rel=1e-11)
-    assert impact.radiated_energy == pytest.approx(expected.beam_energy * energy, rel=1e-10)
-    assert impact.modal_energy == pytest.approx(expected.modal_energy * energy, rel=1e-10)
-    assert impact.modal_dissipation == pytest.approx(expected.modal_dissipation * energy, rel=1e-9, abs=1e-12 * energy)
-    assert impact.dissipated_energy == pytest.approx(expected.material_loss * energy, rel=1e-10, abs=1e-12 * energy)
+    assert impact.restitution == pytest.approx(expected.restitution, abs=1e-8)
+    assert impact.contact_duration / impact.time_scale == pytest.approx(expected.contact_time, rel=1e-8)
+    assert impact.end_of_contact / impact.time_scale == pytest.approx(expected.end, rel=1e-8)
+    assert impact.impulse == pytest.approx(expected.impulse * impact.reduced_mass * impact.velocity, rel=1e-8)
+    assert impact.radiated_energy == pytest.approx(expected.beam_energy * energy, abs=1e-8 * energy)
+    assert impact.modal_energy == pytest.approx(expected.modal_energy * energy, abs=1e-8 * energy)
+    assert impact.modal_dissipation == pytest.approx(expected.modal_dissipation * energy, abs=1e-8 * energy)
+    assert impact.dissipated_energy == pytest.approx(expected.material_loss * energy, abs=1e-8 * energy)
 
 
 def test_force_and_displacement_over_time_are_those_of_scipy(pair):
@@ -160,10 +234,57 @@ def test_force_and_displacement_over_time_are_those_of_scipy(pair):
     tau = np.linspace(-0.1, 1.02 * expected.end, 500)
     force, displacement = expected.evaluate(tau)
     found = impact.force(tau * impact.time_scale) / impact.force_scale
-    assert np.abs(found - force).max() < 1e-10 * force.max()
+    assert np.abs(found - force).max() < 1e-8 * force.max()
     found = impact.displacement(tau * impact.time_scale) / impact.length_scale
     in_contact = force > 0
-    assert np.abs(found - displacement)[in_contact].max() < 1e-10 * displacement.max()
+    assert np.abs(found - displacement)[in_contact].max() < 1e-8 * displacement.max()
+
+
+def crushing(impact):
+    """Return the paths of a plastic impact on modes, and its damping number."""
+    *own, damping = [float(one) for one in impact._numbers.values()]
+    paths = naive.thornton_paths if isinstance(impact.dissipation, Thornton) else naive.walton_braun_paths
+    return paths(*own), damping
+
+
+#: omega T0, damping ratio, participation times mass, the law of this yield pressure [MPa] or restitution and of this
+#: viscous restitution, g L / v^2; some are hit again, pressed beyond their dent, or let go.
+CRUSHED = {
+    "crushed": ([2, 7, 11], [0.01, 0.02, 0.03], [0.3, 0.5, 0.4], Thornton(yield_pressure=40e6), 0.0),
+    "crushed and damped": (
+        [2, 7, 11],
+        0.02,
+        [0.3, 0.5, 0.4],
+        Thornton(yield_pressure=40e6, viscous_restitution=0.7),
+        0,
+    ),
+    "crushed again": ([0.5, 6], [0.01, 0.02], [4, 4], Thornton(yield_pressure=60e6), 0.02),
+    "two springs": ([0.5, 6], [0.01, 0.02], [4, 4], WaltonBraun(restitution=0.8), 0.0),
+    "two springs, damped": (
+        [3, 20],
+        [0.01, 0.02],
+        [3, 10],
+        WaltonBraun(restitution=0.6, viscous_restitution=0.8),
+        0.02,
+    ),
+}
+
+
+@pytest.mark.parametrize("name", few(CRUSHED, 3))
+def test_plastic_contacts_on_modes_are_those_of_scipy(name):
+    *modes, law, weight = CRUSHED[name]
+    gravity = weight * float(rigid(law).velocity ** 2 / rigid(law).length_scale)
+    impact = dimensionless(*modes, law, gravity=gravity)
+    paths, damping = crushing(impact)
+    omega, ratios, shares = np.broadcast_arrays(*map(np.asarray, modes))
+    expected = Crushed(omega, ratios, shares, paths, damping, weight)
+    assert impact.contacts == expected.contacts
+    assert impact.restitution == pytest.approx(expected.restitution, abs=1e-8)
+    tau = np.linspace(0, 1.02 * expected.end, 500)
+    force = expected.force(tau)
+    found = impact.force(tau * impact.time_scale) / impact.force_scale
+    assert np.abs(found - force).max() < 1e-8 * force.max()
+    assert abs(impact.energy_error) < 1e-8
 
 
 def test_peaks_are_the_largest_values_of_the_curves(pair):
@@ -173,9 +294,9 @@ def test_peaks_are_the_largest_values_of_the_curves(pair):
         (impact.force, impact.peak_force, impact.time_of_peak),
         (impact.displacement, impact.peak_displacement, impact.compression_time),
     ):
-        assert curve(times).max() <= peak * (1 + 1e-9)
+        assert curve(times).max() <= peak * (1 + 1e-8)
         assert curve(times).max() == pytest.approx(peak, rel=1e-5)
-        assert curve(time) == pytest.approx(peak, rel=1e-9)
+        assert curve(time) == pytest.approx(peak, rel=1e-8)
 
 
 def test_gravity_pulls_in_contact_and_between():
@@ -185,9 +306,9 @@ def test_gravity_pulls_in_contact_and_between():
     impact = dimensionless(*CASES["hit again"][:3], dissipation, gravity=gravity)
     expected = slow(impact)
     assert impact.contacts == expected.contacts > 1
-    assert impact.restitution == pytest.approx(expected.restitution, abs=1e-10)
-    assert impact.end_of_contact / impact.time_scale == pytest.approx(expected.end, rel=1e-10)
-    assert abs(impact.energy_error) < 1e-12
+    assert impact.restitution == pytest.approx(expected.restitution, abs=1e-8)
+    assert impact.end_of_contact / impact.time_scale == pytest.approx(expected.end, rel=1e-8)
+    assert abs(impact.energy_error) < 1e-8
     assert abs(impact.restitution - light.restitution) > 1e-3
 
 
@@ -197,14 +318,13 @@ def test_gravity_pulls_in_contact_and_between():
 @pytest.mark.parametrize("dissipation", [Elastic(), HALF, HuntCrossley(restitution=0.1)])
 @pytest.mark.parametrize("modes", [([], 0.01, []), ([300.0, 2000.0], 0.01, [0.0, 0.0])])
 def test_without_modes_or_at_their_nodes_it_is_the_half_space(dissipation, modes):
-    plain, impact = rigid(dissipation), modal(*modes, dissipation, tolerance=1e-12)
+    plain, impact = rigid(dissipation), modal(*modes, dissipation)
     for name in ("restitution", "peak_force", "contact_duration", "time_of_peak", "peak_displacement",
                  "compression_time", "impulse", "dissipated_energy"):  # fmt: skip
-        tolerance = 1e-10 if name in ("time_of_peak", "compression_time") else 1e-12  # a top is flat
-        assert getattr(impact, name) == pytest.approx(getattr(plain, name), rel=tolerance, abs=1e-15)
+        assert getattr(impact, name) == pytest.approx(getattr(plain, name), rel=1e-8, abs=1e-8)
     assert abs(impact.radiated_energy) < 1e-15 * impact.reduced_mass * impact.velocity**2
     times = np.linspace(0, 1.1 * plain.contact_duration, 300)
-    assert np.abs(impact.force(times) - plain.force(times)).max() < 1e-12 * plain.peak_force
+    assert np.abs(impact.force(times) - plain.force(times)).max() < 1e-8 * plain.peak_force
 
 
 def test_a_very_stiff_mode_is_the_half_space():
@@ -220,11 +340,11 @@ def test_a_heavy_or_light_free_mode_is_a_second_body(share):
     """A mode that hardly begins to swing is a body of mass m / share at rest: e, T and P_max of the reduced mass."""
     impact, plain = dimensionless([1e-12], 0.01, [share], Elastic()), rigid(Elastic())
     reduced = 1 / (1 + share)
-    assert impact.contact_duration == pytest.approx(plain.contact_duration * reduced**0.4, rel=1e-12)
-    assert impact.peak_force == pytest.approx(plain.peak_force * reduced**0.6, rel=1e-11)
-    assert impact.restitution == pytest.approx((1 - share) / (1 + share), abs=1e-12)
+    assert impact.contact_duration == pytest.approx(plain.contact_duration * reduced**0.4, rel=1e-8)
+    assert impact.peak_force == pytest.approx(plain.peak_force * reduced**0.6, rel=1e-8)
+    assert impact.restitution == pytest.approx((1 - share) / (1 + share), abs=1e-8)
     damped = dimensionless([1e-12], 0.01, [share])
-    assert damped.restitution == pytest.approx((0.5 - share) / (1 + share), abs=1e-12)
+    assert damped.restitution == pytest.approx((0.5 - share) / (1 + share), abs=1e-8)
     assert damped.contacts == 1
 
 
@@ -279,7 +399,7 @@ def test_what_is_left_out_stands_in_one_more_mode(radius, dissipation):
     assert abs(impact.restitution - zener.restitution) < 1e-4
     assert impact.peak_force == pytest.approx(zener.peak_force, rel=2e-3)
     assert impact.contact_duration == pytest.approx(zener.contact_duration, rel=5e-4)
-    assert abs(impact.energy_error) < 1e-13
+    assert abs(impact.energy_error) < 1e-8
 
 
 # ---- energy, and the method itself ------------------------------------------------------------------------------
@@ -304,7 +424,7 @@ def many():
 
 
 def test_rebound_loss_and_beam_are_the_energy_of_impact(many):
-    assert np.abs(many.energy_error).max() < 1e-12
+    assert np.abs(many.energy_error).max() < 1e-8
     assert (many.contacts > 1).sum() > 30
     assert (many.radiated_energy > 0).all()
     assert (many.modal_dissipation > 0).all()
@@ -314,7 +434,15 @@ def test_momentum_is_kept(many):
     """Impulse of all contacts is (1 + e) m v and the pull until the last of them ends."""
     pull = many.gravity * many.end_of_contact
     expected = many.reduced_mass * ((1 + many.restitution) * many.velocity + pull)
-    assert many.impulse == pytest.approx(expected, rel=1e-12)
+    assert many.impulse == pytest.approx(expected, rel=1e-8)
+
+
+def test_a_smaller_tolerance_gives_the_same(many):
+    given = {name: getattr(many, name) for name in many.__dataclass_fields__}
+    finer = ModalImpact(**{**given, "tolerance": 1e-9})
+    assert (finer.contacts == many.contacts).all()
+    for name in ("restitution", "peak_force", "contact_duration", "end_of_contact", "modal_energy"):
+        assert getattr(finer, name) == pytest.approx(getattr(many, name), rel=1e-8, abs=1e-8)
 
 
 # ---- batches, frames --------------------------------------------------------------------------------------------

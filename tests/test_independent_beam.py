@@ -111,7 +111,7 @@ def few_modes(monkeypatch, tmp_path):
 
 
 def test_the_package_strikes_the_same_modes_alike(few_modes):
-    """Its coupled contact by collocation, its response by poles, of the same modes."""
+    """Its coupled contact, its response by poles, of the same modes."""
     n, modes = 6, independent_beam.modes_for(Variant(ribs="smeared"), few_modes)
     made = independent_beam.generate(n, 1, Variant(ribs="smeared"), noise=0.0, beam=few_modes)
     rock = independent_beam.rocks(n, np.random.default_rng([1, 0]))

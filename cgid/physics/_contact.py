@@ -1,8 +1,11 @@
-"""Numba kernels that integrate one impact: any contact law against a half-space or a plate, with or without weight.
+"""Numba kernels that integrate one contact: any law against a half-space, a plate or modes, with or without weight.
 
 Dimensionless (x approach, y velocity of the sphere, u = x', f force, all in units of L, T0, v and `K L^(3/2)`):
 
     x' = y - lambda f,  y' = gamma - f,  f = g + c x',  hence  f = (g + c y) / (1 + lambda c).
+
+A structure given by its modes moves with a velocity v, which the past of the force settles (`_modes`): there x' = y - v
+and lambda = 0, and the scheme is Pouzet's form of a Runge-Kutta method for Volterra equations.
 
 A law gives g and c, the force at rest and the damping, from w with `x = origin + w^2`; with `d tau = w d sigma` the
 contact passes smoothly through w = 0 at both ends: `w' = u / 2, y' = w (gamma - f), tau' = w`. DOP853 integrates these
@@ -25,6 +28,21 @@ from numpy.typing import NDArray
 
 from cgid.compiled import inner_jit, jit
 from cgid.physics._dop853 import END, ERROR_3, ERROR_5, LAST, STAGES, dense, stages, weighted
+from cgid.physics._modes import (
+    IMPULSE,
+    LONGEST,
+    RATE,
+    STAGE,
+    THROUGH,
+    WITHIN,
+    advance,
+    dot,
+    known,
+    remember,
+    sway,
+    velocity,
+    width_of,
+)
 
 Array = NDArray[Any]
 
@@ -51,8 +69,12 @@ RESULTS = (
 HYSTERETIC, PULLS = 1, 2
 #: The share of the tolerance that the step control gets: the error of a pulse is 2 to 9 times its own.
 _SHARE = 0.03
+#: Below this tolerance on modes it gets less, since within a step they need a higher order; the least it can get.
+_LOOSE, _LEAST = 1e-6, 3e-13
 #: A force of less than this share of the tolerance times that at rest is none: the rest is free flight.
 _FREE = 1e-4
+#: A contact that lasts longer than this under its weight on modes does not end [T0].
+_FOR_GOOD = 1e3
 #: Slowest rebound that can be told from rounding, of a sphere that is released by the force.
 _MIN_REBOUND = 1e-12
 _NO_EVENT, _END, _RELEASE, _TURN, _CORNER = 0, 1, 2, 3, 4
@@ -64,16 +86,22 @@ _WEIGHTS = np.array([2, 14 - math.sqrt(7), 14 + math.sqrt(7), 14 + math.sqrt(7),
 _STAGE = """
     w{i} = w + h * ({w})
     y{i} = y + h * ({y})
+    v = 0.0
+    if cells is not None:
+        v = velocity(cells, {i}, tau + h * ({t}), h)
     g, c = force(p, history, w{i})
-    f = (g + c * y{i}) / (1.0 + inelasticity * c)
-    dw{i} = 0.5 * (y{i} - inelasticity * f)
+    f = (g + c * (y{i} - v)) / (1.0 + inelasticity * c)
+    u = y{i} - v - inelasticity * f
+    if cells is not None:
+        cells[STAGE + {i}, IMPULSE], cells[STAGE + {i}, RATE] = w{i} * f, u
+    dw{i} = 0.5 * u
     dy{i} = w{i} * (weight - f)
 """
 _INDENTED = _STAGE.replace("\n    ", "\n        ")
-#: Returns the error over the permitted one, w, y, tau, g, c and f at the end; if the step is good, fills its row.
+#: Returns the error over the permitted one, w, y, tau, x', g, c and f at the end; if the step is good, fills its row.
 _STEP = f"""
-def step(force, p, history, inelasticity, weight, h, w, y, tau, f, top, peak, tolerance, row):
-    w0, dw0, dy0 = w, 0.5 * (y - inelasticity * f), w * (weight - f)
+def step(force, p, history, inelasticity, weight, cells, h, w, y, tau, u, f, top, peak, tolerance, row):
+    w0, dw0, dy0 = w, 0.5 * u, w * (weight - f)
 {stages(_STAGE, 1, END + 1)}
     later = tau + h * ({weighted(STAGES[END], "w")})
     scale = max(top, abs(w{END}))
@@ -84,14 +112,14 @@ def step(force, p, history, inelasticity, weight, h, w, y, tau, f, top, peak, to
     e5, e3 = ew5 * ew5 + ey5 * ey5 + et5 * et5, ew3 * ew3 + ey3 * ey3 + et3 * et3
     error = h * e5 / math.sqrt(3.0 * (e5 + 0.01 * e3)) / tolerance if e5 > 0.0 else e5
     if error <= 1.0:
-        at_end = g, c, f
+        at_end = u, g, c, f
 {stages(_INDENTED, END + 1, LAST)}
         row[0] = h
         for k in range(4):
             row[HISTORY + k] = history[k]
 {dense("w", "dw", f"w{END} - w", W)}{dense("y", "dy", f"y{END} - y", Y)}{dense("tau", "w", "later - tau", TAU)}
-        g, c, f = at_end
-    return error, w{END}, y{END}, later, g, c, f
+        u, g, c, f = at_end
+    return error, w{END}, y{END}, later, u, g, c, f
 """
 exec(compile(_STEP, __file__, "exec"), globals())
 step = inner_jit(globals()["step"])
@@ -132,19 +160,45 @@ def value(row: Array, first: int, s: float) -> float:
 
 
 @inner_jit
-def _state(
-    force: Any, p: Array, history: Array, inelasticity: float, row: Array, s: float
+def state_at(
+    force: Any, p: Array, history: Array, inelasticity: float, cells: Any, row: Array, s: float
 ) -> tuple[float, float, float]:
     """Return w, x' and the force at the share s of a step."""
-    w, y = value(row, W, s), value(row, Y, s)
+    w = value(row, W, s)
     g, c = force(p, history, w)
+    if cells is not None:
+        u = 0.0
+        for k in range(7, -1, -1):
+            u = u * s + row[Y + k]
+        return w, u, g + c * u
+    y = value(row, Y, s)
     f = (g + c * y) / (1.0 + inelasticity * c)
     return w, y - inelasticity * f, f
 
 
 @inner_jit
+def _refine(cells: Any, row: Array, first: float, last: float) -> None:
+    """Replace the dense output of y by that of x', a polynomial: the slope of w is of a lower order."""
+    u = np.empty(WITHIN.size)
+    u[0], u[-1] = first, last
+    for k in range(1, WITHIN.size - 1):
+        u[k] = value(row, Y, WITHIN[k]) - velocity(cells, LAST + k, value(row, TAU, WITHIN[k]), row[0])
+    for degree in range(WITHIN.size):
+        row[Y + degree] = dot(THROUGH[degree], u)
+
+
+@inner_jit
 def _watched(
-    event: int, force: Any, p: Array, history: Array, inelasticity: float, row: Array, s: float, corner: float
+    event: int,
+    force: Any,
+    p: Array,
+    history: Array,
+    inelasticity: float,
+    cells: Any,
+    row: Array,
+    s: float,
+    corner: float,
+    least: float,
 ) -> float:
     """Return what falls to 0 at an event, at the share s of a step."""
     w = value(row, W, s)
@@ -153,25 +207,34 @@ def _watched(
     if event == _CORNER:
         left: float = corner - history[0] - w * w
         return left
-    g, c = force(p, history, w)
-    y = value(row, Y, s)
-    push: float = y - inelasticity * g if event == _TURN else min(w, g + c * y)
+    w, u, f = state_at(force, p, history, inelasticity, cells, row, s)
+    push: float = u if event == _TURN else min(w, f - least)
     return push
 
 
 @inner_jit
 def _place(
-    event: int, force: Any, p: Array, history: Array, inelasticity: float, row: Array, high: float, corner: float
+    event: int,
+    force: Any,
+    p: Array,
+    history: Array,
+    inelasticity: float,
+    cells: Any,
+    row: Array,
+    low: float,
+    high: float,
+    corner: float,
+    least: float,
 ) -> float:
-    """Return the share of a step, at most high, at which an event falls: regula falsi (Illinois), or bisection."""
-    low, before = 0.0, _watched(event, force, p, history, inelasticity, row, 0.0, corner)
-    after, side = _watched(event, force, p, history, inelasticity, row, high, corner), 0
+    """Return the share of a step, within bounds, at which an event falls: regula falsi (Illinois), or bisection."""
+    before = _watched(event, force, p, history, inelasticity, cells, row, low, corner, least)
+    after, side = _watched(event, force, p, history, inelasticity, cells, row, high, corner, least), 0
     for k in range(100):
         middle = 0.5 * (low + high)
         if before > 0.0 > after and k % 4 != 3:
             middle = low + (high - low) * before / (before - after)
-        now = _watched(event, force, p, history, inelasticity, row, middle, corner)
-        if abs(now) < 1e-15 or high - low < 1e-14:
+        now = _watched(event, force, p, history, inelasticity, cells, row, middle, corner, least)
+        if abs(now) < 1e-18 or high - low < 1e-14:
             return middle
         if now > 0.0:
             low, before = middle, now
@@ -185,13 +248,13 @@ def _place(
 
 
 @inner_jit
-def _first_step(force: Any, p: Array, history: Array, inelasticity: float) -> float:
+def _first_step(force: Any, p: Array, history: Array, inelasticity: float, w: float, u: float) -> float:
     """Return the length of the first step: one that changes the velocity by some per cent."""
     h = 1.0
     for _ in range(2000):
-        w = 0.5 * h
-        g, c = force(p, history, w)
-        change = h * w * (g + c) / (1.0 + inelasticity * c)
+        ahead = w + 0.5 * h * u
+        g, c = force(p, history, ahead)
+        change = h * ahead * (g + c) / (1.0 + inelasticity * c)
         if change > 0.5 or not math.isfinite(change):
             h *= 0.5
         elif change < 0.02 and h < 1e100:
@@ -211,13 +274,26 @@ def _creeps(force: Any, p: Array, history: Array, weight: float, w: float) -> bo
             high = middle
         else:
             low = middle
-    g, c = force(p, history, high)
-    slope = (force(p, history, 1.001 * high)[0] - g) / (0.002 * high * high)
-    return bool(c * c > 67.0 * slope)
+    c = force(p, history, high)[1]
+    return bool(c * c > 67.0 * _stiffness(force, p, history, high))
 
 
 @inner_jit
-def _integrate(
+def _stiffness(force: Any, p: Array, history: Array, w: float) -> float:
+    """Return the slope of the force at rest."""
+    slope: float = (force(p, history, 1.001 * w)[0] - force(p, history, w)[0]) / (0.002 * w * w)
+    return slope
+
+
+@inner_jit
+def _rests(force: Any, p: Array, history: Array, weight: float, modes: Any, w: float, u: float, f: float) -> bool:
+    """Return whether neither contact nor modes swing so far that a sphere leaves which its weight holds."""
+    swing = abs(f - weight) + math.sqrt(max(_stiffness(force, p, history, w), 0.0)) * abs(u) if w > 0.0 else weight
+    return bool(swing < 0.5 * weight and swing + sway(modes, weight) < 0.5 * weight)
+
+
+@inner_jit
+def integrate(
     force: Any,
     corner_of: Any,
     turn: Any,
@@ -226,72 +302,113 @@ def _integrate(
     inelasticity: float,
     weight: float,
     tolerance: float,
+    modes: Any,
+    cells: Any,
+    history: Array,
+    state: Array,
     steps: Array,
+    n: int,
     result: Array,
 ) -> int:
-    """Fill the steps (n, `COLUMNS`) of one impact and its first results; return the number of steps."""
-    history = np.zeros(4)
+    """Fill the steps (n, `COLUMNS`) of one contact from the nth on, and its results; return how many are filled.
+
+    The contact begins at the state w, y and tau, which becomes that at its end.
+    """
     hysteretic, pulls = flags & HYSTERETIC != 0, flags & PULLS != 0
+    releases = pulls or modes is not None
     permitted = _SHARE * tolerance
-    w, y, tau = 0.0, 1.0, 0.0
-    top, peak, compressing = 0.0, 0.0, True
-    result[:] = 0.0
+    w, y, tau = state
+    top, peak, compressing, begin = 0.0, 0.0, True, tau
     result[0] = OUT_OF_REACH
     corner = corner_of(p, history) if hysteretic else math.inf
+    v, cuts, longest, least = 0.0, 1, math.inf, 0.0
+    if modes is not None:
+        # More than one event may fall in a step.
+        permitted = max(permitted * math.pow(min(tolerance / _LOOSE, 1.0), 1.25), _LEAST)
+        v, cuts, longest = velocity(cells, 0, tau, 0.0), 8, LONGEST * width_of(cells)
     g, c = force(p, history, w)
-    f = (g + c * y) / (1.0 + inelasticity * c)
-    h = _first_step(force, p, history, inelasticity)
-    n, attempts = 0, 0
+    f = (g + c * (y - v)) / (1.0 + inelasticity * c)
+    u = y - v - inelasticity * f
+    h = _first_step(force, p, history, inelasticity, w, u)
+    attempts = 0
     while n < steps.shape[0]:
         row = steps[n]
         attempts += 1
         if attempts > 3 * steps.shape[0]:
             return 0
-        error, w1, y1, tau1, g1, c1, f1 = step(
-            force, p, history, inelasticity, weight, h, w, y, tau, f, top, peak, permitted, row
+        if modes is not None:
+            cells[STAGE, IMPULSE], cells[STAGE, RATE] = w * f, u
+            while h * (w + 0.25 * h * u) > longest:
+                h *= 0.8
+            if known(cells, tau) < h * (w + 0.25 * h * u):
+                advance(modes, tau)
+                if weight > 0.0 and (tau - begin > _FOR_GOOD or _rests(force, p, history, weight, modes, w, u, f)):
+                    result[0] = STAYS
+                    return 0
+        error, w1, y1, tau1, u1, g1, c1, f1 = step(
+            force, p, history, inelasticity, weight, cells, h, w, y, tau, u, f, top, peak, permitted, row
         )
-        if not error <= 1.0:
-            h *= max(0.2, 0.9 * math.pow(error, -0.125)) if error < 1e300 else 0.2
+        if not (error <= 1.0 and tau1 - tau <= longest):
+            h *= max(0.2, min(0.8, 0.9 * math.pow(error, -0.125))) if error < 1e300 else 0.2
             if tau + w * h + h * h == tau:
                 result[0] = OUT_OF_REACH if math.isfinite(g1 + c1) else NOT_FINITE
                 return 0
             continue
         following = h * min(2.0, 0.9 * math.pow(max(error, 1e-30), -0.125))
-        event, share = _NO_EVENT, 1.0
-        if not (w1 > 0.0 and (f1 > 0.0 or not pulls)):
-            event = _RELEASE if pulls else _END
-            share = _place(event, force, p, history, inelasticity, row, share, corner)
-        if compressing and y1 - inelasticity * f1 <= 0.0:
-            at = _place(_TURN, force, p, history, inelasticity, row, share, corner)
-            if at < share:
-                event, share = _TURN, at
-        if corner < math.inf and compressing:
-            deepest = value(row, W, share)
-            if corner <= history[0] + deepest * deepest:
-                event = _CORNER
-                share = _place(event, force, p, history, inelasticity, row, share, corner)
-        if event == _TURN:
-            result[6] = value(row, TAU, share)
-            deepest = value(row, W, share)
-            result[5] = history[0] + deepest * deepest
-            compressing = False
-            if not hysteretic:
-                event, share = _NO_EVENT, 1.0
+        if modes is not None:
+            _refine(cells, row, u, u1)
+        event, share, low = _NO_EVENT, 1.0, 0.0
+        for cut in range(1, cuts + 1):
+            share, w2, u2, f2 = cut / cuts, w1, u1, f1
+            if modes is not None:
+                w2, u2, f2 = state_at(force, p, history, inelasticity, cells, row, share)
+                # The structure may run from the sphere faster than the material recovers; rounding is no attraction.
+                least = 0.0 if pulls else -permitted * peak
+                compressing = compressing or u2 > 0.0
+            if not (w2 > 0.0 and (f2 > least or not releases)):
+                event = _RELEASE if releases else _END
+                share = _place(event, force, p, history, inelasticity, cells, row, low, share, corner, least)
+            if compressing and u2 <= 0.0:
+                at = _place(_TURN, force, p, history, inelasticity, cells, row, low, share, corner, least)
+                if at < share or event == _NO_EVENT:
+                    event, share = _TURN, at
+            if corner < math.inf and compressing:
+                deepest = value(row, W, share)
+                if corner <= history[0] + deepest * deepest:
+                    event = _CORNER
+                    share = _place(event, force, p, history, inelasticity, cells, row, low, share, corner, least)
+            if event == _TURN:
+                deepest = value(row, W, share)
+                depth = history[0] + deepest * deepest
+                if depth > result[5]:
+                    result[5], result[6] = depth, value(row, TAU, share)
+                compressing = False
+                if not hysteretic:
+                    event, share = _NO_EVENT, 1.0
+            if event != _NO_EVENT:
+                break
+            low = cut / cuts
         if share < 1.0:
-            error, w1, y1, tau1, g1, c1, f1 = step(
-                force, p, history, inelasticity, weight, share * h, w, y, tau, f, top, peak, math.inf, row
+            error, w1, y1, tau1, u1, g1, c1, f1 = step(
+                force, p, history, inelasticity, weight, cells, share * h, w, y, tau, u, f, top, peak, math.inf, row
             )
             following = min(following, h)
+            if modes is not None:
+                _refine(cells, row, u, u1)
+        if modes is not None:
+            remember(modes, row[0])
         n += 1
-        w, y, tau, g, c, f = w1, y1, tau1, g1, c1, f1
+        w, y, tau, u, g, c, f = w1, y1, tau1, u1, g1, c1, f1
         top, peak = max(top, abs(w)), max(peak, f)
         if event in (_END, _RELEASE):
-            if pulls and y > -_MIN_REBOUND:
+            if modes is None and pulls and y > -_MIN_REBOUND:
                 return 0
             result[0], result[1], result[2] = SEPARATED, -y, tau
-            result[7] = history[0] + (w * w if pulls else 0.0)
+            state[0], state[1], state[2] = w if releases and w > 1e-9 * top else 0.0, y, tau
+            result[7] = history[0] + state[0] * state[0]
             return n
         if event != _NO_EVENT:
+            v = y - u - inelasticity * f
             depth = corner
             if event == _TURN:
                 depth = history[0] + w * w
@@ -302,18 +419,19 @@ def _integrate(
             if event == _TURN:
                 # At rest, on a scale of its own.
                 f, top = g, w
-                y = inelasticity * f
+                if modes is None:
+                    y = inelasticity * f
                 following = min(1.0 / math.sqrt(max(f, 1e-300)), h)
-            f = (g + c * y) / (1.0 + inelasticity * c)
+            f = (g + c * (y - v)) / (1.0 + inelasticity * c)
+            u = y - v - inelasticity * f
             corner = corner_of(p, history)
-        u = y - inelasticity * f
-        if weight > 0.0:
+        if weight > 0.0 and modes is None:
             at_rest = (u > 0.0 and not compressing) or abs(u) < 1e-13
             creeps = abs(f - weight) < 1e-3 * weight and _creeps(force, p, history, weight, w)
             if event == _NO_EVENT and (at_rest or creeps):
                 result[0], result[1] = STAYS, 0.0
                 return n
-        elif not (compressing or pulls) and n < steps.shape[0] and g + c * y < _FREE * permitted * g:
+        elif modes is None and not (compressing or pulls) and n < steps.shape[0] and g + c * y < _FREE * permitted * g:
             y = -g / c  # what f tends to 0 at
             _fly(steps[n], history, w, y, tau)
             result[0], result[1], result[2], result[7] = SEPARATED, -y, steps[n, TAU] + steps[n, TAU + 1], history[0]
@@ -350,26 +468,50 @@ def summaries(
     steps = np.empty((MAX_STEPS, COLUMNS))
     for i in rows:
         p, yields = numbers[i], inelasticity[i]
-        n = _integrate(force, corner_of, turn, flags, p, yields, weight[i], tolerance, steps, out[i])
-        best, place = 0, 0.0
-        for k in range(n if out[i, 0] == SEPARATED else 0):
-            row, energy = steps[k], 0.0
-            for node in range(_NODES.size):
-                w, _, f = _state(force, p, row[HISTORY : HISTORY + 4], yields, row, _NODES[node])
-                energy += _WEIGHTS[node] * w * f * f
-                if f > out[i, 3]:
-                    out[i, 3], best, place = f, k, _NODES[node]
-            out[i, 8] += yields * row[0] * energy
-        if n > 0 and out[i, 0] == SEPARATED:
-            _crest(force, p, yields, steps, n, best, place, out[i])
+        n = _follow(force, corner_of, turn, flags, p, yields, weight[i], tolerance, steps, out[i])
+        if n > 0:
+            out[i, 8] = yields * find_peak(force, p, yields, None, steps[:n], out[i])
 
 
 @inner_jit
-def _crest(
-    force: Any, p: Array, inelasticity: float, steps: Array, n: int, best: int, place: float, result: Array
-) -> None:
-    """Find the peak force and its time near the largest force at the nodes, by golden sections."""
-    for k in range(max(best - 1, 0), min(best + 2, n)):
+def _follow(
+    force: Any,
+    corner_of: Any,
+    turn: Any,
+    flags: int,
+    p: Array,
+    inelasticity: float,
+    weight: float,
+    tolerance: float,
+    steps: Array,
+    result: Array,
+) -> int:
+    """Integrate an impact without modes."""
+    result[:] = 0.0
+    history, state = np.zeros(4), np.zeros(3)
+    state[1] = 1.0
+    n: int = integrate(
+        force, corner_of, turn, flags, p, inelasticity, weight, tolerance, None, None, history, state, steps, 0, result
+    )
+    return n if result[0] == SEPARATED else 0
+
+
+@inner_jit
+def find_peak(force: Any, p: Array, inelasticity: float, cells: Any, steps: Array, result: Array) -> float:
+    """Find the peak force and its time, where it is above that of the result; return the integral of the force squared.
+
+    By golden sections near the largest force at the nodes.
+    """
+    best, place, total, n = -1, 0.0, 0.0, len(steps)
+    for k in range(n):
+        row, energy = steps[k], 0.0
+        for node in range(_NODES.size):
+            w, _, f = state_at(force, p, row[HISTORY : HISTORY + 4], inelasticity, cells, row, _NODES[node])
+            energy += _WEIGHTS[node] * w * f * f
+            if f > result[3]:
+                result[3], best, place = f, k, _NODES[node]
+        total += row[0] * energy
+    for k in range(max(best - 1, 0), min(best + 2, n) if best >= 0 else 0):
         row, low, high = steps[k], 0.0, 1.0
         if k == best:
             low, high = max(place - 0.36, 0.0), min(place + 0.36, 1.0)
@@ -379,25 +521,37 @@ def _crest(
         for _ in range(45):
             first, second = low + 0.3819660112501051 * (high - low), low + 0.6180339887498949 * (high - low)
             if (
-                _state(force, p, history, inelasticity, row, first)[2]
-                < _state(force, p, history, inelasticity, row, second)[2]
+                state_at(force, p, history, inelasticity, cells, row, first)[2]
+                < state_at(force, p, history, inelasticity, cells, row, second)[2]
             ):
                 low = first
             else:
                 high = second
         for s in (0.5 * (low + high), 0.0, 1.0):
-            f = _state(force, p, history, inelasticity, row, s)[2]
+            f = state_at(force, p, history, inelasticity, cells, row, s)[2]
             if f >= result[3]:
                 result[3], result[4] = f, value(row, TAU, s)
+    return total
 
 
 @inner_jit
-def _march(steps: Array, count: int, n: int, s: float, tau: float) -> tuple[int, float]:
-    """Return the step and the share of it at time tau, seeking from (n, s): Newton in a bracket."""
+def _end(steps: Array) -> float:
+    """Return when the last step ends."""
+    end: float = steps[-1, TAU] + steps[-1, TAU + 1] if len(steps) else 0.0
+    return end
+
+
+@inner_jit
+def _march(steps: Array, n: int, s: float, tau: float) -> tuple[int, float]:
+    """Return the step and the share of it at time tau, seeking from (n, s): Newton in a bracket; -1 in a flight."""
     if tau < steps[n, TAU]:
         n, s = 0, 0.0
-    while n < count - 1 and steps[n + 1, TAU] <= tau:
+    while n < len(steps) - 1 and steps[n + 1, TAU] <= tau:
         n, s = n + 1, 0.0
+    # By rounding a time just before the next step may lie behind the end of this one.
+    if tau - steps[n, TAU] > (1.0 + 1e-12) * steps[n, TAU + 1]:
+        return n, -1.0
+    s = max(s, 0.0)
     row, low, high = steps[n], 0.0, 1.0
     h = row[0]
     w, past = value(row, W, s), tau - value(row, TAU, s)
@@ -411,15 +565,15 @@ def _march(steps: Array, count: int, n: int, s: float, tau: float) -> tuple[int,
             high = s
         rate = h * value(row, W, s)
         following = s - error / rate if rate > 0.0 else 0.5 * (low + high)
-        if abs(following - s) <= 1e-9 or high - low <= 1e-15:
+        if abs(following - s) <= 1e-6 or high - low <= 1e-15:
             return n, min(max(following, low), high)
         s = following if low < following < high else 0.5 * (low + high)
     return n, s
 
 
 @inner_jit
-def _quantity(force: Any, p: Array, inelasticity: float, row: Array, s: float, quantity: int) -> float:
-    w, _, f = _state(force, p, row[HISTORY : HISTORY + 4], inelasticity, row, s)
+def _quantity(force: Any, p: Array, inelasticity: float, cells: Any, row: Array, s: float, quantity: int) -> float:
+    w, _, f = state_at(force, p, row[HISTORY : HISTORY + 4], inelasticity, cells, row, s)
     return row[HISTORY] + w * w if quantity == DISPLACEMENT else max(f, 0.0)
 
 
@@ -433,6 +587,9 @@ def at_times(
     inelasticity: Array,
     weight: Array,
     tolerance: float,
+    solved: Any,
+    begin: Any,
+    end: Any,
     times: Array,
     time_scale: Array,
     amplitude: Array,
@@ -440,18 +597,27 @@ def at_times(
     out: Array,
     rows: Array,
 ) -> None:
-    """Fill some rows of out (n, k) at times (n, k) [s] with `DISPLACEMENT` or `FORCE`, zero outside contact."""
-    steps, result = np.empty((MAX_STEPS, COLUMNS)), np.empty(len(RESULTS))
+    """Fill some rows of out (n, k) at times (n, k) [s] with `DISPLACEMENT` or `FORCE`, zero outside contact.
+
+    Impacts on modes are solved before: the steps of row i are those from begin[i] to end[i].
+    """
+    room, result = np.empty((MAX_STEPS, COLUMNS)), np.empty(len(RESULTS))
     for i in rows:
-        p, yields = numbers[i], inelasticity[i]
-        count = _integrate(force, corner_of, turn, flags, p, yields, weight[i], tolerance, steps, result)
+        p, yields, steps = numbers[i], inelasticity[i], room
+        if solved is None:
+            n = _follow(force, corner_of, turn, flags, p, yields, weight[i], tolerance, room, result)
+            steps = room[:n]
+        else:
+            steps = solved[begin[i] : end[i]]
+        last = _end(steps)
         n, s = 0, 0.0
         for k in range(times.shape[1]):
             tau = times[i, k] / time_scale[i]
             out[i, k] = 0.0
-            if 0.0 < tau < result[2]:
-                n, s = _march(steps, count, n, s, tau)
-                out[i, k] = amplitude[i] * _quantity(force, p, yields, steps[n], s, quantity)
+            if 0.0 < tau < last:
+                n, s = _march(steps, n, s, tau)
+                if s >= 0.0:
+                    out[i, k] = amplitude[i] * _quantity(force, p, yields, solved, steps[n], s, quantity)
 
 
 @jit
@@ -464,6 +630,9 @@ def add_to_frames(
     inelasticity: Array,
     weight: Array,
     tolerance: float,
+    solved: Any,
+    begin: Any,
+    end: Any,
     frames: Array,
     onset: Array,
     step: Array,
@@ -474,16 +643,21 @@ def add_to_frames(
 
     onset [samples] is where the onset falls on the sample grid, step is the sampling interval over T0.
     """
-    steps, result = np.empty((MAX_STEPS, COLUMNS)), np.empty(len(RESULTS))
+    room, result = np.empty((MAX_STEPS, COLUMNS)), np.empty(len(RESULTS))
     for i in rows:
-        p, yields = numbers[i], inelasticity[i]
-        count = _integrate(force, corner_of, turn, flags, p, yields, weight[i], tolerance, steps, result)
-        n_samples = float(frames.shape[1])
+        p, yields, steps = numbers[i], inelasticity[i], room
+        if solved is None:
+            n = _follow(force, corner_of, turn, flags, p, yields, weight[i], tolerance, room, result)
+            steps = room[:n]
+        else:
+            steps = solved[begin[i] : end[i]]
+        last, n_samples = _end(steps), float(frames.shape[1])
         here = int(min(max(math.floor(onset[i]) + 1.0, 0.0), n_samples))
-        end = int(min(max(math.ceil(onset[i] + result[2] / step[i]) + 1.0, 0.0), n_samples))
+        stop = int(min(max(math.ceil(onset[i] + last / step[i]) + 1.0, 0.0), n_samples))
         n, s = 0, 0.0
-        for k in range(here, end):
+        for k in range(here, stop):
             tau = (k - onset[i]) * step[i]
-            if 0.0 < tau < result[2]:
-                n, s = _march(steps, count, n, s, tau)
-                frames[i, k] += amplitude[i] * _quantity(force, p, yields, steps[n], s, FORCE)
+            if 0.0 < tau < last:
+                n, s = _march(steps, n, s, tau)
+                if s >= 0.0:
+                    frames[i, k] += amplitude[i] * _quantity(force, p, yields, solved, steps[n], s, FORCE)

@@ -64,10 +64,10 @@ def weighted(weights: dict[int, float], name: str) -> str:
 
 
 def stages(template: str, first: int, last: int) -> str:
-    """Return the source of some stages: `{i}` in the template, and the sums `{w}` and `{y}` of those before it."""
-    return "".join(
-        template.format(i=i, w=weighted(STAGES[i], "dw"), y=weighted(STAGES[i], "dy")) for i in range(first, last)
-    )
+    """Return the source of some stages: `{i}` in the template, and the sums `{w}`, `{y}` and `{t}` of those before."""
+    rates = {"w": "dw", "y": "dy", "t": "w"}
+    sums = [{name: weighted(STAGES[i], rate) for name, rate in rates.items()} for i in range(last)]
+    return "".join(template.format(i=i, **sums[i]) for i in range(first, last))
 
 
 def dense(variable: str, rate: str, change: str, column: int) -> str:
@@ -75,3 +75,15 @@ def dense(variable: str, rate: str, change: str, column: int) -> str:
     terms = [variable, change, f"h * {rate}0 - ({change})", f"2.0 * ({change}) - h * ({rate}0 + {rate}{END})"]
     terms += [f"h * ({weighted(weights, rate)})" for weights in DENSE]
     return "".join(f"        row[{column + k}] = {term}\n" for k, term in enumerate(terms))
+
+
+def within(s: float) -> dict[int, float]:
+    """Return the weights of the stages in the dense output at the share s of a step."""
+    r, out = 1.0 - s, {}
+    for stage in range(LAST):
+        end, first, last = STAGES[END].get(stage, 0.0), float(stage == 0), float(stage == END)
+        inner = 0.0
+        for k, weights in reversed(list(enumerate(DENSE))):
+            inner = weights.get(stage, 0.0) + (r if k % 2 else s) * inner
+        out[stage] = s * (end + r * (first - end + s * (2.0 * end - first - last + r * inner)))
+    return out

@@ -7,26 +7,23 @@ from functools import cached_property
 from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import ArrayLike, DTypeLike, NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from cgid import validation
 from cgid.counting import count
 from cgid.errors import InvalidValue
 from cgid.physics.bodies import HalfSpace
-from cgid.physics.collocation import collocation
-from cgid.physics.curves import FEW_SAMPLES, Curves, HuntCrossleyCurves, Quantity, in_threads, kernel, no_rebound_error
+from cgid.physics.curves import FEW_SAMPLES, TOLERANCE, Curves
 from cgid.physics.impact import Impact, Unchecked
 from cgid.physics.laws import Elastic, HuntCrossley
 from cgid.validation import Floats
 
-#: Gauss nodes and Chebyshev times in a step.
-N_NODES, N_TIMES = 16, 32
-#: Largest phase [rad] of the fastest mode in a step (`J_32(8)` is 1e-16), and the longest step [T0].
-_MAX_PHASE, _MAX_STEP = 16.0, 1.2
+#: Phase of the fastest mode [rad] in a cell of time for a tolerance of 1, and the widest cell [T0].
+_PHASE, _WIDEST = 2.66, 0.0625
 #: Up to this many modes, an impact or two are not worth compiling.
 _FEW_MODES = 256
 #: Steps per impact allocated at first, and the most steps in one block of memory.
-_USUAL_STEPS, _PIECE = 64, 16384
+_USUAL_STEPS, _PIECE = 32, 8192
 #: Default window for new contacts after the first onset [T0]: about four undamped contacts.
 USUAL_WINDOW = 12.0
 
@@ -46,7 +43,7 @@ class ModalImpact(Impact):
         As for `Impact`.
     target : HalfSpace
         Material of the structure, for the contact stiffness.
-    dissipation : Elastic or HuntCrossley
+    dissipation : Law
         Loss in the material alone.
     gravity : array_like, 0 or more [m/s^2]
         Pull towards the structure during and between contacts.
@@ -62,9 +59,8 @@ class ModalImpact(Impact):
     window : array_like, optional [s]
         Time after the first onset in which a new contact may begin; it is followed to its end. Default: 12 T0, about
         four undamped contacts on a half space.
-    tolerance : float, 1e-12 to 1e-4
-        Truncation error of the force polynomials over the peak force. Energies, restitution and contact duration are
-        far more accurate.
+    tolerance : float, 1e-9 to 1e-4
+        Permitted error of the force over its peak.
 
     Raises
     ------
@@ -111,11 +107,11 @@ class ModalImpact(Impact):
     compliance: ArrayLike
     residual_compliance: ArrayLike = 0.0
     window: ArrayLike | None = None
-    tolerance: float = 1e-9
+    tolerance: float = TOLERANCE
+    _tolerances = (1e-9, 1e-4)
 
     def __post_init__(self) -> None:
         validation.instance("target", self.target, HalfSpace)
-        validation.instance("dissipation", self.dissipation, Elastic, HuntCrossley)
         frequency = validation.positive("frequency", self.frequency, "Hz")
         if frequency.ndim != 1:
             raise InvalidValue(f"frequency must be a list of modes, got an array of shape {frequency.shape}")
@@ -169,18 +165,18 @@ class ModalImpact(Impact):
         """The dimensionless curves, one row per impact in C order."""
         size, shape, time_scale = self.reduced_mass.size, self.reduced_mass.shape, self.time_scale.ravel()
         count("coupled_impacts", size)
-        rigid = super().curves
-        assert isinstance(rigid, HuntCrossleyCurves)
+        of_family = isinstance(self.dissipation, Elastic | HuntCrossley)
+        rigid = super().curves if of_family else self._integrated_curves()
         frequency, ratio, compliance = self._modes(shape)
         window = USUAL_WINDOW if self.window is None else np.asarray(self.window) / self.time_scale
         angular, root = 2 * np.pi * frequency, np.sqrt((1 - ratio) * (1 + ratio))
         # A copy: a read-only array would make the kernel compile again.
         participation = np.array(compliance.reshape(size, frequency.size), order="C")
         modes = (ratio * angular, angular * root, ratio / root, participation)
-        columns = (rigid.damping, rigid.weight, np.broadcast_to(window, shape).ravel(), self.reduced_mass.ravel())
-        parameters = np.stack([*columns, time_scale, _longest_steps(angular, time_scale)], axis=1)
-        solved = solve(modes, parameters, float(self.tolerance))
-        return ModalCurves(rigid.law, rigid.numbers, rigid.inelasticity, rigid.weight, self.tolerance, *solved)
+        window = np.broadcast_to(window, shape).ravel()
+        width = _widths(angular, time_scale, float(self.tolerance))
+        columns = (rigid.weight, window, self.reduced_mass.ravel(), time_scale, width)
+        return solve(rigid, modes, np.stack(columns, axis=1), float(self.tolerance))
 
     def _result(self, name: str) -> Floats:
         return self._shaped(self.curves.result(name))
@@ -244,16 +240,22 @@ class ModalCurves(Curves):
     """The curves of n impacts, all integrated, in units of L, T0 and `K L^(3/2)`.
 
     results : columns `_coupled.RESULTS`, (n, n_results)
-    course : force and displacement of each step, see `_coupled`, (n_steps, n_columns)
+    steps : columns of `_contact`, (n_steps, n_columns)
     begin, end : first step of each impact, and one past its last
     """
 
-    SHARED: ClassVar[tuple[str, ...]] = (*Curves.SHARED, "course")
+    SHARED: ClassVar[tuple[str, ...]] = (*Curves.SHARED, "steps")
+    BODY: ClassVar[str] = "structure"
+    REMEDY: ClassVar[str] = "lower the loss, shorten the window, or leave out the fastest modes"
 
     results: Floats
-    course: Floats
+    steps: Floats
     begin: NDArray[np.intp]
     end: NDArray[np.intp]
+
+    @property
+    def _solved(self) -> tuple[Any, ...]:
+        return self.steps, self.begin, self.end
 
     @cached_property
     def _summary(self) -> dict[str, Floats]:
@@ -270,80 +272,39 @@ class ModalCurves(Curves):
         """Integral of the force over all contacts."""
         return self.result("impulse")
 
-    def require_rebound(self) -> None:
-        """Raise `InvalidValue` if a sphere does not rebound, or not within the range of double precision."""
-        _ = self._integrated
-
-    def _require_separation(self, rows: NDArray[np.intp], status: Floats) -> None:
-        from cgid.physics import _coupled
-
-        if (status == _coupled.SEPARATED).all():
-            return
-        index = np.flatnonzero(status != _coupled.SEPARATED)[0]
-        row = rows[index]
-        numbers = f"restitution of the material {self.numbers[row, 0]:g}, g L / v^2 {self.weight[row]:g}"
-        place = f" at index {row}" if self.weight.size > 1 else ""
-        if status[index] == _coupled.STAYS:
-            raise no_rebound_error("structure", numbers, place)
-        raise InvalidValue(
-            f"an impact must end within {_coupled.MAX_STEPS} steps and {_coupled.MAX_CONTACTS} contacts, "
-            f"got more ({numbers}){place}; raise the restitution, shorten the window, or leave out the fastest modes"
-        )
-
-    def evaluate(
-        self, times: Floats, time_scale: Floats, amplitude: Floats, quantity: Quantity, dtype: DTypeLike, threads: int
-    ) -> NDArray[Any]:
-        """Return force or displacement at times (n, k) [s], shape (n, k); 0 outside contact."""
-        from cgid.physics import _coupled
-
-        out = np.empty(times.shape, dtype)
-        numbers = (self.course, self.begin, self.end, time_scale, amplitude, quantity == "displacement", out)
-        run = kernel(_coupled, "at_times", *times.shape)
-        in_threads(run, (times, *numbers), np.arange(len(times)), threads)
-        return out
-
-    def add_to_frames(
-        self, frames: NDArray[Any], onset: Floats, step: Floats, amplitude: Floats, threads: int, tolerance: float = 0.0
-    ) -> None:
-        """Add the force of all contacts to the frames in place; see `Curves.add_to_frames`."""
-        from cgid.physics import _coupled
-
-        numbers = (frames, onset, step, self.course, self.begin, self.end, amplitude)
-        in_threads(kernel(_coupled, "add_to_frames", *frames.shape), numbers, np.arange(len(frames)), threads)
-
 
 def solve(
-    modes: tuple[Floats, Floats, Floats, Floats], parameters: Floats, tolerance: float
-) -> tuple[Floats, Floats, NDArray[np.intp], NDArray[np.intp]]:
-    """Return the last fields of `ModalCurves`: impacts solved with the modes; arguments as in `_coupled.follow`."""
+    rigid: Curves, modes: tuple[Floats, Floats, Floats, Floats], parameters: Floats, tolerance: float
+) -> ModalCurves:
+    """Return the curves of impacts solved with the modes; arguments as in `_coupled.follow`."""
     from cgid.physics import _coupled
 
-    n, n_modes, longest = len(parameters), modes[0].size, parameters[:, -1]
+    n, numbers = len(parameters), rigid._parameters
     results = np.empty((n, len(_coupled.RESULTS)))
-    # Sorted by step length: the kernel tabulates the free motion of the modes once per length.
-    left = np.argsort(longest, kind="stable")
-    begin, end = np.zeros((2, n), np.intp)
-    columns = _coupled.COEFFICIENTS + 2 * N_NODES
-    pieces, total = [np.empty((0, columns))], 0
+    # Sorted by width: the kernel tabulates the free motion of the modes once per width.
+    left = np.argsort(parameters[:, -1], kind="stable")
+    begin, end, total = np.zeros(n, np.intp), np.zeros(n, np.intp), 0
+    pieces = [np.empty((0, _coupled.COLUMNS))]
     # Interpreted, an impact takes a tenth of a second, or a second with some hundred modes.
-    follow = kernel(_coupled, "follow", n, FEW_SAMPLES // _FEW_MODES * n_modes)
+    follow = rigid._kernel("follow", n, FEW_SAMPLES // _FEW_MODES * modes[0].size, _coupled)
     while left.size:
-        course = np.empty((_coupled.MAX_STEPS + min(_USUAL_STEPS * left.size, _PIECE), columns))
-        first = np.zeros(left.size + 1, np.intp)
-        follow(collocation(N_NODES, N_TIMES), *modes, parameters, tolerance, left, course, first, results)
-        done = np.flatnonzero(first).size
-        begin[left[:done]], end[left[:done]] = total + first[:done], total + first[1 : done + 1]
-        pieces.append(course[: first[done]].copy())
-        total, left = total + first[done], left[done:]
-    return results, np.concatenate(pieces), begin, end
+        steps = np.empty((_coupled.MAX_STEPS + min(_USUAL_STEPS * left.size, _PIECE), _coupled.COLUMNS))
+        here = np.full(left.size + 1, -1)
+        follow(numbers, *modes, parameters, tolerance, left, steps, here, results)
+        done = np.count_nonzero(here >= 0) - 1
+        begin[left[:done]], end[left[:done]] = total + here[:done], total + here[1 : done + 1]
+        pieces.append(steps[: here[done]].copy())
+        total, left = total + here[done], left[done:]
+    own = rigid.law, numbers, rigid.inelasticity, rigid.weight, tolerance
+    return ModalCurves(*own, results, np.concatenate(pieces), begin, end)
 
 
-def _longest_steps(angular: Floats, time_scale: Floats) -> Floats:
-    """Return the longest step of each impact [s], the same for as many impacts as possible."""
-    allowed = _MAX_STEP * time_scale
+def _widths(angular: Floats, time_scale: Floats, tolerance: float) -> Floats:
+    """Return the width of the cells of each impact [s], the same for as many impacts as possible."""
+    allowed = _WIDEST * time_scale
     if not angular.size:
         return np.asarray(allowed)
-    resolved = _MAX_PHASE / angular[-1]
+    resolved = _PHASE * tolerance**0.125 / angular.max()
     # Divide by the smallest power of two >= max(resolved / allowed, 1).
     fraction, exponent = np.frexp(np.maximum(resolved / allowed, 1.0))
     return np.asarray(np.ldexp(resolved, -(exponent - (fraction == 0.5))))

@@ -104,6 +104,9 @@ class Curves:
 
     #: Fields that all impacts share.
     SHARED: ClassVar[tuple[str, ...]] = ("law", "tolerance")
+    #: What the sphere hits, and what helps against too many steps, in messages.
+    BODY: ClassVar[str] = "target"
+    REMEDY: ClassVar[str] = "lower the loss"
 
     law: Law | type[Law]
     numbers: Floats
@@ -115,6 +118,11 @@ class Curves:
     def _parameters(self) -> Floats:
         """The numbers p of the law, (n, k)."""
         return self.numbers
+
+    @property
+    def _solved(self) -> tuple[Any, ...]:
+        """The steps of the impacts, and where those of each begin and end; None where they are integrated again."""
+        return None, None, None
 
     @cached_property
     def plain(self) -> NDArray[np.bool_]:
@@ -184,11 +192,13 @@ class Curves:
         in_threads(run, (*self._problem(rows, self.tolerance), results), rows, 1)
         return dict(zip(_contact.RESULTS, results.T, strict=True))
 
-    def _kernel(self, name: str, n_impacts: int, n_samples: int = 0) -> Callable[..., None]:
-        """Return a kernel of `_contact` with this law."""
+    def _kernel(
+        self, name: str, n_impacts: int, n_samples: int = 0, module: ModuleType | None = None
+    ) -> Callable[..., None]:
+        """Return a kernel of `_contact`, or of another module, with this law."""
         from cgid.physics import _contact
 
-        run, flags = kernel(_contact, name, n_impacts, n_samples), _contact.flags_of(self.law)
+        run, flags = kernel(module or _contact, name, n_impacts, n_samples), _contact.flags_of(self.law)
         if not hasattr(run, "py_func"):
             run = partial(run, *verbs_of(self.law, compiled=False), flags)
         else:
@@ -234,12 +244,12 @@ class Curves:
         numbers = f"{self._described(row)}, lambda {self.inelasticity[row]:g}, g L / v^2 {self.weight[row]:g}"
         where = f" at index {row}" if self.inelasticity.size > 1 else ""
         if status[index] == _contact.STAYS:
-            raise no_rebound_error("target", numbers, where)
+            raise no_rebound_error(self.BODY, numbers, where)
         if status[index] == _contact.NOT_FINITE:
             raise InvalidValue(
                 f"the force of a contact law must be finite, got nan or infinity ({numbers}){where}; check the law"
             )
-        hint = "lower the loss, or leave gravity out" if heavy else "lower the loss"
+        hint = f"{self.REMEDY}, or leave gravity out" if heavy else self.REMEDY
         raise InvalidValue(
             f"the impact must end within {_contact.MAX_STEPS} steps of the integration and leave a rebound that double "
             f"precision can follow, got {numbers}{where}; {hint}"
@@ -267,7 +277,7 @@ class Curves:
 
         count("integrated_pulses", rows.size)
         row = _contact.FORCE if quantity == "force" else _contact.DISPLACEMENT
-        numbers = (*self._problem(rows, 0.0), times, time_scale, amplitude, row, out)
+        numbers = (*self._problem(rows, 0.0), *self._solved, times, time_scale, amplitude, row, out)
         in_threads(self._kernel("at_times", *times.shape), numbers, rows, threads)
 
     def add_to_frames(
@@ -293,7 +303,7 @@ class Curves:
         tolerance: float,
     ) -> None:
         count("integrated_pulses", rows.size)
-        numbers = (*self._problem(rows, tolerance), frames, onset, step, amplitude)
+        numbers = (*self._problem(rows, tolerance), *self._solved, frames, onset, step, amplitude)
         in_threads(self._kernel("add_to_frames", *frames.shape), numbers, rows, threads)
 
 

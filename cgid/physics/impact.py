@@ -98,6 +98,7 @@ class Impact:
     dissipation: Law
     gravity: ArrayLike = 0.0
     tolerance: float = TOLERANCE
+    _tolerances = TOLERANCES
 
     def __post_init__(self) -> None:
         validation.instance("sphere", self.sphere, Sphere)
@@ -110,7 +111,7 @@ class Impact:
         validation.choice("stiffness", self.stiffness, STIFFNESS_THEORIES)
         validation.positive("velocity", self.velocity, "m/s")
         validation.not_negative("gravity", self.gravity, "m/s^2")
-        tolerance, (smallest, largest) = validation.real("tolerance", self.tolerance), TOLERANCES
+        tolerance, (smallest, largest) = validation.real("tolerance", self.tolerance), self._tolerances
         if tolerance.ndim or not smallest <= tolerance <= largest:
             raise InvalidValue(f"tolerance must be one number from {smallest:g} to {largest:g}, got {self.tolerance!r}")
         validation.hold(self, "velocity", "gravity")

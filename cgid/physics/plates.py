@@ -26,7 +26,6 @@ from threadpoolctl import threadpool_limits
 from cgid import validation
 from cgid.errors import InvalidValue
 from cgid.physics import _modes
-from cgid.physics.collocation import gauss
 from cgid.validation import Floats
 
 Indices = NDArray[np.intp]
@@ -183,7 +182,7 @@ class _Line:
     @cached_property
     def integrals(self) -> tuple[Floats, Floats, Floats, Floats]:
         """The integrals of f f, f' f', f'' f'' and f'' f over [-1, 1], by Gauss quadrature, which is exact here."""
-        nodes, weights = gauss(len(self.functions))
+        nodes, weights = legendre.leggauss(len(self.functions))
         value, slope, bend = (
             legendre.legvander(nodes, len(part) - 1) @ part
             for part in (self.functions, legendre.legder(self.functions), legendre.legder(self.functions, 2))
