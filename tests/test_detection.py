@@ -249,6 +249,15 @@ def test_any_gaps_in_any_blocks_give_the_same(kind, gaps, cuts, joint):
         assert all_of(replace(event, channel=0) for event in events if event.channel == 1) == alone
 
 
+@pytest.mark.parametrize("scale", [1e-120, 1e-9, 1.0, 1e9, 1e120])
+@pytest.mark.parametrize("offset", [0.0, 1e4])
+def test_units_and_offsets_change_nothing(scale, offset):
+    samples = blows([9000, 20_000], 30_000)
+    expected = [(event.onset, event.end) for event in detected(samples)]
+    assert len(expected) == 2
+    assert [(event.onset, event.end) for event in detected(scale * (samples + offset))] == expected
+
+
 def test_missing_samples_are_an_error_unless_they_are_expected():
     samples = np.zeros((1, 30_000))
     samples[0, 17_000] = np.nan
@@ -402,8 +411,9 @@ def test_silence_and_offsets_have_no_impact(kind):
     assert detected(np.empty((1, 0)), kind) == []
 
 
-def test_a_drifting_baseline_hides_no_pulse():
-    samples = np.random.default_rng(0).normal(size=100_000) + np.linspace(0, 300, 100_000)
+@pytest.mark.parametrize("start", [0, -1000])
+def test_a_drifting_baseline_hides_no_pulse(start):
+    samples = np.random.default_rng(0).normal(size=100_000) + np.linspace(start, start + 300, 100_000)
     truth = [5000, 30_000, 70_000, 95_000]
     for place in truth:
         samples[place : place + 20] += 200.0
