@@ -12,7 +12,6 @@ import pytest
 from cgid import shipped
 from cgid.ceiling import ceiling, ceilings, learner, untrusted
 from cgid.cli.main import run
-from cgid.errors import InvalidValue
 from cgid.measure.template import dimensionless_logarithms
 from cgid.scene import load_scene, parse_scene, synthesise, varied
 from cgid.scene.impacts import draw
@@ -200,39 +199,6 @@ def test_two_populations_of_one_label_add_up():
 def tapped():
     return {**content(sensor__relative_noise=0.01),
             "taps": [{"label": "tap", "shape": "square", "peak_force": 100, "contact_duration": 1e-3}]}  # fmt: skip
-
-
-THIN = {"density": 7850, "youngs_modulus": "210 GPa", "poisson_ratio": 0.3, "thickness": "30 mm"}
-
-
-@pytest.mark.parametrize(
-    ("scene", "said"),
-    [
-        (tapped(), "a scene without taps"),
-        (
-            content(randomise={"relative_noise": {"distribution": "uniform", "lowest": 0.01, "highest": 0.02}}),
-            "randomise",
-        ),
-        (content(), "noise: without it every pulse is determined exactly"),
-        (content(sensor={"relative_noise": 0.01, "noise_exponent": 1}), "white noise"),
-        (content(sensor={"relative_noise": 0.01, "anti_alias": {"frequency": 2e4}}), "filtered it is not a member"),
-        (content(populations__0__dissipation="walton-braun", sensor__relative_noise=0.01), "one law of loss"),
-        (content(sensor__relative_noise=0.01, sensor__relative_range=2), "give sensor.range"),
-        (content(populations__1__label="coal", sensor__relative_noise=0.01), "at least 2 labels, got coal"),
-        (content(impact__target=THIN, sensor__relative_noise=0.01), "a half space or a rigid wall"),
-        (content(impact__dissipation="elastic", populations__0__restitution=None, populations__1__restitution=None,
-                 sensor__relative_noise=0.01), "elastic pulses have no shape to estimate"),
-        (content(populations__0__clipped_at=0.5, sensor__relative_noise=0.01), "single hits that no sensor cuts off"),
-        (content(populations__0__second_hit={"delay": 1e-3, "ratio": 0.5}, sensor__relative_noise=0.01),
-         "single hits that no sensor cuts off"),
-    ],
-    ids=["taps", "randomised", "no noise", "pink noise", "anti-alias", "laws", "relative range", "one label",
-         "thin plate", "elastic", "clipped", "second hit"],
-)  # fmt: skip
-def test_what_is_not_covered_is_refused_with_the_reason(scene, said):
-    with pytest.raises(InvalidValue, match="scene small: the Bayes limit needs") as caught:
-        ceiling(parse_scene(scene), 8)
-    assert said in str(caught.value)
 
 
 # -- from below, and the command ----------------------------------------------------------------------------------

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from scipy.io import savemat
 
-from cgid.errors import BadData, CgidError, InvalidValue, MissingOption
+from cgid.errors import BadData, CgidError, MissingOption
 from cgid.recordings import open_recording
 from cgid.recordings import tdms as tdms_reader
 from cgid.recordings.variables import Variable, contents_of
@@ -505,28 +505,6 @@ def test_parquet_is_what_was_written(parquet, compression):
     assert recording.sampling_rate == pytest.approx(20_000, rel=1e-12) and recording.format == "Parquet"
     assert names(recording) == ["force", "n", "acc"] and units(recording) == ["kN", "g", "g"]
     assert np.array_equal(read(path, channel=["acc", 1])[1], [expected[2], expected[0]])
-
-
-def test_columns_of_parquet_that_are_no_channels(parquet):
-    words = ["a"] * N
-    recording, found = read(parquet({"x": SAMPLES[0], "said": words, "flag": SAMPLES[0] > 0}, {"fs": "10"}))
-    assert np.array_equal(found, SAMPLES[:1])
-    assert [one.partition(": ")[2].split(" holds")[0] for one in recording.warnings] == ["column said", "column flag"]
-    assert "there is none" in refused(parquet({"said": words}))
-    assert "there is none" in refused(parquet({"time": np.arange(N)}))
-    assert "there is none" in refused(parquet({"x": np.zeros(0)}, {"fs": "10"}))
-    arrow = pytest.importorskip("pyarrow")
-    path = parquet({"x": SAMPLES[0]})
-    pytest.importorskip("pyarrow.parquet").write_table(arrow.Table.from_arrays([SAMPLES[0]] * 2, ["x", "x"]), path)
-    assert "'x' is there twice" in refused(path, sampling_rate=1.0)
-    gap = [*SAMPLES[0, :100], None, *SAMPLES[0, 101:]]
-    assert "sample 100 is nan" in refused(parquet({"x": gap}, {"fs": "10"}))
-    times = np.arange(N) / 1000
-    times[2000:] += 0.001
-    assert "even" in refused(parquet({"time": times, "x": SAMPLES[0]}))
-    assert "there is no variable" in refused(parquet({"x": SAMPLES[0]}), InvalidValue, variable="x")
-    recording, found = read(parquet({"x": SAMPLES[0], "__index_level_0__": np.arange(N)}, {"fs": "10"}))
-    assert np.array_equal(found, SAMPLES[:1]) and "__index_level_0__ is an index" in recording.warnings[0]
 
 
 # ---- all ----

@@ -12,20 +12,13 @@ import click
 import numpy as np
 import pytest
 
-from cgid.cli.help import Command, heading_of
+from cgid.cli.help import Command
 from cgid.cli.main import cli, run
 from cgid.shipped import SCENES
 from tests.tapped import taps
 
 ROOT = Path(__file__).parents[1]
 COMMANDS = {"cgid": cli, **cli.commands}
-#: The first word of the help of every option.
-VERBS = """
-    Add Check Choose Compress Continue Correct Count Decide Divide Download Draw Estimate Find Fit Give Go
-    Guarantee Hold Invert Judge Keep Let Limit Make Mark Measure Name Plot Print Publish Put Read Regenerate
-    Reject Replace Run Say Serve Set Show Shuffle Simulate Start Stop Store Survey Tabulate Take Train Turn
-    Use Weight Write
-"""
 #: Of minutes.
 SLOW = ("ceiling", "calibrate", "tap")
 
@@ -62,17 +55,6 @@ def test_the_shell_completes(words: str, offered: list[str]) -> None:
     if words.startswith(("cgid check", "cgid train", "cgid predict --model", "cgid info")):
         assert lines[0][0] == "file"
     assert done.stderr == ""
-
-
-@pytest.mark.parametrize("name", COMMANDS)
-def test_every_option_has_a_heading_and_a_sentence(name: str) -> None:
-    command = COMMANDS[name]
-    assert isinstance(command, Command), "give it cls=Command"
-    options = [one for one in command.params if isinstance(one, click.Option) and not one.hidden]
-    assert not [one.opts for one in options if heading_of(name, one) is None], "name its heading in cgid/cli/help.py"
-    for text in [one.help or "" for one in options]:
-        assert text.partition(" ")[0] in VERBS.split() and text.endswith("."), text
-    assert (command.short_help or command.help or "").endswith(".")
 
 
 @pytest.mark.parametrize("name", COMMANDS)

@@ -14,7 +14,7 @@ import pytest
 
 import cgid
 from cgid.cli.main import run
-from cgid.errors import BadData, InvalidValue, MissingOption, NoInput
+from cgid.errors import BadData, InvalidValue, MissingOption
 
 ROOT = Path(__file__).parents[1]
 SAMPLE = ROOT / "datasets" / "sample.csv"
@@ -93,26 +93,6 @@ def test_signals_bring_their_rate_unit_and_name() -> None:
         cgid.predict(sample())
     with pytest.raises(MissingOption, match="unit"):  # newtons would be taken for an acceleration's
         cgid.predict(sample(), 200e3)
-
-
-@pytest.mark.parametrize(
-    ("given", "settings", "error", "says"),
-    [
-        ((np.zeros((2, 1000)), 2e5, "N"), {}, BadData, "transpose"),
-        ((np.array([0.0, np.nan]), 2e5, "N"), {}, BadData, "sample 1 is nan"),
-        ((np.zeros(100), 2e5, "KN"), {}, InvalidValue, "level: FS\\); did you mean 'kN'"),
-        ((np.zeros(100), 2e5, "N", "defualt"), {}, NoInput, "did you mean 'default'"),
-        ((np.zeros(100), 2e5, "N"), {"masss": 2.0}, InvalidValue, "did you mean 'mass'"),
-        ((np.zeros(100), 2e5, "N"), {"costs": {"gange": 2.0}}, InvalidValue, "did you mean 'gangue'"),
-        ((np.zeros(100), 2e5, "N"), {"coverage": "0.9"}, InvalidValue, "coverage must be a real number"),
-        ((np.zeros(100), 2e5, "N"), {"invert": "no"}, InvalidValue, "invert must be a bool"),
-        ((np.zeros(100), 2e5, "N", 5), {}, InvalidValue, "model must be a str or Path, got 5"),
-        (("gone.csv",), {}, NoInput, "gone.csv"),
-    ],
-)
-def test_what_is_refused(given: tuple, settings: dict, error: type[Exception], says: str) -> None:
-    with pytest.raises(error, match=says):
-        cgid.predict(*given, **settings)
 
 
 #: Runs `cgid` where neither of these can be imported, as after `pip install --no-deps cgid` with numpy and click.

@@ -11,7 +11,6 @@ import pytest
 from scipy import stats
 from scipy.integrate import quad
 
-from cgid.errors import BadData
 from cgid.identification.confusion import Confusion, StreamAnswers
 from cgid.identification.prediction_settings import PredictionSettings
 from cgid.identification.share import (
@@ -320,24 +319,6 @@ def test_every_rock_twice_is_known_from_the_scatter() -> None:
     known = np.mean([found.information(share) * share * (1 - share) for share in shares])
     assert 0.1 < known < 0.9
     assert found.overdispersion == pytest.approx(3.0 * (1.0 - known), rel=0.15)
-
-
-@pytest.mark.parametrize(
-    ("changed", "says"),
-    [
-        ({"share.edges": np.array([1.0, 0.0])}, "share.edges must ascend"),
-        ({"share.rates": np.ones((2, 5))}, "share.rates be"),
-        ({"share.rates": np.array([[1.0, 0.0, 1.0], [1.0, 1.0, 1.0]])}, "above 0"),
-        ({"share.spread": np.array([0.5, 0.1])}, "overdispersion of at least 1"),
-        ({"share.spread": np.array([1.0, 1.5])}, "scatter in"),
-        ({"share.spread": np.array([1.0])}, "arrays of a share must be share.edges, share.rates, share.spread"),
-    ],
-)
-def test_arrays_that_are_no_confusion(changed, says: str) -> None:
-    sound = Confusion(edges=np.array([0.0, 1.0]), rates=np.ones((2, 3))).arrays
-    assert Confusion.from_arrays(sound) is not None
-    with pytest.raises(BadData, match=says):
-        Confusion.from_arrays(sound | changed)
 
 
 # -- a recording's shares ---------------------------------------------------------------------------------
