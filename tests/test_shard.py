@@ -147,7 +147,7 @@ def test_what_cannot_be_packed_hardly_grows():
 def test_too_few_and_too_many_signals():
     builder = ShardBuilder(plan(), 0, N)
     builder.add(batch(0, N - 1))
-    with pytest.raises(BadData, match="a shard of 300 signals was given 299"):
+    with pytest.raises(BadData, match="a shard of 300 signals received 299"):
         builder.image()
     with pytest.raises(BadData, match="a shard of 300 signals was given 301"):
         builder.add(batch(0, 2))

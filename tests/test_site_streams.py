@@ -85,8 +85,8 @@ def test_rows_are_what_the_detector_finds_with_the_truth_of_the_rock(short) -> N
         )
         rows = stream.rows
         assert rows.names == NAMES
-        assert len(rows.labels) + rows.left_out == stream.n_found
-        assert 0.7 * truth["time"].size < stream.n_found < 1.1 * truth["time"].size
+        assert len(rows.labels) + rows.left_out == stream.n_detected
+        assert 0.7 * truth["time"].size < stream.n_detected < 1.1 * truth["time"].size
         assert np.isfinite(rows.features).all()
         # The rock of each row is one that touched within the time of detection, and its force is that which was seen.
         peaks = []
@@ -107,12 +107,12 @@ def test_a_model_is_finished(short, shipped_model: Model) -> None:
         guard_limits=(50.0, 1.0),
     )
     assert plain.confusion is None
-    repeated = [replace(one, rows=Rows.joined([one.rows] * 3), n_found=3 * one.n_found) for one in measured]
+    repeated = [replace(one, rows=Rows.joined([one.rows] * 3), n_detected=3 * one.n_detected) for one in measured]
     model = finished(plain, repeated)
     told = model.training["streams"]
     assert model.guard_limits[0] == 50.0 and model.guard_limits[1] >= 1.0
     assert told["unknown_share"] < 0.15
-    assert told["n_found"] == 3 * sum(one.n_found for one in measured)
+    assert told["n_found"] == 3 * sum(one.n_detected for one in measured)
     again = Model.from_bytes(model.to_bytes())
     assert again.confusion is not None and model.confusion is not None
     assert again.confusion.rates.tolist() == model.confusion.rates.tolist()

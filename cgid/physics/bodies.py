@@ -39,7 +39,7 @@ class Sphere:
 
     >>> from cgid.physics.materials import YANG2018_SPHERES
     >>> lump = Sphere(material=YANG2018_SPHERES[1], radius=0.025, curvature=0.2, effective_mass=0.5)
-    >>> round(float(lump.contact_radius), 9), float(lump.mass_in_blow / lump.mass)
+    >>> round(float(lump.contact_radius), 9), float(lump.impact_mass / lump.mass)
     (0.005, 0.5)
     """
 
