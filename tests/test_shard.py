@@ -149,7 +149,7 @@ def test_too_few_and_too_many_signals():
     builder.add(batch(0, N - 1))
     with pytest.raises(BadData, match="a shard of 300 signals received 299"):
         builder.image()
-    with pytest.raises(BadData, match="a shard of 300 signals was given 301"):
+    with pytest.raises(BadData, match="a shard of 300 signals received 301"):
         builder.add(batch(0, 2))
 
 
