@@ -244,9 +244,6 @@ reference | relative_noise = 0.01 | [randomise]\nhum = 0.1\nhum_frequency = "200
 crushing | yield_pressure = "41 MPa" |  | populations.0.yield_pressure
 crushing | yield_pressure | restitution = 0.5\nyield_pressure | populations.0.restitution
 crushing | yield_pressure | strength = "16 MPa"\nyield_pressure | populations.0.strength
-crushing | law = "exact" | gravity = 9.81 | impact.gravity
-viscous | law = "exact" | gravity = 9.81 | impact.gravity
-tail_beam | "hunt-crossley" | "kuwabara-kono" | tail_beam
 tail_beam | sensor_point = { x = "0.5 m" | sensor_point = { x = "2.5 m" | sensor_point.x
 tail_beam | highest = "1.5 m" | highest = "1.7 m" | impact_point.x
 tail_beam | damping_ratio = "2 %" | damping_ratio = 0 | tail_beam.damping_ratio

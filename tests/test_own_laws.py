@@ -11,7 +11,7 @@ from numba import njit
 from scipy.integrate import solve_ivp
 
 from cgid.errors import BadData, CannotCreate, InvalidValue
-from cgid.physics import HalfSpace, Impact, Law, Sphere, ThinPlate, own_laws
+from cgid.physics import HalfSpace, Impact, Law, ModalImpact, Sphere, ThinPlate, own_laws
 from cgid.physics.laws import Thornton
 from cgid.physics.materials import STEEL, YANG2018_SPHERES, Material
 from cgid.scene import synthesise
@@ -73,7 +73,7 @@ def test_a_cone_agrees_with_scipy(cone):
 
 
 def test_a_law_with_a_history_is_the_built_in_one_if_it_says_the_same():
-    """On a plate with weight; compiled and interpreted."""
+    """On a plate with weight, and on modes; compiled and interpreted."""
     verbs = {
         name: staticmethod(njit(error_model="numpy")(getattr(Thornton, name))) for name in ("force", "corner", "turn")
     }
@@ -86,6 +86,15 @@ def test_a_law_with_a_history_is_the_built_in_one_if_it_says_the_same():
         )
         times = np.linspace(0, 5e-4, 100)
         assert np.abs(own.force(times) - built_in.force(times)).max() < 1e-8 * built_in.peak_force.max()
+        on_modes = [
+            ModalImpact(
+                sphere=one.sphere, target=HalfSpace(material=STEEL), velocity=velocity, stiffness="hertz",
+                dissipation=one.dissipation, frequency=[400.0, 3e3], damping_ratio=0.02, compliance=[2.0, 4.0],
+            )
+            for one in (own, built_in)
+        ]  # fmt: skip
+        forces = [one.force(times) for one in on_modes]
+        assert np.abs(forces[0] - forces[1]).max() < 1e-8 * forces[1].max()
 
 
 def test_a_scene_of_cones_is_what_its_parameters_say(cone):

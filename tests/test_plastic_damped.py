@@ -1,6 +1,7 @@
 """Crushing with viscous loss: pulses against an integrator, balances by quadrature, limits, scenes, bad input."""
 
 import json
+import tomllib
 from dataclasses import replace
 
 import numpy as np
@@ -8,14 +9,16 @@ import pytest
 from scipy.integrate import quad
 from scipy.optimize import brentq
 
-from cgid.physics import HuntCrossley, Impact, Sphere, Thornton, WaltonBraun
+from cgid.physics import HuntCrossley, Impact, ModalImpact, Sphere, Thornton, WaltonBraun
 from cgid.physics.curves import TOLERANCE
 from cgid.physics.materials import Material
 from cgid.scene import parse_scene, synthesise
+from cgid.scene.impacts import draw
 from cgid.scene.plan import plan
 from cgid.scene.schema import varied
 from cgid.scene.stream import record
 from cgid.scene.synthesis import columns_of
+from cgid.shipped import scene_path
 from tests import naive
 from tests.plan_scenes import POPULATION, scene_of, uniform
 from tests.test_plastic import coal, thornton_contact
@@ -271,3 +274,43 @@ def test_a_scene_of_crushing_rocks_becomes_one_that_also_damps():
     scene = varied(SCENES["thornton"], viscous_restitution=0.7)
     assert next(iter(synthesise(scene, 9))).parameters["viscous_restitution"] == pytest.approx(0.7)
     assert varied(scene, viscous_restitution=None) == scene_of({"dissipation": "thornton"}, CRUSHED, {})
+
+
+def crushing_on(name, **impact):
+    """Return a shipped scene whose rocks crush, with other settings of its impact."""
+    content = tomllib.loads(scene_path(name).read_text())
+    content["impact"] |= {"dissipation": "thornton"} | impact
+    for population in content["populations"]:
+        del population["restitution"]
+        population |= {"yield_pressure": uniform("20 MPa", "90 MPa"), "viscous_restitution": uniform(0.5, 0.9)}
+    return parse_scene(content)
+
+
+def test_rocks_crush_on_a_plate_with_their_weight():
+    steel = {"density": 7850.0, "youngs_modulus": "210 GPa", "poisson_ratio": 0.3, "thickness": "30 mm"}
+    scene = crushing_on("reference", gravity=9.81, target=steel)
+    values = draw(scene, 3, 0).parameters
+    rock = Material(**{name: values[name] for name in ("density", "youngs_modulus", "poisson_ratio")})
+    impact = Impact(
+        sphere=Sphere(material=rock, radius=values["radius"]), target=scene.body, velocity=values["velocity"],
+        stiffness="hertz", gravity=9.81, dissipation=Thornton(
+            yield_pressure=values["yield_pressure"], viscous_restitution=values["viscous_restitution"],
+        ),
+    )  # fmt: skip
+    assert (impact.radiated_energy > 0).all()
+    for name in ("restitution", "peak_force", "contact_duration"):
+        assert values[name] == pytest.approx(getattr(impact, name), rel=1e-12)
+
+
+def test_rocks_crush_on_a_tail_beam():
+    drawn = draw(crushing_on("tail_beam"), 3, 0)
+    assert {type(strike.pulses).__name__ for strike in drawn.strikes} == {"Contacts", "ModalContacts"}
+    for strike in drawn.strikes:
+        pulses, given = (
+            strike.pulses,
+            {name: getattr(strike.pulses, name) for name in strike.pulses.__dataclass_fields__},
+        )
+        public = (ModalImpact if isinstance(pulses, ModalImpact) else Impact)(**given)
+        assert isinstance(public.dissipation, Thornton)
+        assert drawn.parameters["peak_force"][strike.rows] == pytest.approx(public.peak_force, rel=1e-12)
+        assert (public.radiated_energy > 0).all()

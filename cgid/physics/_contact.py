@@ -348,8 +348,8 @@ def integrate(
         error, w1, y1, tau1, u1, g1, c1, f1 = step(
             force, p, history, inelasticity, weight, cells, h, w, y, tau, u, f, top, peak, permitted, row
         )
-        if not (error <= 1.0 and tau1 - tau <= longest):
-            h *= max(0.2, min(0.8, 0.9 * math.pow(error, -0.125))) if error < 1e300 else 0.2
+        if not error <= 1.0 or tau1 - tau > longest:
+            h *= max(0.2, min(0.8, 0.9 * math.pow(max(error, 1e-30), -0.125))) if error < 1e300 else 0.2
             if tau + w * h + h * h == tau:
                 result[0] = OUT_OF_REACH if math.isfinite(g1 + c1) else NOT_FINITE
                 return 0

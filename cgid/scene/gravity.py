@@ -16,11 +16,12 @@ import numpy as np
 
 from cgid.counting import count
 from cgid.errors import InvalidValue
-from cgid.physics import Elastic, HuntCrossley, Impact, Sphere, ThinPlate
+from cgid.physics import Elastic, HuntCrossley, Impact, Law, Sphere, ThinPlate
 from cgid.physics.bodies import Target, reduced_modulus, reduced_radius
+from cgid.physics.curves import is_builtin
 from cgid.physics.impact import Contacts
-from cgid.physics.laws import STIFFNESS_THEORIES, speed_of_fall, stiffness_of
-from cgid.physics.materials import Material
+from cgid.physics.laws import STIFFNESS_THEORIES, named, speed_of_fall, stiffness_of
+from cgid.physics.materials import YIELD_OVER_STRENGTH, Material
 from cgid.scene.sections import ImpactSection, Population
 from cgid.validation import Floats, unchecked
 
@@ -48,17 +49,22 @@ def largest_error(section: ImpactSection, target: Target, populations: Iterable[
     """Return the bound on the error of neglecting gravity in any impact; 0 for a scene without gravity."""
     if section.gravity is None:
         return 0.0
-    if isinstance(target, ThinPlate):
+    heaviest = [heaviest_impact(section, target, population) for population in populations]
+    if not all(_has_bound(target, impact.dissipation) for impact in heaviest):
         return np.inf
-    heaviest = (heaviest_impact(section, target, population) for population in populations)
     return max((float(error_without_weight(impact, section.gravity)) for impact in heaviest), default=0.0)
+
+
+def _has_bound(target: Target, dissipation: Law) -> bool:
+    """Return whether the error of neglecting gravity has a bound."""
+    return isinstance(dissipation, Elastic | HuntCrossley) and not isinstance(target, ThinPlate)
 
 
 def weighed(section: ImpactSection, **parts: Any) -> Contacts:
     """Return impacts, each with gravity if its effect exceeds the tolerance."""
     if section.gravity is None:
         return Contacts(**parts)
-    if isinstance(parts["target"], ThinPlate):
+    if not _has_bound(parts["target"], parts["dissipation"]):
         impact = Contacts(**parts, gravity=section.gravity)
         count("weighed_impacts", impact.reduced_mass.size)
         return impact
@@ -82,11 +88,20 @@ def heaviest_impact(
         "target": target,
         "velocity": _speeds(population)[0],
         "stiffness": section.stiffness,
-        "dissipation": Elastic(),
+        "dissipation": _largest_loss(section, population),
     }
-    if population.restitution is not None:
-        parts["dissipation"] = unchecked(HuntCrossley, restitution=population.restitution.extremes[0], law=section.law)
     return weighed(section, **parts) if with_weight else Contacts(**parts)
+
+
+def _largest_loss(section: ImpactSection, population: Population) -> Law:
+    """Return the law of a population with its lowest restitutions and yield pressure."""
+    law = named(population.dissipation or section.dissipation)
+    drawn = {name: getattr(population, name) for name in law.keys}
+    lowest = {name: one.extremes[0] for name, one in drawn.items() if one is not None}
+    if population.strength is not None:
+        lowest["yield_pressure"] = YIELD_OVER_STRENGTH * population.strength.extremes[0]
+    more = {"law": section.law} if law is HuntCrossley else {}
+    return unchecked(law, **lowest, **more) if is_builtin(law) else law(**lowest)
 
 
 def problem_of_weight(section: ImpactSection, target: Target, population: Population) -> str | None:

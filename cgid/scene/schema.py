@@ -32,7 +32,6 @@ from cgid.scene.sections import (
     Tap,
     TargetSection,
     loss_key,
-    on_solid_ground,
     with_table,
 )
 from cgid.scene.sensor import CHUNK, Sensor
@@ -152,15 +151,6 @@ class Scene(Section):
                 problems.append(
                     f"{place}.viscous_restitution: must be left out when dissipation is {dissipation}; {hint}"
                 )
-        for dissipation in dict.fromkeys(name for name in self.dissipations if on_solid_ground(name)):
-            hint = "leave it out, or use hunt-crossley"
-            for name, wrong in {
-                "impact.gravity": self.impact.gravity is not None,
-                "impact.target.thickness": getattr(self.impact.target, "thickness", None) is not None,
-                "tail_beam": self.tail_beam is not None,
-            }.items():
-                if wrong:
-                    problems.append(f"{name}: must be left out when dissipation is {dissipation}; {hint}")
         return problems
 
     def _problems_of_beam(self) -> list[str]:

@@ -56,11 +56,8 @@ SHAPES: Mapping[str, Callable[[Floats], Floats]] = {
 
 #: How a rock may lose energy, by laws of cgid. The order defines their indices; those of your own come after them.
 DISSIPATIONS = tuple(LAWS)
-#: Those of a contact that unloads on another path, with or without viscous loss. They have no weight, and no target
-#: that takes energy.
+#: Those of a contact that unloads on another path, with or without viscous loss.
 PLASTIC = ("thornton", "walton-braun")
-#: Those that scenes have on a half space or a rigid wall only, and without weight.
-ON_SOLID_GROUND = (*PLASTIC, "kuwabara-kono")
 
 #: Sharpest corner and flattest side of a rock over its radius, and the least share of its mass in an impact: wider than
 #: any lump.
@@ -72,11 +69,6 @@ _MAX_MODES = 10_000
 def _or_custom_law(value: Any, handler: Callable[[Any], Any]) -> Any:
     """Accept the name of a law of your own, too."""
     return value if isinstance(value, str) and value not in DISSIPATIONS and known(value) else handler(value)
-
-
-def on_solid_ground(dissipation: str) -> bool:
-    """Return whether rocks of this law hit a half space or a rigid wall only, and without weight."""
-    return dissipation in ON_SOLID_GROUND or dissipation not in DISSIPATIONS
 
 
 def loss_key(dissipation: str) -> str | None:
@@ -233,9 +225,8 @@ class ImpactSection(Section):
     """Theory of the contact stiffness; there is no default."""
     dissipation: Loss
     """How the rock loses energy: not at all, by hysteretic damping, by crushing where it touches (thornton), as
-    a bilinear spring (walton-braun), or as a viscoelastic sphere (kuwabara-kono). The last three need a half
-    space or a rigid wall, and no gravity. Rocks that crush, or are bilinear, may also have a
-    `viscous_restitution`.
+    a bilinear spring (walton-braun), or as a viscoelastic sphere (kuwabara-kono). Rocks that crush, or are
+    bilinear, may also have a `viscous_restitution`.
     """
     law: Law = "exact"
     """For hunt-crossley, relation of the damping to the restitution: "exact" delivers the restitution that is
@@ -246,11 +237,11 @@ class ImpactSection(Section):
     gravity: Acceleration | None = None
     """Weight of the rock during contact; left out for none."""
     gravity_tolerance: Annotated[float, Quantity("ratio", Rule(0, 0.1))] | None = None
-    """Weight is ignored for every impact that it changes by less than this share."""
+    """Weight is ignored for every elastic or hunt-crossley impact that it changes by less than this share."""
 
     @model_validator(mode="after")
     def _law_applies(self) -> Self:
-        if on_solid_ground(self.dissipation) and self.law != "exact":
+        if self.dissipation not in ("elastic", "hunt-crossley") and self.law != "exact":
             raise ValueError(f"law must be left out when dissipation is {self.dissipation}, got {self.law!r}")
         return self
 
