@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from cgid.cli.help import Command
-from cgid.cli.options import PATH, SCENE, Reading, json_option, overwrite_option, reading_options, share_of
+from cgid.cli.options import PATH, SCENE, Reading, json_option, laws_option, overwrite_option, reading_options, share_of
 from cgid.cli.output import print_json, progress_bar, say, warn
 from cgid.errors import BadData, InvalidValue
 from cgid.terminal import counted
@@ -57,6 +57,7 @@ if TYPE_CHECKING:
 @click.option("--impacts", type=int, default=300, show_default=True, help="Use at most this many impacts.")
 @click.option("--plot", "picture", type=PATH, help="Plot the modes before and after, with standard deviations, as PNG.")
 @overwrite_option
+@laws_option
 @json_option
 @reading_options
 def calibrate(

@@ -7,7 +7,7 @@ from typing import Any
 import click
 
 from cgid.cli.help import Command
-from cgid.cli.options import SCENE, json_option
+from cgid.cli.options import SCENE, json_option, laws_option
 from cgid.cli.output import print_json, progress_bar, say, warn
 from cgid.terminal import counted
 
@@ -32,6 +32,7 @@ _TRAINING = 10_000
     type=int,
     help=f"Train a learner on this many signals, too; {_TRAINING} for scenes without a limit.",
 )
+@laws_option
 @json_option
 def ceiling(scene: str, n_signals: int, seed: int, drop_height: bool, n_training: int | None, as_json: bool) -> None:
     """Compute the best possible accuracy on SCENE (a .toml file or the name of a shipped one).

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from cgid.cli.help import Command
-from cgid.cli.options import PATH, SCENE, Reading, json_option, overwrite_option, reading_options, share_of
+from cgid.cli.options import PATH, SCENE, Reading, json_option, laws_option, overwrite_option, reading_options, share_of
 from cgid.cli.output import print_json, progress_bar, say, warn
 from cgid.errors import BadData, InvalidValue
 from cgid.terminal import counted
@@ -53,6 +53,7 @@ if TYPE_CHECKING:
 )
 @click.option("--plot", "picture", type=PATH, help="Plot the poles of all orders of the model as PNG.")
 @overwrite_option
+@laws_option
 @json_option
 @reading_options
 def tap(

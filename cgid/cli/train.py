@@ -19,6 +19,7 @@ from cgid.cli.options import (
     Reading,
     given_flags,
     json_option,
+    laws_option,
     overwrite_option,
     reading_options_for,
     refuse,
@@ -131,6 +132,7 @@ _OF_TRAINING = (
 )
 @click.option("--plots", is_flag=True, help="Plot confusion matrix, reliability diagram and ROC curve (extra plot).")
 @overwrite_option
+@laws_option
 @json_option
 @click.pass_context
 def train(
