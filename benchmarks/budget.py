@@ -31,7 +31,7 @@ from cgid.measure.filters import fft_filter
 from cgid.physics import HertzRangeWarning
 from cgid.scene import generate, load_scene
 from cgid.scene.draws import BLOCK, at_once
-from cgid.scene.impacts import blows_of
+from cgid.scene.impacts import pulses_of_block
 from cgid.scene.noise import add_noise
 from cgid.scene.plan import plan
 from cgid.scene.synthesis import TOGETHER, columns_of, make_frames, synthesise
@@ -107,7 +107,7 @@ def main() -> None:
     scene = load_scene(shipped.scene_path(arguments.scene))
     rate, pre_trigger = scene.sampling.sampling_rate, scene.sampling.pre_trigger
     asked, together = plan(scene), at_once(scene, TOGETHER)
-    drawn = blows_of(asked, 0, 0)
+    drawn = pulses_of_block(asked, 0, 0)
     frames = make_frames(drawn, 0, 0, np.float32)
     peak = drawn.parameters["peak_force"]
     silence, level = np.zeros_like(frames), scene.sensor.noise_level(peak, rate)
@@ -120,7 +120,7 @@ def main() -> None:
         return lambda: extract_array(frames, rate, names or None, pre_trigger=pre_trigger, invalid="nan")
 
     making = {
-        "parameters": lambda: blows_of(asked, 0, 0, together),
+        "parameters": lambda: pulses_of_block(asked, 0, 0, together),
         "pulse": lambda: drawn.add_to_frames(frames),
         "noise": lambda: add_noise(silence, level, 0, 0),
         "sensor (range, bits; nothing when off)": lambda: scene.sensor.digitise(frames, rate, peak),

@@ -1,19 +1,19 @@
-"""A tail beam that cgid has never seen, made without cgid: recordings, and the truth of every blow.
+"""A tail beam that cgid has never seen, made without cgid: recordings, and the truth of every impact.
 
-Eight modes, two accelerometers, 25.6 kHz, 40 blows a minute. Each rock strikes by Hertz's law with a linear dashpot of
-its own restitution, solved in small steps; the modes answer as exact oscillators at eight times the recorder's rate,
-an FIR filter takes that down. Run as
+Eight modes, two accelerometers, 25.6 kHz, 40 impacts a minute. Each rock strikes by Hertz's law with a linear dashpot
+of its own restitution, solved in small steps; the modes answer as exact oscillators at eight times the recorder's
+rate, an FIR filter takes that down. Run as
 
     python benchmarks/foreign_beam.py FOLDER
 
 It writes `train_*.csv` and `new_*.csv` (time and both channels in m/s^2), `truth.csv` (path, time, label, peak
-force, speed and radius of each blow), and `tap_*.csv`: an instrumented hammer at the middle of the beam (force in N,
+force, speed and radius of each impact), and `tap_*.csv`: an instrumented hammer at the middle of the beam (force in N,
 both channels).
 
     python benchmarks/foreign_beam.py FOLDER --recordings 4 --learn
 
 then labels 1, 2 and 4 of them from the truth, trains by the commands of docs/tutorials/engineer.md, and counts the
-right answers on the new recordings (two channels, so two answers a blow), after those of the default model.
+right answers on the new recordings (two channels, so two answers an impact), after those of the default model.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ def shapes(places: np.ndarray) -> np.ndarray:
 
 
 def contact_force(label: str, radius: float, speed: float, restitution: float) -> np.ndarray:
-    """Return the force [N] of one blow at the fine rate."""
+    """Return the force [N] of one impact at the fine rate."""
     density, modulus, _, _ = ROCKS[label]
     mass, stiffness = 4 / 3 * np.pi * radius**3 * density, 4 / 3 * modulus * np.sqrt(radius)
     loss = -np.log(restitution) / np.hypot(np.log(restitution), np.pi)
@@ -88,7 +88,7 @@ def answer(force: np.ndarray, place: float, n: int) -> np.ndarray:
 
 
 def recording(label_of: list[str], random: np.random.Generator) -> tuple[np.ndarray, list[dict[str, object]]]:
-    """Return samples (n_samples, 2) [m/s^2] of blows 1.5 s apart on average, and the truth of each."""
+    """Return samples (n_samples, 2) [m/s^2] of impacts 1.5 s apart on average, and the truth of each."""
     gaps = random.uniform(0.9, 2.1, len(label_of))
     times = 0.8 + np.cumsum(gaps) - gaps[0]
     n = int((times[-1] + 1.2) * RATE) * FINE
@@ -119,7 +119,7 @@ def recorded(samples: np.ndarray, random: np.random.Generator) -> np.ndarray:
 
 
 def tap(random: np.random.Generator) -> np.ndarray:
-    """Return samples (n_samples, 3) of a hammer blow at the middle: force [N], both accelerations [m/s^2]."""
+    """Return samples (n_samples, 3) of a hammer tap at the middle: force [N], both accelerations [m/s^2]."""
     n, start, length = int(1.0 * RATE) * FINE, int(0.1 * RATE) * FINE, int(2.5e-4 * RATE * FINE)
     force = np.zeros(n)
     force[start : start + length] = random.uniform(1500, 2500) * np.sin(np.pi * np.arange(length) / length) ** 2
@@ -127,7 +127,7 @@ def tap(random: np.random.Generator) -> np.ndarray:
 
 
 def cgid(*arguments: object) -> None:
-    """Run a command of cgid; show what it says only if it fails."""
+    """Run a command of cgid; show what it states only if it fails."""
     done = subprocess.run(
         [sys.executable, "-m", "cgid", *map(str, arguments)], capture_output=True, text=True, check=False
     )
@@ -136,7 +136,7 @@ def cgid(*arguments: object) -> None:
 
 
 def with_truth(table: Path) -> tuple[list[dict[str, str]], list[str | None]]:
-    """Return the rows of a table of impacts, and what struck for each: the label of a blow within 20 ms."""
+    """Return the rows of a table of impacts, with the label of each: that of an impact within 20 ms."""
     with (table.parent / "truth.csv").open() as file:
         truth = list(csv.DictReader(file))
     with table.open() as file:
@@ -152,7 +152,7 @@ def with_truth(table: Path) -> tuple[list[dict[str, str]], list[str | None]]:
 def learn(folder: Path) -> None:
     """Print how many answers are right on the new recordings, after more and more labelled ones."""
     labelled, new = sorted(folder.glob("train_*.csv")), sorted(folder.glob("new_*.csv"))
-    print("labelled recordings  blows  right  wrong  unknown  not a blow")
+    print("labelled recordings  impacts  right  wrong  unknown  not an impact")
     for n in [0, *(2**k for k in range(len(labelled).bit_length()))]:
         model: list[object] = []
         n_labelled = 0
@@ -169,11 +169,11 @@ def learn(folder: Path) -> None:
             cgid("train", events, "-o", model[1], "--overwrite")
         cgid("predict", *new, *model, "-o", folder / "answers.csv", "--overwrite")
         rows, labels = with_truth(folder / "answers.csv")
-        said = [(row["label"], label) for row, label in zip(rows, labels, strict=True)]
-        right = sum(answer == label for answer, label in said)
-        unknown = sum(answer == "unknown" and label is not None for answer, label in said)
+        answers = [(row["label"], label) for row, label in zip(rows, labels, strict=True)]
+        right = sum(answer == label for answer, label in answers)
+        unknown = sum(answer == "unknown" and label is not None for answer, label in answers)
         stray = labels.count(None)
-        print(f"{n:19} {n_labelled:6} {right:6} {len(said) - right - unknown - stray:6} {unknown:8} {stray:11}")
+        print(f"{n:19} {n_labelled:8} {right:6} {len(answers) - right - unknown - stray:6} {unknown:8} {stray:14}")
 
 
 def main() -> None:
@@ -200,7 +200,7 @@ def main() -> None:
             comments="",
         )
         rows += [{"path": name, **row} for row in truth]
-        print(f"{given.folder / name}: {len(truth)} blows in {len(samples) / RATE:.0f} s", flush=True)
+        print(f"{given.folder / name}: {len(truth)} impacts in {len(samples) / RATE:.0f} s", flush=True)
     with (given.folder / "truth.csv").open("w", newline="") as file:
         writer = csv.DictWriter(file, rows[0])
         writer.writeheader()
@@ -209,7 +209,7 @@ def main() -> None:
         samples = np.column_stack([np.arange(int(RATE)) / RATE, tap(random)])
         header = "time (s),hammer (N),left (m/s^2),right (m/s^2)"
         np.savetxt(given.folder / f"tap_{k}.csv", samples, fmt="%.8g", delimiter=",", header=header, comments="")
-    print(f"{given.folder}: truth.csv with {len(rows)} blows, and tap_0.csv to tap_4.csv")
+    print(f"{given.folder}: truth.csv with {len(rows)} impacts, and tap_0.csv to tap_4.csv")
     if given.learn:
         learn(given.folder)
 

@@ -29,7 +29,7 @@ from cgid.identification.events import frames_alike
 from cgid.identification.through_beam import ThroughBeam
 from cgid.impactor import ImpactorEstimates, MeasuredPulses, population_of, size_distribution
 from cgid.impactor.columns import detection_of, match_times
-from cgid.impactor.population import beam_behind
+from cgid.impactor.population import impact_beam
 from cgid.impactor.posterior import QUANTITIES
 from cgid.impactor.recognition import of_material, through_beam
 from cgid.measure.template import relative_times
@@ -37,7 +37,7 @@ from cgid.physics import HalfSpace, HuntCrossley, Impact, Sphere
 from cgid.physics.materials import STEEL, Material
 from cgid.scene import Scene, load_scene, parse_scene, record, synthesise
 from cgid.scene.draws import BLOCK
-from cgid.scene.impacts import blows_of
+from cgid.scene.impacts import pulses_of_block
 from cgid.scene.plan import Plan
 from cgid.scene.sections import DISSIPATIONS
 from cgid.scene.through_beam import beam_of
@@ -210,7 +210,7 @@ def laws() -> None:
     columns: list[tuple[Floats, ...]] = []
     asked = Plan(scene=load_scene("rock"), kind="pulses")
     for block in range(48):
-        blows = blows_of(asked, SEED, block)
+        blows = pulses_of_block(asked, SEED, block)
         values = blows.parameters
         for one in blows.strikes:
             rows = one.rows
@@ -255,7 +255,7 @@ def recorded(scene: Scene, seed: int) -> tuple[MeasuredPulses, dict[str, Any], N
     order, parts = [], []
     for numbers, frames in frames_alike(events):
         first = events[numbers[0]]
-        looked = through_beam(frames, first.sampling_rate, first.pre_trigger, beam_behind(scene), first.detection_limit)
+        looked = through_beam(frames, first.sampling_rate, first.pre_trigger, impact_beam(scene), first.detection_limit)
         parts.append(looked)
         order += numbers
     return MeasuredPulses.joined(parts), truth, match_times(truth["time"], np.array([events[k].time for k in order]))

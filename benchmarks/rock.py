@@ -57,7 +57,7 @@ _OTHERS = ("dull", "peers", "peers, pink 2 %")
 
 
 class Answered(NamedTuple):
-    """What a model says of impacts: p(coal), .5 where it cannot measure; whether it says *unknown*; and the truth."""
+    """What a model says of impacts: p(coal), .5 where it cannot measure; whether it states *unknown*; and the truth."""
 
     coal: Floats
     unknown: NDArray[np.bool_]

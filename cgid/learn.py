@@ -315,13 +315,13 @@ def stream(
     )
 
 
-def _batches(settings: TrainingStream, place: int) -> list[TrainingBatch]:
+def _batches(settings: TrainingStream, first: int) -> list[TrainingBatch]:
     """Return the batches that one worker makes at a time, from this signal of the stream on."""
     size = settings.batch_size
     n = size * max(_AT_ONCE // size, 1)
     if settings.n_signals is not None:
-        n = min(n, settings.n_signals - place)
-    made = list(synthesise(settings.scene, n, settings.seed, first=settings.first + place))
+        n = min(n, settings.n_signals - first)
+    made = list(synthesise(settings.scene, n, settings.seed, first=settings.first + first))
     names = np.array(settings.labels)
     signals = np.concatenate([batch.signals for batch in made])
     labels = np.searchsorted(names, np.concatenate([batch.labels for batch in made])).astype(np.int64)

@@ -57,7 +57,7 @@ LARGEST: Mapping[str, float] = {
 #: Signs of a unit that a column spells in ASCII.
 _SPELLED = str.maketrans({"^": "", "(": "", ")": "", "²": "2", "µ": "u", "%": "percent"})
 
-#: Quantities of a sensor's signal, which its sensitivity turns into what it measures.
+#: Quantities of a sensor's signal, which its sensitivity converts to the measured quantity.
 ELECTRICAL = ("voltage", "charge")
 
 #: All units of samples.
@@ -240,7 +240,7 @@ def column_unit(title: str) -> str | None:
         return title.rpartition(" [")[2].removesuffix("]")
     listed = [unit for units in UNITS.values() for unit in units] + ["s", "Hz", "kg"]
     spelled = {column_title("", unit): unit for unit in reversed(listed)}
-    ends = (title[place:] for place, sign in enumerate(title) if sign == "_" and place)
+    ends = (title[position:] for position, sign in enumerate(title) if sign == "_" and position)
     end = next((end for end in ends if end in spelled and not title.startswith("p_")), None)
     # After another unit it is the end of a product, as in `impulse_N_s`.
     return None if end is None or column_unit(title.removesuffix(end)) else spelled[end]

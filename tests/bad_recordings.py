@@ -235,7 +235,7 @@ RECORDING_CASES: tuple[tuple[str, tuple[str, ...], int, tuple[str, ...]], ...] =
         65,
         ("channel b", "in N (force)"),
     ),
-    ("sensitivity of no unit", ("predict", "plain.csv", "--sensitivity", "10 mV/g"), 2, ("does not say", "--unit V")),
+    ("sensitivity of no unit", ("predict", "plain.csv", "--sensitivity", "10 mV/g"), 2, ("does not state", "--unit V")),
     ("sensitivity of a sound", ("predict", "counts.wav", "--sensitivity", "1 V/N"), 2, ("--full-scale '10 V'",)),
     ("voltage sensitivity of a charge", ("predict", "charge.csv", "--sensitivity", "1 mV/g"), 65, ("'3.1 pC/g'",)),
     (
@@ -264,7 +264,7 @@ RECORDING_CASES: tuple[tuple[str, tuple[str, ...], int, tuple[str, ...]], ...] =
         "bits of a sound file",
         ("predict", "counts.wav", "--full-scale", "10 V at 16 bit"),
         65,
-        ("leave out the bits", "says them itself"),
+        ("leave out the bits", "states them"),
     ),
     (
         "full scale of another quantity",

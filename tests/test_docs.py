@@ -94,7 +94,7 @@ def blocks_of(page: str) -> list[Block]:
 
 
 class Walk:
-    """A reader who goes through a page in a folder and does what it says."""
+    """A reader who goes through a page in a folder and does what it states."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder

@@ -131,13 +131,15 @@ def test_contradicting_and_impossible_rates_are_refused(hdf5):
         file["x"].attrs.update(attributes)
 
     message = refused(hdf5(lambda file: fill(file, fs=1000.0, dt=0.002)))
-    assert "fs says 1000 Hz" in message and "dt says 500 Hz" in message
+    assert "fs states 1000 Hz" in message and "dt states 500 Hz" in message
 
     def timed(file, times):
         fill(file, fs=1000.0)
         file["time"] = times
 
-    assert "fs says 1000 Hz and array time says 500 Hz" in refused(hdf5(lambda file: timed(file, np.arange(N) / 500)))
+    assert "fs states 1000 Hz and array time states 500 Hz" in refused(
+        hdf5(lambda file: timed(file, np.arange(N) / 500))
+    )
     recording, _ = read(hdf5(lambda file: timed(file, np.arange(N) ** 2.0)))
     assert recording.sampling_rate == 1000.0 and "times of time are not even" in recording.warnings[0]
     assert "above 0" in refused(hdf5(lambda file: fill(file, fs=-3.0)))
@@ -222,7 +224,7 @@ def test_hostile_shapes_of_hdf5_are_refused_before_anything_is_allocated(hdf5):
         file.create_dataset("x", (10**10,), "f8", chunks=(10**6,)).attrs["fs"] = 1.0
         file["x"][:1000] = 1.0
 
-    assert "declares 80000000000 bytes and holds 8000000" in refused(hdf5(one_chunk))
+    assert "declares 80000000000 bytes and contains 8000000" in refused(hdf5(one_chunk))
 
     def bomb(file):
         file.create_dataset("x", (1 << 25,), "f8", chunks=(1 << 25,)).attrs["fs"] = 1.0
@@ -336,7 +338,7 @@ def whole(samples=SAMPLES, group="beam", parts=4):
 @pytest.mark.parametrize("dtype", ["f4", "f8", "i2", "u4"])
 def test_tdms_is_what_nptdms_reads(tmp_path, monkeypatch, dtype, longest):
     nptdms = pytest.importorskip("nptdms")
-    # Channels of longer chunks are read whole.
+    # Channels of longer chunks are read completely.
     monkeypatch.setattr(tdms_reader, "MAX_CHUNK_SIZE", longest)
     values = (100 * np.abs(SAMPLES)).astype(dtype)
     path = write_tdms(tmp_path / "a.tdms", whole(values))

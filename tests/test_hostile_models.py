@@ -207,7 +207,7 @@ EVIL = "\x1b]0;evil\x07\x1b[2J\u202egnp\x85\x9b1A"
 
 
 def test_no_text_of_a_file_commands_the_terminal(tmp_path, capsys):
-    """Its name, what it says of its channels, and what a model says of its training."""
+    """Its name, what it states of its channels, and what a model says of its training."""
     rows = "".join(f"{value:.3f}\n" for value in np.random.default_rng(0).normal(0, 20, 400))
     recording = tmp_path / f"a{EVIL}.csv"
     recording.write_text(f"# sampling_rate: 200000 Hz\n{EVIL} force (N)\n{rows}")

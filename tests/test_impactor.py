@@ -13,13 +13,13 @@ import pytest
 from cgid.cli.main import run
 from cgid.impactor import Detection, MeasuredPulses, estimate_impactors, population_of, size_distribution
 from cgid.impactor.columns import match_times
-from cgid.impactor.population import beam_behind, fit_through_beam
+from cgid.impactor.population import fit_through_beam, impact_beam
 from cgid.impactor.posterior import LEVELS, QUANTITIES
 from cgid.impactor.recognition import forces, of_material, through_beam
 from cgid.physics import RIGID, HalfSpace, HuntCrossley, Impact, Sphere
 from cgid.physics.materials import STEEL, Material
 from cgid.scene import load_scene, parse_scene, synthesise, varied
-from cgid.scene.impacts import blows_of
+from cgid.scene.impacts import pulses_of_block
 from cgid.scene.plan import Plan
 from cgid.units import column_title
 from tests import few
@@ -223,10 +223,10 @@ def test_intervals_cover_through_a_beam():
 def test_draws_behind_a_beam_are_measured_as_blows_are():
     """Signal, inversion and fit against draws, of heavy rocks: waves take their pulses out of the family."""
     quiet = parse_scene(json.loads(varied(load_scene("tail_beam"), radius=0.07).text) | {"name": "heavy and quiet"})
-    beam, seed = beam_behind(quiet), 2024
+    beam, seed = impact_beam(quiet), 2024
     batch = next(synthesise(quiet, 192, seed))
     seen = through_beam(batch.signals, batch.sampling_rate, batch.pre_trigger, beam)
-    blows = blows_of(Plan(scene=quiet, kind="pulses"), seed, 0)
+    blows = pulses_of_block(Plan(scene=quiet, kind="pulses"), seed, 0)
     apart = []
     for strike in blows.strikes:
         rows = strike.rows[strike.rows < 192]

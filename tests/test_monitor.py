@@ -1,4 +1,4 @@
-"""A live stream: what is said and when, that nothing is dropped, and how far behind it says it is."""
+"""A live stream: what is said and when, that nothing is dropped, and how far behind it states it is."""
 
 from __future__ import annotations
 

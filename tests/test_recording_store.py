@@ -94,7 +94,7 @@ def test_it_is_read_as_a_recording(made):
     assert (signal.unit, signal.sampling_rate, signal.channel) == ("N", RATE, "1")
     with pytest.raises(InvalidValue, match="agree with the file"):
         read_recording(path, sampling_rate=48_000)
-    with pytest.raises(BadData, match="header says N"):
+    with pytest.raises(BadData, match="header states N"):
         read_recording(path, unit="g")
     with pytest.raises(BadData, match="must be a cgid dataset"):
         Dataset(path)

@@ -206,8 +206,8 @@ def test_wav_cut_at_any_byte_gives_what_is_whole_and_a_warning(write):
 @pytest.mark.parametrize(
     ("content", "word"),
     [
-        (wav_file(WORDS.tobytes(), size=150), "50 bytes behind the declared sound"),
-        (wav_file(WORDS.tobytes()[:-1]), "not whole frames of 2; the last 1 were left out"),
+        (wav_file(WORDS.tobytes(), size=150), "50 bytes after the declared sound"),
+        (wav_file(WORDS.tobytes()[:-1]), "not complete frames of 2; the last 1 were left out"),
         (wav_file(WORDS.tobytes(), byte_rate=4000), "1000 Hz of 2 bytes each are not 4000 bytes/s"),
         (wav_file(WORDS.tobytes(), align=4), "16 bits do not take 4 bytes each"),
     ],
@@ -443,7 +443,7 @@ def test_npz_says_rate_and_unit_by_named_values(tmp_path):
     (right,) = read_recording(path, variable="right")
     assert (right.samples.tolist(), right.sampling_rate) == (samples[1].tolist(), pytest.approx(1000))
     np.savez(path, acc=samples, fs=51200.0, sampling_rate=25600.0)
-    with pytest.raises(BadData, match="51200 Hz and sampling_rate says 25600 Hz"):
+    with pytest.raises(BadData, match="51200 Hz and sampling_rate states 25600 Hz"):
         open_recording(path)
 
 

@@ -1,4 +1,4 @@
-"""Recordings: what is read back equal, what the header says, and every fault with its place and cure."""
+"""Recordings: what is read back equal, what the header states, and every fault with its place and cure."""
 
 import io
 import os
@@ -260,11 +260,11 @@ def test_bad_text_is_refused_with_its_place(text, words, write):
 
 def test_options_that_contradict_the_file():
     text = "time (s),force (N)\n0,1\n0.001,2\n0.002,0\n"
-    with pytest.raises(InvalidValue, match=r"1002 Hz where the time column says 1000 Hz"):
+    with pytest.raises(InvalidValue, match=r"1002 Hz where the time column states 1000 Hz"):
         read_text(text, sampling_rate=1002)
-    with pytest.raises(BadData, match=r"says N \(force\) and --unit says g \(acceleration\)"):
+    with pytest.raises(BadData, match=r"states N \(force\) and --unit states g \(acceleration\)"):
         read_text(text, unit="g")
-    with pytest.raises(BadData, match=r"says N \(force\) and --unit says kN"):
+    with pytest.raises(BadData, match=r"states N \(force\) and --unit states kN"):
         read_text(text, unit="kN")
     assert read_text(text, unit="N")[0].unit == "N"
     assert read_text(text.replace("(N)", ""), unit="g")[0].unit == "g"

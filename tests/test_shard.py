@@ -134,7 +134,7 @@ def test_any_zlib_unpacks_it(planes, times):
     laid = np.frombuffer(b"".join(planes * times), np.uint8).reshape(len(planes[0]), -1)
     stream = zlib.decompressobj()
     assert stream.decompress(deflated(laid)) == laid.tobytes()
-    # The stream ends where it says, with the sum of all of it.
+    # The stream ends where it states, with the sum of all of it.
     assert stream.eof
     assert not stream.unused_data
 

@@ -284,7 +284,7 @@ def test_wrong_shape_or_type(copy, name, shape, kind, says):
 def test_a_huge_declared_size_is_refused_before_it_is_read(copy, name, shape, kind):
     chunks = tuple(min(length, 8) for length in shape)
     replaced(copy, name, lambda file, _: file.create_dataset(name, shape, kind, chunks=chunks))
-    refused(copy, f"{name} declares [0-9]{{10,}} (bytes and holds 0|chunks in a file of)")
+    refused(copy, f"{name} declares [0-9]{{10,}} (bytes and contains 0|chunks in a file of)")
 
 
 @pytest.mark.parametrize(

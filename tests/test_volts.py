@@ -248,7 +248,7 @@ def test_files_that_state_the_sensitivity_need_no_option(tmp_path: Path) -> None
         np.testing.assert_allclose([one.samples for one in found], measured, rtol=1e-9, atol=1e-9)
         # An option that says the same is used, one that says another is refused.
         read_recording(tmp_path / name, channel=1, sensitivity="10.2 mV/g")
-        with pytest.raises(InvalidValue, match=r"must agree with the file to 0.1 %, got 100 mV/g where it says 10.2"):
+        with pytest.raises(InvalidValue, match=r"must agree with the file to 0.1 %, got 100 mV/g where it states 10.2"):
             read_recording(tmp_path / name, channel=1, sensitivity="100 mV/g")
     # What is in m/s^2 already keeps it, whatever was the sensitivity of the sensor.
     tdms(tmp_path / "si.tdms", measured[:1], ["g"], {"Sensitivity": "10.2 mV/g"})
@@ -310,7 +310,7 @@ def test_a_manifest_in_volts_gives_the_rows_of_one_in_newtons(tmp_path: Path) ->
         path = tmp_path / f"{name}.csv"
         path.write_text(f"path,label,rate,{columns}\n{name}.npy,coal,200000,{cells}\n")
         rows.append(record(read_manifest(path), slicing=Slicing(by="impact")))
-    # What a manifest does not say, options may.
+    # What a manifest does not state, options may.
     path.write_text("path,label,rate\nq.npy,coal,200000\n")
     stated = {"unit": "V", "sensitivity": "4 pC/N", "gain": "0.5 mV/pC"}
     rows.append(record(read_manifest(path), slicing=Slicing(by="impact"), reading=Reading(**stated)))

@@ -258,7 +258,7 @@ class RecordingRows:
         self._pending_shares: list[Share | Switch] = []
         self._watch: CavingWatch | None = None
         self.threshold: float | None = None
-        if settings.asks_for_shares or separates(settings.shares.gangue, model):
+        if settings.needs_shares or separates(settings.shares.gangue, model):
             self._watch = CavingWatch(model, self.channels, settings, independence(model, settings))
             self.threshold = self._watch.threshold
 
@@ -343,7 +343,7 @@ class RecordingRows:
     def _print_shares(self, more: Iterable[Share | Switch]) -> None:
         """Print gangue fractions and switches; a recording of one impact has none unless an option requests them."""
         self._pending_shares += more
-        if not (self._always or self._settings.asks_for_shares or self.tally.total > 1):
+        if not (self._always or self._settings.needs_shares or self.tally.total > 1):
             return
         for one in self._pending_shares:
             if isinstance(one, self._turn):

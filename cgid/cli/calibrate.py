@@ -131,7 +131,7 @@ def _frames(recordings: tuple[str, ...], scene: Scene, reading: Reading) -> tupl
 
     from cgid.site.calibration import FEWEST, frames_of, usable_impacts
 
-    if any(reading.wants_whole_dataset(path) for path in recordings):
+    if any(reading.wants_complete_dataset(path) for path in recordings):
         if len(recordings) > 1:
             raise InvalidValue(f"{recordings[0]}: a dataset must be the only input, got {len(recordings)} recordings")
         return _of_dataset(recordings[0], scene)
@@ -143,15 +143,15 @@ def _frames(recordings: tuple[str, ...], scene: Scene, reading: Reading) -> tupl
             raise BadData(f"{path}: all recordings must have one sampling rate, got {recording.sampling_rate:g} Hz")
         rate = recording.sampling_rate
         events += _found(recording, scene, reading)
-    kept, lost = usable_impacts(events)
-    if len(kept) < FEWEST:
+    usable, lost = usable_impacts(events)
+    if len(usable) < FEWEST:
         reasons = ", ".join(f"{n} {name}" for name, n in lost.items() if n)
         raise BadData(
-            f"{recordings[0]}: usable impacts must be at least {FEWEST}, got {len(kept)} of {len(events)}"
+            f"{recordings[0]}: usable impacts must be at least {FEWEST}, got {len(usable)} of {len(events)}"
             + (f" ({reasons})" if reasons else "")
             + "; record longer, and below the sensor's range"
         )
-    frames, before = frames_of(kept)
+    frames, before = frames_of(usable)
     return np.asarray(frames, np.float64), rate, before
 
 
@@ -218,7 +218,7 @@ def _say(found: SiteCalibration, path: Path, as_json: bool) -> None:
         "frequency_change": float(np.median(np.abs(change[known]))) if known.any() else None,
         "frequency_deviation": float(np.median(deviation[known])) if known.any() else None,
         "dimensions": {
-            own.name: {"before": own.before, "after": own.after, "deviation": own.deviation} for own in found.dimensions
+            one.name: {"before": one.before, "after": one.after, "deviation": one.deviation} for one in found.dimensions
         },
         "evidence": {"before": found.before, "after": found.after, "expected": found.expected},
         "crossings": found.crossings,
@@ -231,10 +231,10 @@ def _say(found: SiteCalibration, path: Path, as_json: bool) -> None:
             f"{path}: {counted(found.n_impacts, 'impact')}, {content['n_learned']} of {content['n_modes']} modes "
             "learned"
         )
-        for own in found.dimensions:
-            unit, known_to = "" if own.name.endswith("ratio") else " m", f"{100 * own.deviation:.2g} %"
+        for one in found.dimensions:
+            unit, known_to = "" if one.name.endswith("ratio") else " m", f"{100 * one.deviation:.2g} %"
             say(
-                f"{own.name}: {own.before:.5g}{unit} before, {own.after:.5g}{unit} after, standard deviation {known_to}"
+                f"{one.name}: {one.before:.5g}{unit} before, {one.after:.5g}{unit} after, standard deviation {known_to}"
             )
         if known.any():
             say(

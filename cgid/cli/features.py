@@ -67,7 +67,7 @@ def features(
             return 0
         for path in errors.each(files):
             with errors:
-                if reading.wants_whole_dataset(path):
+                if reading.wants_complete_dataset(path):
                     rows.dataset(path, reading.invert)
                 else:
                     rows.signals(path, reading)

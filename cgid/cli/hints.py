@@ -102,7 +102,7 @@ class Hints(Diagnosis):
             "other_rate": "" if model.covers(self._rate) else f"; and sampled at {self._rate:g} Hz, not {rates} Hz",
             "range": ""
             if within
-            else f" (foremost {finding.name}: {value:.3g}, in the training {finding.low:.3g} to {finding.high:.3g})",
+            else f" (mainly {finding.name}: {value:.3g}, in the training {finding.low:.3g} to {finding.high:.3g})",
             "usual": f", {model.unexplained:.2g} % in the training" if model.unexplained else "",
         }
         cause = finding.cause
@@ -161,8 +161,8 @@ class Hints(Diagnosis):
         if channels.keys() - turned and self.model.together == 1:
             names = [name for name in channels if name in turned]
             options = _without(options, ("--channel",)) + [word for name in names for word in ("--channel", name)]
-        turn = [] if "--invert" in options else ["--invert"]
-        return (shlex.join(["cgid", "predict", self._source, *_without(options, ("--invert",)), *turn]),)
+        invert = [] if "--invert" in options else ["--invert"]
+        return (shlex.join(["cgid", "predict", self._source, *_without(options, ("--invert",)), *invert]),)
 
     def _as_acceleration(self) -> tuple[str, ...]:
         if "--unit" not in self._options or self._is_converted("--unit"):
@@ -259,13 +259,13 @@ def _unused(stem: str, *endings: str) -> str:
 
 def _without(options: Sequence[str], dropped: Sequence[str]) -> list[str]:
     """Return the options, pairs of flag and value or flags alone, without the flags in `dropped`."""
-    rest: list[str] = []
+    remaining: list[str] = []
     flag = ""
     for option in options:
         flag = option if option.startswith("--") else flag
         if flag not in dropped:
-            rest.append(option)
-    return rest
+            remaining.append(option)
+    return remaining
 
 
 def _times(factor: float) -> str:

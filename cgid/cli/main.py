@@ -24,7 +24,7 @@ from cgid.cli.generate import generate
 from cgid.cli.help import Group
 from cgid.cli.info import info
 from cgid.cli.monitor import monitor
-from cgid.cli.output import drop, exit_code_of_interruption, heard, open_missing, say, say_error, warn
+from cgid.cli.output import drop, exit_code_of_interruption, interruptions_noted, open_missing, say, say_error, warn
 from cgid.cli.plot import plot
 from cgid.cli.predict import predict
 from cgid.cli.tap import tap
@@ -82,7 +82,7 @@ def run(arguments: list[str] | None = None) -> int:
     warnings.showwarning = _one_line_warning
     open_missing()
     try:
-        with heard():
+        with interruptions_noted():
             code = cli.main(args=arguments, prog_name="cgid", standalone_mode=False)
         if sys.stdout is not None:  # the caller may have closed it
             sys.stdout.flush()

@@ -1,4 +1,4 @@
-"""Options that several commands share, what they ask for, and the inputs that they read."""
+"""Options shared by several commands, their settings, and the inputs of commands."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class PathName(click.types.StringParamType):
     def shell_complete(self, ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
         """Let the shell complete files, and the names of shipped ones."""
         names = [name for name in self._shipped if name.startswith(incomplete)]
-        # Behind the files: bash forgets what came before them.
+        # After the files, because bash drops earlier completions.
         return [CompletionItem(incomplete, type="file"), *map(CompletionItem, names)]
 
 
@@ -126,7 +126,7 @@ class Reading:
 
         return ManifestReading(channels=self.channel or None, strict=strict, failed=say_error, **self.common)
 
-    def wants_whole_dataset(self, path: str, mass: float | None = None) -> bool:
+    def wants_complete_dataset(self, path: str, mass: float | None = None) -> bool:
         """Return whether this is a dataset without a chosen signal, which takes no options for reading a recording."""
         from cgid.recordings import is_dataset
 

@@ -124,13 +124,13 @@ def finite(value: Any) -> Any:
 
 
 @contextmanager
-def heard() -> Iterator[None]:
+def interruptions_noted() -> Iterator[None]:
     """Note interruptions within this context; no effect outside of the main thread."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
     _noted.clear()
-    # Python ends at once by SIGTERM, and would leave its workers behind.
+    # Python ends at once by SIGTERM, and would not stop its workers.
     before = {number: signal.signal(number, _note) for number in (signal.SIGINT, signal.SIGTERM)}
     hook = sys.unraisablehook
     sys.unraisablehook = lambda found: None if found.exc_type is KeyboardInterrupt else hook(found)
@@ -147,7 +147,7 @@ def exit_code_of_interruption() -> int:
     return 128 + (_noted[0] if _noted else signal.SIGINT)
 
 
-def stop_if_asked() -> None:
+def stop_if_interrupted() -> None:
     """Raise KeyboardInterrupt if an interruption was noted and possibly lost."""
     if _noted:
         raise KeyboardInterrupt
@@ -162,20 +162,20 @@ def _note(number: int, _frame: FrameType | None) -> None:
 def progress_bar(total: int | None, what: str, task: str) -> Iterator[Callable[[int], object]]:
     """Yield a function that moves a progress bar, if stderr is a terminal; without a total it counts."""
     if sys.stderr is None or not sys.stderr.isatty():
-        yield lambda number: stop_if_asked()
+        yield lambda number: stop_if_interrupted()
         return
     from tqdm import tqdm
 
     amount = "{n_fmt}" if total is None else "{n_fmt} of {total_fmt}"
-    rest = ", {elapsed}" if total is None else " |{bar:20}| {elapsed}, {remaining} left"
-    form = f"{{desc}}: {amount} {what}{rest}"
+    progress = ", {elapsed}" if total is None else " |{bar:20}| {elapsed}, {remaining} left"
+    form = f"{{desc}}: {amount} {what}{progress}"
     many = total is None or total > _COUNTED_EXACTLY
     with tqdm(desc=task, total=total, bar_format=form, file=sys.stderr, unit_scale=many, leave=False) as bar:
         _bars.append(bar)
 
         def move(number: int) -> None:
             bar.update(number)
-            stop_if_asked()
+            stop_if_interrupted()
 
         try:
             yield move

@@ -174,7 +174,7 @@ def _opened(file: str, reading: Reading) -> RecordingFile:
 
     if reading.index is None or not is_dataset(file):
         return reading.recording(file)
-    reading.wants_whole_dataset(file)  # refuses what is for recordings
+    reading.wants_complete_dataset(file)  # refuses what is for recordings
     from cgid.recordings import RecordingFile
     from cgid.recordings.recording import Blocks
     from cgid.store import Dataset

@@ -331,7 +331,7 @@ def predict(
     with table:
         for path in errors.each(files):
             with errors:
-                if reading.wants_whole_dataset(path, settings.mass):
+                if reading.wants_complete_dataset(path, settings.mass):
                     prediction.dataset(path)
                 elif reading.index is not None:
                     (signal,) = reading.signals(path)
@@ -354,7 +354,7 @@ def predict(
 
 
 def _impactors(scene: str | None, masses: str | None, *, overwrite: bool) -> tuple[ImpactorColumns | None, Path | None]:
-    """Return what says what struck, where that is requested, and the picture of its masses."""
+    """Return the estimation of impactors, if requested, and the picture of their masses."""
     if scene is None:
         if masses is not None:
             raise click.UsageError("--masses needs the possible impactors; give --impactor SCENE, too")

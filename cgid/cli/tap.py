@@ -156,25 +156,25 @@ def _read(path: str, hammer: str | None, reading: Reading) -> tuple[Floats, Floa
         raise InvalidValue(f"{path}: taps must be a recording, this is a dataset of impacts; record taps on the beam")
     chain: dict[str, Any] = {"variable": reading.variable, "sampling_rate": reading.sampling_rate, **reading.chain}
     chain["format"] = reading.format
-    force, own = None, None
+    force, recorded_hammer = None, None
     if hammer is not None:
-        own = open_recording(path, channel=hammer, **chain)
-        unit = unit_of(own)
-        if quantity_of(unit) != "force" or len(own.channels) > 1:
+        recorded_hammer = open_recording(path, channel=hammer, **chain)
+        unit = unit_of(recorded_hammer)
+        if quantity_of(unit) != "force" or len(recorded_hammer.channels) > 1:
             raise BadData(
                 f"{path}: --hammer must be one channel of force, got {quantity_of(unit)} [{unit}]; correct it"
             )
-        force = _samples(own)[0] * UNITS["force"][unit]
+        force = _samples(recorded_hammer)[0] * UNITS["force"][unit]
     channels: Any = reading.channel or None
-    if own is not None and channels is None:
+    if recorded_hammer is not None and channels is None:
         every = open_recording(path, **chain)
-        channels = [one.name for one in every.channels if one.name != own.channels[0].name]
+        channels = [one.name for one in every.channels if one.name != recorded_hammer.channels[0].name]
         if not channels:
             raise BadData(
                 f"{path}: there must be a channel besides the hammer's, got none; record an accelerometer, too"
             )
     recording = open_recording(path, channel=channels, unit=reading.unit, **chain)
-    if own is not None and own.channels[0].name in [one.name for one in recording.channels]:
+    if recorded_hammer is not None and recorded_hammer.channels[0].name in [one.name for one in recording.channels]:
         raise InvalidValue(f"{path}: --hammer and --channel must be different channels, got {hammer} for both")
     quantity, factor = factor_of(unit_of(recording), path)
     response = _samples(recording) * (-factor if reading.invert else factor)
@@ -206,11 +206,11 @@ def _say(test: TapTest, path: Path, scene: str | None, known: Any, as_json: bool
             say(f"tap at {one['time']:.4g} s not used: {one['flaw']}")
     say(f"{'frequency [Hz]':>20}{'damping ratio [%]':>22}{f'participation [{unit}]':>32}")
     for mode in content["modes"]:
-        own = [mode[f"{name}_deviation"] for name in ("frequency", "damping_ratio", "participation")]
+        deviations = [mode[f"{name}_deviation"] for name in ("frequency", "damping_ratio", "participation")]
         say(
-            f"{mode['frequency']:>12.6g} +- {mode['frequency'] * own[0]:<8.2g}"
-            f"{100 * mode['damping_ratio']:>10.4g} +- {100 * mode['damping_ratio'] * own[1]:<8.2g}"
-            f"{mode['participation']:>16.4g} +- {abs(mode['participation']) * own[2]:.2g}"
+            f"{mode['frequency']:>12.6g} +- {mode['frequency'] * deviations[0]:<8.2g}"
+            f"{100 * mode['damping_ratio']:>10.4g} +- {100 * mode['damping_ratio'] * deviations[1]:<8.2g}"
+            f"{mode['participation']:>16.4g} +- {abs(mode['participation']) * deviations[2]:.2g}"
         )
     if known is None:
         say(

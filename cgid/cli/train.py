@@ -161,7 +161,7 @@ def train(
     the recordings.
 
     With --from, ten to fifty labelled impacts correct a model that is there: its bias, its slope and the gain of the
-    sensor, as far as they give evidence. It says how often the model is right on this site.
+    sensor, as far as they give evidence. It reports the accuracy on this beam.
 
     \b
     cgid events monday.wav tuesday.wav -o events.csv
@@ -206,7 +206,7 @@ def train(
     written = write_model(training, path, plots=plots, overwrite=overwrite)
     print_training(training, path, written, as_json)
     if failures:
-        warn(f"the model is without {counted(len(failures), 'recording')} that failed")
+        warn(f"{counted(len(failures), 'recording')} failed and are not in the model")
     return failures[0].exit_code if failures else 0
 
 

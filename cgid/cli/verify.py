@@ -29,7 +29,7 @@ _NO_SUM = "no checksum, "
 @reading_options_for("variable", "format")
 @json_option
 def verify(data: tuple[str, ...], repair: bool, scene: str | None, as_json: bool, reading: Reading) -> int:
-    """Say what is damaged in DATA: datasets (folders or files), recordings, tables, models; the exit code is 65 then.
+    """Find damage in DATA: datasets (folders or files), recordings, tables, models; the exit code is 65 then.
 
     The files of a folder are compared with its SHA256SUMS, single files with their own checksums. A recording of
     another program (TDMS, WAV, CSV, ...) has none: it is read to its end, as are all in a folder. With --repair damaged
@@ -169,27 +169,27 @@ def _verify_data(path: str, repair: bool, scene: Any, as_json: bool) -> None:
     from cgid.errors import BadData, CgidError
     from cgid.store.verification import verify as find
 
-    found = find(path)
-    lines = [_line(finding.file, finding.problem, finding.what) for finding in found.findings]
-    left, told = found.damage, ""
-    if repair and any(finding.problem != "foreign" for finding in found.findings):
+    report = find(path)
+    lines = [_line(finding.file, finding.problem, finding.what) for finding in report.findings]
+    left, note = report.damage, ""
+    if repair and any(finding.problem != "foreign" for finding in report.findings):
         from cgid.scene.repair import repair as make_again
 
         try:
             with progress_bar(None, "values", "reading") as progress:
-                make_again(found, scene, progress)
+                make_again(report, scene, progress)
         except CgidError as error:
-            told = str(error)
+            note = str(error)
         after = find(path)
         still, left = {finding.file for finding in after.findings}, after.damage
         # An error of the repair is reported once, with its file.
-        stuck = [finding.file for finding in found.findings if finding.file in still and finding.problem != "foreign"]
-        about = next((file for file in stuck if told.startswith(f"{file}: ")), next(iter(stuck), None))
-        for line, finding in zip(lines, found.findings, strict=True):
+        stuck = [finding.file for finding in report.findings if finding.file in still and finding.problem != "foreign"]
+        about = next((file for file in stuck if note.startswith(f"{file}: ")), next(iter(stuck), None))
+        for line, finding in zip(lines, report.findings, strict=True):
             if finding.problem != "foreign":
                 line["repaired"] = finding.file not in still
-                line["told"] = "made again" if line["repaired"] else told if finding.file == about else ""
-    _tell(path, found.kind, found.n_files, lines, not left, as_json)
+                line["told"] = "made again" if line["repaired"] else note if finding.file == about else ""
+    _tell(path, report.kind, report.n_files, lines, not left, as_json)
     if left:
         files = f"{len(left)} of its files are" if len(left) > 1 else f"{left[0].file.name} is"
         hint = "see above how to make them again" if repair else "cgid verify --repair regenerates what it can"
@@ -213,6 +213,6 @@ def _tell(
         state = ("repaired" if any(line.get("repaired") for line in lines) else "whole") if whole else "damaged"
     say(f"{path}: {kind} of {counted(n_files, 'file')}, {state}")
     for line in lines:
-        told = f"; {'repaired' if line['repaired'] else 'not repaired'}" if "repaired" in line else ""
-        told += f": {line['told']}" if line.get("told") not in (None, "", line["what"]) else ""
-        say(f"  {line['file']}: {line['problem']}: {line['what'].removeprefix(line['file'] + ': ')}{told}")
+        note = f"; {'repaired' if line['repaired'] else 'not repaired'}" if "repaired" in line else ""
+        note += f": {line['told']}" if line.get("told") not in (None, "", line["what"]) else ""
+        say(f"  {line['file']}: {line['problem']}: {line['what'].removeprefix(line['file'] + ': ')}{note}")

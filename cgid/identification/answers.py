@@ -60,11 +60,11 @@ class Answer:
     cut : bool
         Whether the recording begins or ends within the impact.
     cause : Cause or None
-        What puts it outside of the training range; None where it lies inside or could not be measured.
+        The cause if it is outside the training range; None if inside or not measured.
     unexplained : float
-        Share of its energy that the model's beam leaves unexplained [%]; nan without a beam or a measurement.
+        Fraction of its energy not explained by the model's beam [%]; nan without a beam or a measurement.
     level : float
-        Logarithm of its peak force over what the training expects of such a pulse; nan without one.
+        Logarithm of its peak force over the expectation of the training for such a pulse; nan without one.
     impactor : mapping or None
         The impactor, where the settings ask for it.
     """

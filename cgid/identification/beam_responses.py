@@ -267,12 +267,12 @@ class BeamResponses:
             n_low, n_bands = (n_low, _BANDS) if self.errors is None else (self.n_bins, 1)
         participation, kept, bands, mixtures, first = [], [], [], 0, 0
         for band in np.array_split(np.arange(2 * n_low), n_bands):
-            own = np.add.outer(np.arange(self.beam.n_sensors) * 2 * self.n_bins, band).ravel()
-            part, mixed = _mixed(self.beam, responses[:, :n_shapes, own], share)
+            columns = np.add.outer(np.arange(self.beam.n_sensors) * 2 * self.n_bins, band).ravel()
+            part, mixed = _mixed(self.beam, responses[:, :n_shapes, columns], share)
             participation.append(part)
-            kept.append(own)
-            bands.append((slice(mixtures, mixtures + len(mixed)), slice(first, first + own.size), mixed))
-            mixtures, first = mixtures + len(mixed), first + own.size
+            kept.append(columns)
+            bands.append((slice(mixtures, mixtures + len(mixed)), slice(first, first + columns.size), mixed))
+            mixtures, first = mixtures + len(mixed), first + columns.size
         beam = self.beam.with_shapes(np.concatenate(participation).astype(np.float32))
         return ResponseTable(beam, np.concatenate(kept), bands)
 

@@ -197,13 +197,13 @@ def _fields_of_recordings(recorded: Record, metrics: Record) -> dict[str, Any]:
         weights = ", ".join(f"{plain(label)} {weight:g}" for label, weight in weights.items())
     else:
         weights = plain(weights or "all rows have equal weights")
-    judged = [
+    measured = [
         (f"one {recorded['by']}", metrics),
         *((f"running vote over {row['time']:g} s", row) for row in metrics.get("running", []) if row["n"]),
         *([("vote of a complete recording", recordings)] if recordings["rows"] else []),
     ]
     shares = (
-        (name, f"{row['accuracy']:.4f}", _interval(row), row.get("n", metrics["n_impacts"])) for name, row in judged
+        (name, f"{row['accuracy']:.4f}", _interval(row), row.get("n", metrics["n_impacts"])) for name, row in measured
     )
     votes = (
         (

@@ -1,13 +1,13 @@
 """Predictions of a model for rocks of either label, to correct the gangue fraction for errors of the model.
 
-A rock strikes, bounces and strikes again; some impacts are missed, some answers are unknown. So the unit is the rock: a
-rock of label k gives on average `rates[k, b]` predictions with a probability in bin b. Of the answers at a share q of
-gangue rocks, bin b holds
+A rock strikes, bounces and strikes again; some impacts are missed, some predictions are unknown. So the unit is the
+rock: a rock of label k gives on average `rates[k, b]` predictions with a probability in bin b. Of the predictions at a
+fraction q of gangue rocks, bin b contains
 
     phi_b(q) = ((1 - q) rates[0, b] + q rates[1, b]) / sum over all bins
 
 This is the likelihood of an answer. Its maximum over q is the adjusted count of Forman 2008 with every bin as a
-threshold. Bounces, which look like coal, are included. Answers of one rock are not independent: the
+threshold. Bounces, which look like coal, are included. Predictions for one rock are not independent: the
 logarithm of the likelihood is divided by `overdispersion` (McCullagh & Nelder 1989, 4.5). This is the variance about
 the fraction of the rocks that came, which are themselves a sample.
 """

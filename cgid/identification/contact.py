@@ -284,8 +284,8 @@ def _cost_of_prior(at: Floats) -> Floats:
     return np.asarray(0.5 * np.sum((at - _MIDDLE) ** 2 * _PRIOR, axis=-1))
 
 
-def _cubic(place: NDArray[np.floating]) -> NDArray[np.floating]:
+def _cubic(position: NDArray[np.floating]) -> NDArray[np.floating]:
     """Return the weights of nodes 0 to 3 at positions, and their slopes, (..., 2, 4)."""
-    square = place * place
-    powers = np.stack([np.ones_like(place), place, square, square * place], axis=-1)
-    return (powers @ _POWERS.astype(place.dtype)).reshape(*place.shape, 2, 4)
+    square = position * position
+    powers = np.stack([np.ones_like(position), position, square, square * position], axis=-1)
+    return (powers @ _POWERS.astype(position.dtype)).reshape(*position.shape, 2, 4)

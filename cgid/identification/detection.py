@@ -1,6 +1,6 @@
 """Streaming impact detection: each impact with its onset, its end and a frame.
 
-The result is the same for a whole recording, for blocks and for a live stream. Pulses rise above a baseline
+The result is the same for a complete recording, for blocks and for a live stream. Pulses rise above a baseline
 (`pulse_onsets`); vibrations are a sudden rise of energy above ring-down and noise (`vibration_onsets`).
 """
 
@@ -326,10 +326,10 @@ class ImpactDetector:
         start = max(earliest, self._first)
         rows = slice(None) if self.joint else slice(onset.channel, onset.channel + 1)
         missing = np.isnan(self._samples[rows, start - self._first : reach - self._first]).any(axis=0)
-        place = onset.sample - start
-        if missing[place]:
+        position = onset.sample - start
+        if missing[position]:
             return None
-        before, after = np.flatnonzero(missing[:place]), np.flatnonzero(missing[place:])
+        before, after = np.flatnonzero(missing[:position]), np.flatnonzero(missing[position:])
         begin = start + int(before[-1]) + 1 if before.size else 0
         return begin, onset.sample + int(after[0]) if after.size else None
 

@@ -1,7 +1,7 @@
 """Why most impacts of a recording are unknown, whether its beam has changed, and whether its scale is wrong.
 
-A `Diagnosis` counts the answers of a recording by channel and cause; its `Finding` is the cause of most unknown
-answers. `cgid.cli.hints` knows what to do about it. A model with a beam also detects changes of the beam that are too
+A `Diagnosis` counts the predictions of a recording by channel and cause; its `Finding` is the cause of most unknown
+predictions. `cgid.cli.hints` suggests what to do. A model with a beam also detects changes of the beam that are too
 small for single impacts: with the right modes, half of the impacts have almost no unexplained energy.
 """
 
@@ -172,7 +172,7 @@ def _inside(frames: NDArray[np.floating], rate: float, model: Model, pre_trigger
 
 
 def _clearness(frames: NDArray[np.floating], sampling_rate: float, pre_trigger: int) -> Floats:
-    """Return the amplitude at the start of each vibration over that before it, at the sensor where it is clearest."""
+    """Return the amplitude at the start of each vibration over that before it, at the sensor with the highest ratio."""
     before = frames[..., :pre_trigger].astype(np.float64)
     middle = before.mean(axis=-1, keepdims=True)
     start = frames[..., pre_trigger : pre_trigger + max(round(_START_TIME * sampling_rate), 2)] - middle
@@ -295,7 +295,7 @@ class Diagnosis:
         self._next_test = _MIN_LEVELS
 
     def add(self, answers: Iterable[Answer], upside_down: Iterable[str] = ()) -> None:
-        """Count more answers, and channels that are upside down."""
+        """Count more predictions, and channels that are upside down."""
         self.upside_down.update(upside_down)
         for answer in answers:
             channel = self.channels.setdefault(answer.channel, ChannelAnswers())

@@ -39,7 +39,7 @@ DETECTION_LIMIT = 2.0
 _ENOUGH = 8
 #: If the recording contains less than this fraction of the quiet part before an impact, the quietest stretch of the
 #: frame replaces it. It is searched at this many positions per length.
-_FEW, _PLACES = 0.25, 4
+_FEW, _PARTS = 0.25, 4
 #: A vibration is cut off by the start of the recording if its first samples exceed this fraction of its peak and this
 #: many standard deviations of the noise. The first samples are those in this time [s], because a vibration crosses
 #: zero.
@@ -290,7 +290,7 @@ def quietest(samples: Floats, longest: int) -> slice:
     length = min(longest, samples.size // 4)
     if length < _ENOUGH:
         return slice(0, 0)
-    starts = np.arange(0, samples.size - length + 1, max(length // _PLACES, 1))
+    starts = np.arange(0, samples.size - length + 1, max(length // _PARTS, 1))
     powers = [float(np.var(samples[start : start + length], dtype=np.float64)) for start in starts.tolist()]
     start = int(starts[int(np.argmin(powers))])
     return slice(start, start + length)

@@ -172,7 +172,7 @@ class Inversion(BeamResponses):
         root = None if (weight == 1).all() else np.sqrt(weight[:, selected])
         without = None if without is None else without[:, :, selected]
         samples = _beside(samples[:, selected] if root is None else samples[:, selected] * root, without)
-        # The lower half of the band is enough for the first step, except in directions of the whole band.
+        # The lower half of the band is enough for the first step, except in directions of the complete band.
         low = self._lower if without is None else self._leading
         few = slice(low.kept.size)
         x, y, _ = self._stepped(low, samples[:, few], None if root is None else root[:, few], x, y, level, without)

@@ -75,7 +75,7 @@ class Annotation:
     end: float = math.inf
     channels: tuple[int | str, ...] | None = None  # numbers from 1, or names, of the channels of a row; None for all
     gain: float | None = None  # divisor of the samples of the interval, None if not stated
-    # gain that differs between the channels, or is that of a charge amplifier; for the whole recording
+    # gain that differs between the channels, or is that of a charge amplifier; for the complete recording
     recording_gain: tuple[str, ...] | None = None
     sensor: str = ""  # sensor whose reference run equalises the response; empty for none
     reference: bool = False  # whether this is the reference run of the sensor

@@ -58,10 +58,10 @@ def evaluate(
 
 def reliability(confidence: Floats, hits: NDArray[np.bool_]) -> list[list[float]]:
     """Return mean confidence, accuracy and count of each non-empty bin of confidence."""
-    place = _place(confidence)
+    bin_of = _bin(confidence)
     rows = []
     for k in range(_BINS):
-        inside = place == k
+        inside = bin_of == k
         if inside.any():
             rows.append([float(confidence[inside].mean()), float(hits[inside].mean()), int(inside.sum())])
     return rows
@@ -70,7 +70,7 @@ def reliability(confidence: Floats, hits: NDArray[np.bool_]) -> list[list[float]
 def calibration_error_by_chance(confidence: Floats) -> float:
     """Return the expected calibration error of perfectly calibrated predictions."""
     # The number of correct predictions in a bin is normal with variance sum p (1 - p), and E|x| is sqrt(2 / pi) std.
-    variances = np.bincount(_place(confidence), confidence * (1 - confidence), _BINS)
+    variances = np.bincount(_bin(confidence), confidence * (1 - confidence), _BINS)
     return float(np.sqrt(2 / np.pi * variances).sum() / len(confidence))
 
 
@@ -106,7 +106,7 @@ def evaluate_sets(
     return rows
 
 
-def _place(confidence: Floats) -> NDArray[np.int_]:
+def _bin(confidence: Floats) -> NDArray[np.int_]:
     return np.asarray(np.minimum((confidence * _BINS).astype(int), _BINS - 1))
 
 
@@ -135,7 +135,7 @@ MIN_VOTING = 3
 
 
 def evaluate_recordings(rows: Rows, probabilities: Floats) -> dict[str, Any]:
-    """Return the metrics of rows, whole recordings and running votes; their intervals count groups."""
+    """Return the metrics of rows, complete recordings and running votes; their intervals count groups."""
     classes = np.unique(rows.labels)
     metrics = evaluate(rows.labels, probabilities, tuple(classes.tolist()))
     is_correct = classes[np.argmax(probabilities, axis=1)] == rows.labels

@@ -71,7 +71,7 @@ def arrays_of(content: bytes) -> Iterator[tuple[str, NDArray[Any]]]:
         raise
     except _DAMAGE as error:
         reason = " ".join(f"{type(error).__name__}: {error}".split())[:100]
-        raise BadData(f"its archive must be whole, it is damaged ({reason})") from None
+        raise BadData(f"its archive must be complete, it is damaged ({reason})") from None
 
 
 def _array(stored: bytes, name: str) -> NDArray[Any]:

@@ -89,8 +89,8 @@ def predict(
     model : Model, str or Path, optional
         A model, or an argument of `load_model`; by default the shipped one for this quantity.
     sensitivity, gain, full_scale : str, float, mapping or list, optional
-        What turns volts, coulombs or integers into what the sensor measured, such as ``sensitivity="10.2 mV/g"``; as
-        in `cgid.open_recording`. A `full_scale` may also say the unit.
+        Conversion of volts, coulombs or integers to the measured quantity, such as ``sensitivity="10.2 mV/g"``; as
+        in `cgid.open_recording`. A `full_scale` may include the unit.
     **settings
         Fields of `cgid.identification.prediction_settings.PredictionSettings`, such as ``mass=2.5`` [kg] of an
         accelerated impactor, ``drop_height=1.5`` [m], ``invert=True``, ``costs={"gangue": 3.0}`` or ``coverage=0.9``.

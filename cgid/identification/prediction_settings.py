@@ -105,13 +105,13 @@ class PredictionSettings:
     dilution_cost : float, optional
         Cost of one drawn gangue rock, in lost coal rocks; None: 1.
     evidence : float, optional
-        Probability of being right before SHUT or OPEN is said, from .5 to below 1; None: .95.
+        Probability required for SHUT or OPEN, from .5 to below 1; None: .95.
     hold : float, optional [s]
         Least time between SHUT and OPEN; None: a window.
     give_up : float, optional [s]
         A channel that is unreadable for this long is given up; None: `cgid.recordings.gaps.GIVE_UP`.
     impactors : ExtraColumns, optional
-        Says the impactor, such as `cgid.impactor.ImpactorColumns`.
+        Estimates the impactor, such as `cgid.impactor.ImpactorColumns`.
     """
 
     costs: Mapping[str, float] = field(default_factory=dict)
@@ -220,7 +220,7 @@ class PredictionSettings:
         )
 
     @property
-    def asks_for_shares(self) -> bool:
+    def needs_shares(self) -> bool:
         """Whether an option requests gangue fractions, so that even a single impact has them."""
         decides = (self.share_time, self.dilution_cost, self.evidence, self.hold)
         return bool(self.gangue) or any(one is not None for one in decides)

@@ -125,10 +125,10 @@ def _log_density(counts: NDArray[Any], cell: float) -> Floats:
     return np.asarray(np.log(np.maximum(density, _FLOOR * density.max())))
 
 
-def _at(values: Floats, *places: Floats) -> Floats:
+def _at(values: Floats, *positions: Floats) -> Floats:
     """Return values of cells at positions [cells], linear between their middles; the floor beyond the cells."""
     from scipy.ndimage import map_coordinates
 
-    beyond = np.any([(place < 0) | (place > _CELLS) for place in places], axis=0)
-    interpolated: Floats = map_coordinates(values, [place - 0.5 for place in places], order=1, mode="nearest")
+    beyond = np.any([(position < 0) | (position > _CELLS) for position in positions], axis=0)
+    interpolated: Floats = map_coordinates(values, [position - 0.5 for position in positions], order=1, mode="nearest")
     return np.where(beyond, values.max() + np.log(_FLOOR), interpolated)

@@ -312,8 +312,8 @@ def _median_and_noise(windows: Floats, step: int) -> tuple[Floats, Floats]:
     if np.isnan(sampled).any():
         median[np.isnan(sampled).mean(axis=-1) > 0.5] = np.nan
     noise = 1.4826 * _median(np.abs(sampled - median[..., None]))
-    for place in np.argwhere(noise == 0):
-        where = tuple(place)
+    for index in np.argwhere(noise == 0):
+        where = tuple(index)
         below = median[where] - windows[where]
         below = below[below > 0]
         noise[where] = below.min() if below.size else 0.0
@@ -327,9 +327,9 @@ def _median(values: Floats) -> Floats:
     medians = np.asarray(0.5 * (ordered[..., below] + ordered[..., above]))
     lacking = np.isnan(values)
     if lacking.any():
-        for place in map(tuple, np.argwhere(lacking.any(axis=-1))):
-            present = values[place][~lacking[place]]
-            medians[place] = _median(present) if present.size else np.nan
+        for index in map(tuple, np.argwhere(lacking.any(axis=-1))):
+            present = values[index][~lacking[index]]
+            medians[index] = _median(present) if present.size else np.nan
     return medians
 
 

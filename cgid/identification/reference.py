@@ -125,10 +125,10 @@ def drift(session: MeanSpectrum, reference: ArrayLike) -> Drift:
     difference = 10.0 * (session.levels - validation.real("reference", reference))[of_session]
     # The band with the most significant difference, not one raised by a single impact.
     certain = np.maximum(np.abs(difference) - _STANDARD_ERRORS * session.deviations[of_session], 0.0)
-    place = int(np.argmax(certain)) if certain.any() else int(np.argmax(np.abs(difference)))
+    strongest = int(np.argmax(certain)) if certain.any() else int(np.argmax(np.abs(difference)))
     return Drift(
         level=float(difference.mean()),
-        largest=float(difference[place]),
-        frequency=float(MEL_BANDS.centres[place]),
-        certain=float(certain[place]),
+        largest=float(difference[strongest]),
+        frequency=float(MEL_BANDS.centres[strongest]),
+        certain=float(certain[strongest]),
     )

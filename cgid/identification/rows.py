@@ -39,7 +39,7 @@ DEFAULT_GUARDS = ("unexplained",)
 FEW_FEATURES = ("fitted_peak", "fitted_width", "shrunken_restitution", "shrunken_restitution_deviation")
 #: These, and features that distinguish laws of loss: the uncertainty of the peak, and the shape of the residual.
 DEFAULT_FEATURES = (*FEW_FEATURES, "fitted_peak_deviation", *(f"pulse_shape_{n}" for n in (1, 2, 3, 4)))
-#: Features of a model of vibrations, if sampling rate and frame allow: levels by frequency, over the whole frame and
+#: Features of a model of vibrations, if sampling rate and frame allow: levels by frequency, over the complete frame and
 #: while the force acts. They depend on the gain, because the strength of the impact is the most informative.
 DEFAULT_VIBRATION_FEATURES = (
     *(f"level_{middle}_hz" for middle in THIRD_OCTAVES),
@@ -163,8 +163,8 @@ class Rows:
         They have times if all parts have.
         """
         sources = tuple(dict.fromkeys(source for part in parts for source in part.sources))
-        place = {source: number for number, source in enumerate(sources)}
-        source_numbers = [np.array([place[source] for source in part.sources], np.intp)[part.source] for part in parts]
+        order = {source: number for number, source in enumerate(sources)}
+        source_numbers = [np.array([order[source] for source in part.sources], np.intp)[part.source] for part in parts]
         rates = [rate for part in parts for rate in part.sampling_rates]
         timed = all(len(part.time) == len(part.labels) for part in parts)
         return replace(
@@ -427,10 +427,10 @@ def in_unit(batches: Iterable[Batch], unit: str, features: Iterable[str]) -> Ite
 def mixed(recorded: Rows, synthetic: Rows, seed: int) -> Rows:
     """Join recorded and synthetic rows, these in group -1; raises `BadData` if a synthetic label was not recorded."""
     labels = np.unique(recorded.labels)
-    strange = np.setdiff1d(synthetic.labels, labels)
-    if strange.size:
+    unknown = np.setdiff1d(synthetic.labels, labels)
+    if unknown.size:
         raise BadData(
-            f"label {strange[0]} of the scene must be one of the recordings' ({', '.join(labels)}), it is not; name "
+            f"label {unknown[0]} of the scene must be one of the recordings' ({', '.join(labels)}), it is not; name "
             "them alike in the manifest, or record it"
         )
     selected = thinned(synthetic.labels, recorded.labels, seed)

@@ -14,11 +14,11 @@ of q. It is then spread by the scatter of the estimate from stream to stream. Th
 because a mean is pulled to the middle where little is known.
 
 Going on takes the next rock, whatever it is. A gangue costs `dilution_cost`, because it must be carried, washed and
-dumped. ShutDecision leaves it; a coal left behind costs 1, the unit. Per rock, going on costs
+dumped. Per rock, continuing costs
 
     dilution_cost * q - (1 - q)
 
-more than shutting. Its sign changes at q = 1 / (1 + dilution_cost), the threshold. SHUT is said where the share is
+more than shutting. Its sign changes at q = 1 / (1 + dilution_cost), the threshold. SHUT is issued when the fraction is
 above the threshold with a probability of at least `evidence`, OPEN where it is below with this probability; in between
 nothing changes, and after a turn nothing does for a least time (`hold`).
 """
@@ -294,7 +294,7 @@ class CavingWatch:
     channels : sequence of str
         Names of the channels.
     settings : PredictionSettings
-        Holds the share window, its step, the labels and the cost of gangue.
+        Contains the window of the fraction, its step, the labels and the cost of gangue.
     weight : float, in (0, 1]
         Weight of one prediction, since overlapping windows are not independent: 1 end to end, 0.5 for half overlap.
     """
@@ -327,8 +327,8 @@ class CavingWatch:
     def feed(self, answers: Iterable[Answer], until: float) -> list[Share | Switch]:
         """Add the next predictions, in order of time, and return the fractions of completed windows and their switches.
 
-        All answers before `until` [s] have arrived. Only the first of several empty windows is returned, so a pause of
-        any length costs nothing.
+        All predictions before `until` [s] have arrived. Only the first of several empty windows is returned, so a pause
+        of any length costs nothing.
         """
         self._waiting.extend(answers)
         reports: list[Share | Switch] = []

@@ -52,10 +52,10 @@ _NEVER_QUIET = (
 
 @dataclass(frozen=True)
 class Step:
-    """The next answers."""
+    """The next predictions."""
 
     answers: list[Answer]  # in order of time
-    until: float  # all answers before this time have arrived [s]
+    until: float  # all predictions before this time have arrived [s]
     silent: tuple[str, ...] = ()  # at the end, one reason for each channel without predictions
     warnings: tuple[str, ...] = ()  # at the end, or once for a channel that is never quiet
     upside_down: tuple[str, ...] = ()  # at the end, the channels whose pulses seem to point downwards

@@ -46,8 +46,8 @@ _FLOOR = 1e-3
 
 def clipped_samples(frames: Floats, shared: int = _SHARED) -> NDArray[np.bool_] | None:
     """Return which samples (n, n_samples) are at the limit of their recorder; None if there are none."""
-    # A limit is a value that `shared` samples have in common at the top or the bottom, at least half as far out as the
-    # other side; the other side is then limited as far out, even where one sample reaches it.
+    # A limit is a value that `shared` samples have in common at the top or the bottom, at least half as large as the
+    # other side; the other side then has the same limit, even if only one sample reaches it.
     high, low = frames.max(axis=1), frames.min(axis=1)
     out = np.zeros(frames.shape, bool)
     beyond = np.zeros(len(frames), bool)
@@ -119,7 +119,7 @@ class ThroughBeam:
         return np.asarray(values.reshape(-1, self.n_sensors).max(axis=1))
 
     def look(self, vibrations: VibrationBatch) -> tuple[ForceEstimate, Contact]:
-        """Return the forces behind vibrations at any sampling rate, and the pulses fitted to them."""
+        """Return the forces estimated from vibrations at any sampling rate, and the pulses fitted to them."""
         n = len(vibrations.samples) // self.n_sensors
         return self.at_other_filter(vibrations, np.ones((n, 2), bool), np.ones(n, bool))[:2]
 
@@ -138,7 +138,7 @@ class ThroughBeam:
         ]
         estimates, contacts = zip(*parts, strict=True)
         estimate, contact = ForceEstimate.joined(list(estimates)), Contact.joined(list(contacts))
-        # A wrong filter distorts the force rather than leaving a residual: the pulse fits it worse.
+        # A wrong filter distorts the force rather than adding a residual: the pulse fits worse.
         misfit = np.full(filters.shape, np.inf)
         misfit.T[filters.T] = contact.misfit
         place = np.cumsum(filters.T).reshape(filters.T.shape).T - 1
@@ -180,7 +180,7 @@ class ThroughBeam:
     def _prepared(
         self, vibrations: VibrationBatch, filters: float, rows: NDArray[np.intp]
     ) -> tuple[Observations, NDArray[np.intp]]:
-        """Return what the inversion needs of some impacts, and where the onset may lie."""
+        """Return the input of the inversion for some impacts, and the range of the onset."""
         if rows.size < len(vibrations.samples) // self.n_sensors:
             vibrations = vibrations.rows(np.add.outer(rows * self.n_sensors, np.arange(self.n_sensors)).ravel())
         frames = vibrations.samples - vibrations.offset[:, None]
@@ -240,13 +240,13 @@ class ThroughBeam:
                 self._ring_down[n_quiet, sensor] = RingDown(self.inversion, n_quiet, sensor)
             ring_down, own = self._ring_down[n_quiet, sensor], rows[(lengths == n_quiet) & (sensors == sensor)]
             before = np.stack([frames[row, quiet[row] - n_quiet : quiet[row]] for row in own])
-            found, level, own_error, rings = ring_down.after(before, colour.innovation[own])
-            error = np.zeros((len(frames), own_error.shape[1])) if error is None else error
+            found, level, ring_error, rings = ring_down.after(before, colour.innovation[own])
+            error = np.zeros((len(frames), ring_error.shape[1])) if error is None else error
             for number in np.flatnonzero(rings).tolist():
                 part = frames[own[number], quiet[own[number]] : quiet[own[number]] + ring_down.n_samples]
                 part -= found[number, : part.size]
             colour.coefficients[own[rings]] = 0.0
-            noise[own[rings]], error[own[rings]] = level[rings], own_error[rings]
+            noise[own[rings]], error[own[rings]] = level[rings], ring_error[rings]
         return frames, noise, error
 
     def _noise(self, frames: Floats, quiet: Floats, vibrations: VibrationBatch, limit: float | None) -> Floats:

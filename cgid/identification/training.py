@@ -158,17 +158,17 @@ def train(
     seed : int
         Seed of splits, folds and network.
     judged_on : str, optional
-        `source` of the batches that judge and calibrate; the others only train. Default: every source does all.
+        `source` of the batches for test and calibration; the others only train. Default: every source does all.
     class_weights : dict or "balanced", optional
         Weights of the labels, as in `cgid.identification.classifier.ImpactClassifier`.
     level_free : bool
         Choose only among feature sets in which the gain of the sensor cancels. For recordings.
     synthetic : Rows, optional
-        Impacts of scenes or datasets, with the features and unit of the recorded ones. They train but never judge;
+        Impacts of scenes or datasets, with the features and unit of the recorded ones. They are used only for training;
         their levels are shifted to those of the recordings.
     out_of_distribution : Rows, optional
         Impacts of anything else, with the features and guards of the model; their labels do not matter. The model
-        learns to tell them from its own, which sharpens its novelty. Not for recordings.
+        learns to distinguish them, which sharpens its novelty. Not for recordings.
     beam : Beam, optional
         The beam whose vibrations the signals are, as from `cgid.scene.through_beam.beam_of`; its modes lead to the
         contact force.
@@ -177,7 +177,7 @@ def train(
         Shuffle the labels of specimens or recordings first, as a check: the accuracy must then be that of guessing.
         With few recordings it is lower, because recordings of one material resemble each other.
     progress : callable, optional
-        Called with the number of signals measured; for recordings with 1 per group judged.
+        Called with the number of signals measured; for recordings with 1 per tested group.
     workers : Workers
         Measures signals and fits folds: see `cgid.workers.workers`.
 

@@ -139,13 +139,13 @@ class VibrationOnsets:
             if not self._n_hops:
                 stop = max(stop, START_CHUNKS * _CHUNK_WINDOWS)
             latest = windows[:, max(min(stop, windows.shape[1]) - _N_WINDOWS, 0) : stop]
-            place = int(_QUIET_SHARE * latest.shape[1])
-            noise[:, number] = np.partition(latest, place, axis=1)[:, place]
+            index = int(_QUIET_SHARE * latest.shape[1])
+            noise[:, number] = np.partition(latest, index, axis=1)[:, index]
             lacking = np.isnan(latest).any(axis=(1, 2))
             for channel in np.flatnonzero(lacking).tolist():
                 quiet = latest[channel][~np.isnan(latest[channel]).any(axis=1)]
-                place = int(_QUIET_SHARE * len(quiet))
-                noise[channel, number] = np.partition(quiet, place, axis=0)[place] if len(quiet) else np.nan
+                index = int(_QUIET_SHARE * len(quiet))
+                noise[channel, number] = np.partition(quiet, index, axis=0)[index] if len(quiet) else np.nan
         return np.float32(_QUIET_FACTOR) * noise, np.float32(_ROUNDING) * max_energy
 
     def _rises_of(self, energies: Singles, noise: Singles, rounding: Singles) -> Singles:
@@ -196,34 +196,34 @@ class VibrationOnsets:
         self.steepest = np.maximum(self.steepest, decided.max(axis=1, initial=0.0))
         there = min(rises.shape[1], n_decided + (2 if n_known is None else 0))
         for row in range(len(rows)):
-            for place in np.flatnonzero(rows[row, :n_decided] > RISE).tolist():
-                if not self._is_new(row, first + place):
+            for index in np.flatnonzero(rows[row, :n_decided] > RISE).tolist():
+                if not self._is_new(row, first + index):
                     continue
-                top = place + int(np.argmax(rows[row, place : min(place + 3, there)]))
+                top = index + int(np.argmax(rows[row, index : min(index + 3, there)]))
                 channel = int(np.argmax(rises[:, top])) if self._joint else row
-                # The chunk that decided the place.
-                chunk = (first + place + 2 - (self._n_hops - n_hops)) // (self.chunk // self.hop)
+                # The chunk that determined the location.
+                chunk = (first + index + 2 - (self._n_hops - n_hops)) // (self.chunk // self.hop)
                 level = noise[channel, min(chunk, noise.shape[1] - 1)]
                 onsets.append(self._impact(row, channel, first + top, level, read))
         return onsets
 
-    def _is_new(self, row: int, place: int) -> bool:
+    def _is_new(self, row: int, index: int) -> bool:
         latest = self._latest[row]
-        if latest is None or place > latest[0] + self._dead:
+        if latest is None or index > latest[0] + self._dead:
             return True
-        if place >= latest[0] + _REACH:
-            latest[1].again = latest[1].again or place * self.hop
+        if index >= latest[0] + _REACH:
+            latest[1].again = latest[1].again or index * self.hop
         return False
 
-    def _impact(self, row: int, channel: int, place: int, noise: Floats, read: Read) -> Onset:
-        start = max((place - 5) * self.hop, 0)
-        samples = read(start, place * self.hop)[channel]
+    def _impact(self, row: int, channel: int, index: int, noise: Floats, read: Read) -> Onset:
+        start = max((index - 5) * self.hop, 0)
+        samples = read(start, index * self.hop)[channel]
         sample = start + onset_in(samples, max(round(self._sampling_rate / _ONSET_RATE), 1))
         latest = self._latest[row]
         if latest is not None:
             sample = max(sample, latest[1].sample + 1)
         impact = Onset(row, channel, sample, noise=noise)
-        self._latest[row] = (place, impact)
+        self._latest[row] = (index, impact)
         return impact
 
     def end_of(self, onset: Onset, samples: Floats) -> int:
@@ -241,8 +241,8 @@ class VibrationOnsets:
         smooth = np.convolve(level, np.full(4, 0.25 / self.n_bands))[: level.size]
         top = int(np.argmax(smooth))
         over = smooth[top:] < max(END_SHARE * smooth[top], END_OVER_NOISE)
-        place = int(np.argmax(over))
-        return max(top + place, 1) * self.hop if over[place] else -1
+        index = int(np.argmax(over))
+        return max(top + index, 1) * self.hop if over[index] else -1
 
 
 def _single(samples: Floats) -> Singles:
@@ -266,9 +266,9 @@ def _atoms(hop: int) -> Floats:
     """Return the matrix (hop, 4 n_bands) from a hop to the cosines and sines of all bands in its two windows."""
     # Constants and slow curves, up to the second degree, have no energy.
     length = 2 * hop
-    place = np.arange(length)
+    time = np.arange(length)
     bands = np.array([band for band in BANDS if band <= HIGHEST * length])
-    turns = 2 * np.pi * np.outer(place, bands / length)
+    turns = 2 * np.pi * np.outer(time, bands / length)
     bell = np.hanning(length + 2)[1:-1, None]
     waves = np.concatenate([bell * np.cos(turns), bell * np.sin(turns)], axis=1) / np.sqrt(np.sum(bell**2))
     curves = np.linalg.qr(np.vander(np.linspace(-1, 1, length), 3))[0]

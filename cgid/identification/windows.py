@@ -23,7 +23,7 @@ from cgid.validation import Floats
 WINDOW_TIME = 0.1
 #: Default time over which probabilities are averaged [s].
 VOTE_TIME = 0.5
-#: Longest window [s], because it is held in memory.
+#: Longest window [s], because it is in memory.
 MAX_WINDOW = 10.0
 #: Shortest hop, as a share of the window; the longest is `MAX_WINDOW`.
 FINEST_HOP = 0.01
@@ -126,7 +126,7 @@ def columns_of(names: Sequence[str], selected: Sequence[str], n_columns: int) ->
     return [start + column for start in range(0, n_columns, len(names)) for column in columns]
 
 
-#: Copies of each window that teach with some noise, and of those that show what drowning is; the power of the window
+#: Numbers of copies of each window with some noise, and with strong noise; the power of the window
 #: over that of their noise [dB]; the largest change of their gain [dB]; the steepest noise, power over 1/frequency^n.
 CLEAR_COPIES, NOISY_COPIES = 2, 1
 _CLEAR_SNR, _NOISE_SNR, _GAIN, _STEEPEST = (CLEAR, 45.0), (-10.0, CLEAR), 3.0, 1.0
@@ -171,7 +171,7 @@ class RunningVote:
 
     @classmethod
     def over(cls, vote_time: float, window_time: float, hop_time: float, correlation: float = 1.0) -> RunningVote:
-        """Return the vote over the windows that lie entirely within a time, at least one; all times in seconds."""
+        """Return the vote over the windows entirely within a time, at least one; all times in seconds."""
         validation.positive("vote_time, window_time and hop_time", [vote_time, window_time, hop_time], "s")
         if vote_time > _MAX_VOTING * hop_time:
             raise InvalidValue(

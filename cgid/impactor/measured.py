@@ -28,7 +28,7 @@ OTHER_LAWS, OTHER_DEVIATIONS, OTHER_CORRELATION = (-0.51, 0.49, 0.99), (0.44, 0.
 _FINEST, _COARSEST = 1e-4, 3.0
 #: Standard deviations of ln peak, ln width and shape by which pulses fitted through a beam differ from the closest ones
 #: of the family when waves of the beam return during contact (`benchmarks/impactor.py`).
-_BEHIND_BEAM = (0.005, 0.01, 0.08)
+_THROUGH_BEAM = (0.005, 0.01, 0.08)
 #: Error of ln peak due to the unexplained energy, over the root of its fraction; its maximum; errors of ln peak, ln
 #: width and shape over it; and the fraction from which on it is reported. With these the intervals of scene `caving`
 #: have their coverage.
@@ -171,7 +171,7 @@ class MeasuredPulses:
             log_peak, log_width = np.log(contact.peak), np.log(contact.width)
             strange = inverted.unexplained * np.clip(1 - 1 / inverted.misfit, 0.0, 1.0)
         error = np.minimum(_UNEXPLAINED * np.sqrt(np.nan_to_num(strange)), _MAX_ERROR)
-        covariance = contact.covariance + np.diag(np.square(_BEHIND_BEAM))
+        covariance = contact.covariance + np.diag(np.square(_THROUGH_BEAM))
         covariance += np.square(error)[:, None, None] * np.diag(np.square(_ERROR_RATIOS))
         problem = np.full(n, "", object)
         for row in np.flatnonzero(error > _MIN_INFORMATION):

@@ -35,7 +35,7 @@ _SEED = 0x5EED_0003_C9D1
 _CACHE_SIZE = 4
 #: Locations on a beam at which draws are measured, fractions that fill its sides evenly (Roberts 2018), and their
 #: energy over that of the noise.
-_PLACES, _EVENLY, _ENERGY = 64, (0.7548776662, 0.5698402910), 1e8
+_LOCATIONS, _EVENLY, _ENERGY = 64, (0.7548776662, 0.5698402910), 1e8
 
 
 @lru_cache(maxsize=_CACHE_SIZE)
@@ -68,7 +68,7 @@ def population_of(scene: Scene, n_draws: int | None = None) -> ImpactorPopulatio
     similar &= getattr(scene.impact.target, "thickness", None) is None
     # Each pulse is then a member of the family, with the stored peak, duration and restitution.
     plain = of_family and similar and scene.stream is None
-    beam = beam_behind(scene) if is_behind_beam(scene) else None
+    beam = impact_beam(scene) if uses_beam(scene) else None
     n_required = n_draws or (_MANY if plain else _FEW if scene.tail_beam is None else _MIN_DRAWS)
     parts: list[dict[str, Floats]] = []
     blocks = _stream(scene) if scene.stream is not None else _frames(scene)
@@ -175,7 +175,7 @@ def fit_through_beam(pulses: Impact | ModalImpact, peak: Floats, beam: ThroughBe
     pulses.add_to_frames(force, FINE * rate, (order + 0.5) / peak.size * TOUCH / rate)
     filtered_force = filtered(beam.beam, force / peak[:, None])
     coefficients = np.asarray(np.linalg.solve(shapes @ shapes.T, shapes @ filtered_force.T).T, np.float64)
-    information = _information(beam)[order % _PLACES]
+    information = _information(beam)[order % _LOCATIONS]
     vector = np.einsum("nij,nj->ni", information, coefficients)
     louder = _ENERGY / np.einsum("ni,ni->n", vector, coefficients)
     information, vector = information * louder[:, None, None], vector * louder[:, None]
@@ -189,18 +189,18 @@ def _information(beam: ThroughBeam) -> Floats:
     """Return the information of samples about forces at locations all over a beam, (_PLACES, n_shapes, n_shapes)."""
     inversion, region = beam.inversion, beam.beam.region.reshape(2, 2)
     table = inversion.transformed(respond(beam.beam, inversion.forces, inversion.n_samples))
-    even = np.outer(_EVENLY, np.arange(1, _PLACES + 1)) % 1
+    even = np.outer(_EVENLY, np.arange(1, _LOCATIONS + 1)) % 1
     at = beam.beam.weights(*(region[:, :1] + np.diff(region) * even))[0]
     responses = np.tensordot(at, table, (1, 0))
     return np.asarray(responses @ responses.transpose(0, 2, 1), np.float64)
 
 
-def is_behind_beam(scene: Scene) -> bool:
+def uses_beam(scene: Scene) -> bool:
     """Return whether a scene measures its impacts through a beam."""
     return scene.tail_beam is not None and scene.sensor.quantity != "force"
 
 
 @lru_cache(maxsize=_CACHE_SIZE)
-def beam_behind(scene: Scene) -> ThroughBeam:
+def impact_beam(scene: Scene) -> ThroughBeam:
     """Return the beam of a scene, with the region where rocks bounce; raises `InvalidValue` as `beam_of`."""
     return ThroughBeam(beam_of(scene) if scene.stream is None else full_beam(scene))

@@ -264,9 +264,9 @@ class _Table:
         low, high = self.log_radius.min(), self.log_radius.max()
         margin = max(0.02 * (high - low), 5 * _NARROWEST)
         self.smallest, self.ring = low - margin, (high - low + 2 * margin) / _RADII
-        places = ((self.log_radius - self.smallest) / self.ring).astype(np.intp)
+        bins = ((self.log_radius - self.smallest) / self.ring).astype(np.intp)
         n_groups = int(self.group.max()) + 1
-        counts = np.bincount(self.group * _RADII + places, minlength=n_groups * _RADII).reshape(n_groups, _RADII)
+        counts = np.bincount(self.group * _RADII + bins, minlength=n_groups * _RADII).reshape(n_groups, _RADII)
         # Smooth enough to suppress the noise of draws.
         blur = max(1.5, _NARROWEST / self.ring)
         kernel = np.exp(-0.5 * (np.arange(-int(4 * blur), int(4 * blur) + 1) / blur) ** 2)
@@ -370,7 +370,7 @@ def _crossed(mass: Floats) -> Floats:
     """Return where the sum of each row (n, n_cells) reaches each of `LEVELS` of the whole [cells], (n, n_levels)."""
     below = np.cumsum(mass, axis=1)
     below /= below[:, -1:]
-    # One search for all rows: each lies one above the row before.
+    # One search for all rows: each is shifted by one above the previous row.
     floor = np.arange(len(mass))[:, None]
     at = np.searchsorted((below + floor).ravel(), (LEVELS + floor).ravel()).reshape(len(mass), -1)
     at = np.clip(at - floor * mass.shape[1], 0, mass.shape[1] - 1)

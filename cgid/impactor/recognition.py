@@ -16,7 +16,7 @@ from cgid.errors import InvalidValue
 from cgid.identification.estimation import estimate
 from cgid.identification.through_beam import ThroughBeam
 from cgid.impactor.measured import MeasuredPulses
-from cgid.impactor.population import beam_behind, is_behind_beam, population_of
+from cgid.impactor.population import impact_beam, population_of, uses_beam
 from cgid.impactor.posterior import LEVELS, SPEED_POWER, TIME_POWER, ImpactorEstimates, ImpactorPopulation
 from cgid.measure.features import BEAM_LEAD
 from cgid.measure.frames import DETECTION_LIMIT, frames_of
@@ -91,11 +91,11 @@ def estimate_impactors(
     if isinstance(among, str | Path):
         among = load_scene(among)
     if isinstance(among, Scene):
-        if is_behind_beam(among):
+        if uses_beam(among):
             if options:
                 raise InvalidValue(f"{min(options)} is for forces, scene {among.name} has a beam; leave it out")
             frames = frames_of(samples, pre_trigger).astype(np.float64, copy=False)
-            return population_of(among).posterior(through_beam(frames, sampling_rate, pre_trigger, beam_behind(among)))
+            return population_of(among).posterior(through_beam(frames, sampling_rate, pre_trigger, impact_beam(among)))
         among = population_of(among)
     if not isinstance(among, ImpactorPopulation):
         raise InvalidValue(f"among must be a scene, draws or a material, got a {type(among).__name__}")

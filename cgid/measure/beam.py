@@ -1,6 +1,7 @@
 """A beam and its sensor as plain arrays: the response of each mode to a contact force.
 
-`cgid.scene.through_beam` makes it from a scene, and a model file holds it; `cgid.identification.inversion` inverts it.
+`cgid.scene.through_beam` makes it from a scene, and a model file contains it; `cgid.identification.inversion` inverts
+it.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from cgid.validation import Floats
 _DRAWS = 5
 #: Points of a contact force per sample, and length of a table of forces [s].
 FINE, FORCE_TIME = 16, 3.9e-3
-#: Samples at the start of a table of forces, within which the onset lies.
+#: Samples at the start of a table of forces, that contain the onset.
 TOUCH = 7
 #: Length of the compared part of a response [s].
 SPAN_TIME = 25e-3
@@ -32,7 +33,7 @@ GRID = 0.025
 RATES = (2 * TOUCH / FORCE_TIME, 5e5)
 #: Maximum number of modes, grid locations, and samples of all responses together (a quarter of a gigabyte in single
 #: precision).
-MAX_MODES, MAX_PLACES, MAX_NUMBERS = 1024, 1 << 14, 1 << 26
+MAX_MODES, MAX_LOCATIONS, MAX_NUMBERS = 1024, 1 << 14, 1 << 26
 #: Maximum number of sensors; smallest and largest fraction of a participation that a sensor measures.
 MAX_SENSORS, _SHARES = 16, (1e-6, 1e6)
 #: Maximum number of shapes, poles of filters, and nodes in a direction.
@@ -231,16 +232,17 @@ class Beam:
             n_samples, sides = n_modes * n_shapes * self.n_sensors * self.n_samples, np.diff(self.region)[::2]
             raise BadData(
                 f"a beam must have at most {MAX_MODES} modes, {_MAX_SHAPES} shapes, {_MAX_NODES} nodes in a "
-                f"direction, {MAX_SENSORS} sensors, {MAX_NUMBERS} samples of all responses and {MAX_PLACES} places, "
-                f"got {n_modes} modes, {n_shapes} shapes, {' x '.join(map(str, counts[2:4]))} nodes, {self.n_sensors} "
-                f"sensors, {n_samples} samples and a region of {' x '.join(f'{side:g} m' for side in sides)}"
+                f"direction, {MAX_SENSORS} sensors, {MAX_NUMBERS} samples of all responses and {MAX_LOCATIONS} "
+                f"locations, got {n_modes} modes, {n_shapes} shapes, {' x '.join(map(str, counts[2:4]))} nodes, "
+                f"{self.n_sensors} sensors, {n_samples} samples and a region of "
+                f"{' x '.join(f'{side:g} m' for side in sides)}"
             )
 
 
 def bounded(n_modes: int, n_shapes: int, n_samples: int, region: Floats) -> bool:
     """Return whether the tables of a beam fit in memory."""
     along, across = sides_of(region, GRID)
-    return n_modes <= MAX_MODES and n_modes * n_shapes * n_samples <= MAX_NUMBERS and along * across <= MAX_PLACES
+    return n_modes <= MAX_MODES and n_modes * n_shapes * n_samples <= MAX_NUMBERS and along * across <= MAX_LOCATIONS
 
 
 def sides_of(region: Floats, spacing: float) -> tuple[int, int]:

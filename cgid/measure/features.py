@@ -139,8 +139,8 @@ def _lack(feature: Feature, sampling_rate: float, n_samples: int) -> str:
     if n_samples < feature.shortest_frame * sampling_rate:
         needed = np.ceil(feature.shortest_frame * sampling_rate)
         return (
-            f"needs frames of {needed:.0f} samples or more at {sampling_rate:g} Hz to tell its band from the "
-            f"next, got {n_samples}: record longer"
+            f"needs frames of {needed:.0f} samples or more at {sampling_rate:g} Hz to resolve its band, got "
+            f"{n_samples}: record longer"
         )
     return ""
 
@@ -303,7 +303,7 @@ def as_rows(samples: ArrayLike, each: int, names: tuple[str, ...]) -> ArrayLike:
         return samples
     if not all(FEATURES[name].beam for name in names):
         raise InvalidValue(
-            f"features must all look through the beam where it has {each} sensors, got "
+            f"features must all be inverted through the beam if it has {each} sensors, got "
             f"{next(name for name in names if not FEATURES[name].beam)}; leave it out"
         )
     frames = validation.plain("samples", samples)
@@ -409,6 +409,6 @@ def _certain(pulses: PulseBatch, names: tuple[str, ...], highest_after: Floats) 
     n_samples = pulses.samples.shape[1]
     certain = (pulses.peak + pulses.offset > highest_after) & (pulses.window_reach < n_samples)
     if any(FEATURES[name].fitted for name in names):
-        # The search for a faint pulse covers the whole frame.
+        # The search for a faint pulse covers the complete frame.
         certain &= (pulses.peak >= FAINT * pulses.noise) & (pulses.fit.reach < n_samples)
     return np.asarray(certain & allow_truncation(names))

@@ -227,7 +227,7 @@ def _report(
     outside, end, clipped, counted = (problems.gathered(part) for part in zip(*each, strict=True))
     reach = np.maximum(np.maximum(end, reach), last_bin(peak_time, width, shape))
     freedom = np.maximum(counted - clipped - len(problems.free), 1)
-    strange = (outside / _OUTLIER) ** 2
+    outlying = (outside / _OUTLIER) ** 2
     return PulseFit(
         peak=peak * unit,
         duration=width * duration,
@@ -239,8 +239,8 @@ def _report(
         restitution_deviation=restitution[0],
         expected_restitution=restitution[1],
         expected_deviation=restitution[2],
-        misfit=np.maximum(best.cost / freedom / believed, strange / (noise**2 + (MODEL_ERROR * peak) ** 2)),
-        stray=strange / (noise**2 + (STRAY * peak) ** 2),
+        misfit=np.maximum(best.cost / freedom / believed, outlying / (noise**2 + (MODEL_ERROR * peak) ** 2)),
+        stray=outlying / (noise**2 + (STRAY * peak) ** 2),
         clipped=clipped,
         evidence=peak**2 * np.maximum(best.information[:, 0, 0], 0.0) / variance,
         converged=best.converged,

@@ -57,7 +57,7 @@ class Window:
         (n, n_samples), (offset, clip_level, unit) = (len(rows), samples.shape[1]), levels
         self.rows, self.run, self.averaged, self.reach = rows, run, np.full(n, float(run)), first + length - 1
         self.fit_baseline, self.onset, self.free = fit_baseline, onset, free_parameters(onset is not None, fit_baseline)
-        self.largest_outside = _largest_elsewhere(samples, rows, first, length, offset) / unit
+        self.largest_outside = _largest_outside(samples, rows, first, length, offset) / unit
         self.times = first[:, None] + (0.5 * (run - 1) + run * np.arange(length // run, dtype=np.float64))
         columns = first[:, None] + np.arange(length)
         beyond = None
@@ -166,7 +166,7 @@ def by_length(required: Floats) -> Iterator[tuple[NDArray[np.intp], int]]:
         yield np.flatnonzero(step == exponent), int(np.ceil(_STEP**exponent))
 
 
-def _largest_elsewhere(
+def _largest_outside(
     samples: NDArray[np.floating], rows: NDArray[np.intp], first: NDArray[np.intp], length: int, offset: Floats
 ) -> Floats:
     """Return the largest magnitude of the samples outside windows, (n,)."""

@@ -309,7 +309,7 @@ def _grid(near: Floats, noise: Floats, lowest: float, highest: float, n_nodes: i
     low, high = (np.interp(bound, shapes, coordinate) for bound in (lowest, highest))
     start = np.clip(middle - reach, low, high)
     stop = np.clip(middle + reach, low, high)
-    # A shape far beyond the bounds leaves no nodes; the grid then lies along the nearer bound.
+    # A shape far beyond the bounds leaves no nodes; the grid is then along the nearer bound.
     short = stop - start < 0.5 * reach
     start = np.where(short, np.clip(start - reach, low, high), start)
     stop = np.where(short, np.clip(stop + reach, low, high), stop)

@@ -29,7 +29,7 @@ MINIMUM_WIDTH = 1.5
 RECOMMENDED_SAMPLES = 20
 #: Lower of the two levels from which contact is extrapolated to zero: over the noise, and its bounds over the peak.
 #: Without noise, the duration is .2 % too short at restitution .5, 1.2 % at .4 and 9 % at .3: the tail of a strongly
-#: damped pulse lies below any level.
+#: damped pulse is below any level.
 FOOT_OVER_NOISE, FOOT_LEVELS = 4.0, (0.01, 0.1)
 #: Smallest peak that locates the pulse [standard deviations of the noise].
 FAINT = 12.0

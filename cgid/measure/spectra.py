@@ -175,7 +175,7 @@ class EnergySpectrum:
         return np.asarray(np.sum(share * position**3, axis=1)), np.asarray(np.sum(share * position**4, axis=1))
 
     def rolloff(self, share: float) -> Floats:
-        """Return the frequency below which a share of the energy lies [Hz]."""
+        """Return the frequency below which the spectrum has a fraction of its energy [Hz]."""
         # A bin extends half its width to either side.
         bins = passage(np.cumsum(self.energy, axis=1), share) - 0.5
         return np.maximum(bins, 0.5) * self.spacing
@@ -253,7 +253,7 @@ class PulseSpectrum:
 
     @property
     def rolloff(self) -> Floats:
-        """Frequency below which 85 % of the energy lies [Hz]."""
+        """Frequency below which the spectrum has 85 % of its energy [Hz]."""
         return self._where(self.cumulative, self.cumulative >= 0.85, 0.85)
 
     @property

@@ -38,8 +38,8 @@ class Sphere:
     A rock that hits with a corner of 5 mm, as far off its centre as its radius of gyration:
 
     >>> from cgid.physics.materials import YANG2018_SPHERES
-    >>> lump = Sphere(material=YANG2018_SPHERES[1], radius=0.025, curvature=0.2, effective_mass=0.5)
-    >>> round(float(lump.contact_radius), 9), float(lump.impact_mass / lump.mass)
+    >>> rock = Sphere(material=YANG2018_SPHERES[1], radius=0.025, curvature=0.2, effective_mass=0.5)
+    >>> round(float(rock.contact_radius), 9), float(rock.impact_mass / rock.mass)
     (0.005, 0.5)
     """
 

@@ -88,7 +88,7 @@ def damping_number(restitution: ArrayLike) -> Floats:
     Raises
     ------
     InvalidValue
-        The restitution lies outside (0, 1].
+        The restitution is outside (0, 1].
 
     Examples
     --------

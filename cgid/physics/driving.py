@@ -109,13 +109,13 @@ class Windows:
             )
         self.stride = np.int64(1) << needed
         self.strides, self.level = np.unique(self.stride, return_inverse=True)
-        place = onset * sampling_rate
-        self.first = np.floor(place).astype(np.int64)
+        position = onset * sampling_rate
+        self.first = np.floor(position).astype(np.int64)
         # Two steps without force follow the contact, as the correction below reaches past its end.
-        behind = np.floor(place + pulses.end_of_contact * sampling_rate + 2 / self.stride).astype(np.int64) + 1
-        self.count = behind - self.first
+        end = np.floor(position + pulses.end_of_contact * sampling_rate + 2 / self.stride).astype(np.int64) + 1
+        self.count = end - self.first
         force = np.zeros((len(onset), int((self.count * self.stride).max(initial=0)) + 1))
-        since = (place - self.first) / sampling_rate
+        since = (position - self.first) / sampling_rate
         pulses.add_to_frames(force, sampling_rate * self.stride, since, tolerance=_SHARE_OF_FORCE * tolerance)
         # The mean error of linear interpolation is a twelfth of the second difference.
         drive = force.copy()

@@ -167,7 +167,7 @@ class HuntCrossley(Law):
     Raises
     ------
     InvalidValue
-        The restitution lies outside (0, 1], or the law is unknown.
+        The restitution is outside (0, 1], or the law is unknown.
 
     Examples
     --------
@@ -334,7 +334,7 @@ class Thornton(Law):
     Raises
     ------
     InvalidValue
-        The yield pressure is not above 0, or the viscous restitution lies outside [0.05, 1].
+        The yield pressure is not above 0, or the viscous restitution is outside [0.05, 1].
 
     Examples
     --------
@@ -440,7 +440,7 @@ class WaltonBraun(Law):
     Raises
     ------
     InvalidValue
-        The restitution lies outside (0, 1], the stiffness is not above 0, or the viscous restitution lies outside
+        The restitution is outside (0, 1], the stiffness is not above 0, or the viscous restitution is outside
         [0.05, 1].
 
     Examples

@@ -216,7 +216,7 @@ class TailBeam:
     def echo_time(self, x: ArrayLike, y: ArrayLike, frequency: ArrayLike) -> Floats:
         """Return the time [s] at which flexural waves of a frequency [Hz] return from the nearest edge to (x, y) [m].
 
-        x is along the length from the held edge, y over the width; the arguments broadcast. A packet travels at the
+        x is along the length from the clamped edge, y over the width; the arguments broadcast. A packet travels at the
         group velocity `2 sqrt(omega) (D / m)^(1/4)`, straight to an edge and back. Higher frequencies are faster: for
         an impact use its highest, about the inverse contact duration.
         """
@@ -225,7 +225,7 @@ class TailBeam:
         return self.echoes(*validation.broadcast(x=along, y=across, frequency=frequency))
 
     def echoes(self, along: Floats, across: Floats, frequency: Floats) -> Floats:
-        """Return `echo_time` for places as fractions of the sides, without checks."""
+        """Return `echo_time` for points as fractions of the sides, without checks."""
         omega = 2 * np.pi * frequency
         times = []
         for fraction, extent, rigidity in (

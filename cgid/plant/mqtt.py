@@ -110,7 +110,7 @@ class Mqtt(Output):
             if (record := self._next(self._is_ready)) is not None:
                 self._publish_line(record)
             elif not self.up and time.monotonic() - self._disconnected_at > _TIMEOUT and not self._last_message:
-                self.report("the broker does not answer; the answers go on, messages wait")
+                self.report("the broker does not answer; predictions continue, messages are queued")
         self._end()
 
     def _is_ready(self) -> bool:
@@ -166,7 +166,7 @@ class Mqtt(Output):
 
     def _connected(self, _client: Any, _data: Any, _flags: Any, reason: Any, _properties: Any) -> None:
         if reason.is_failure:
-            self.report(f"the broker refuses ({reason}); the answers go on, messages wait")
+            self.report(f"the broker refuses ({reason}); predictions continue, messages are queued")
             return
         self._publish(self._topic("status"), "online", retain=True)
         for channel in self._plant.read(list):
@@ -183,12 +183,12 @@ class Mqtt(Output):
             was, self.up, self._disconnected_at = self.up, False, time.monotonic()
             self._changed.notify_all()
         if was and not self._ending:
-            self.report(f"the broker is gone ({reason}); the answers go on, messages wait")
+            self.report(f"the broker is gone ({reason}); predictions continue, messages are queued")
 
     def _failed(self, _client: Any, _data: Any) -> None:
         error = sys.exc_info()[1]  # paho calls this while it handles the error
         reason = " ".join(str(getattr(error, "strerror", None) or error).split())
-        self.report(f"the broker cannot be reached ({reason}); the answers go on, messages wait")
+        self.report(f"the broker cannot be reached ({reason}); predictions continue, messages are queued")
 
     def _acknowledged(self, _client: Any, _data: Any, number: int, _reason: Any, _properties: Any) -> None:
         with self._changed:

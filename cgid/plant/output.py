@@ -64,7 +64,7 @@ class Service:
             self.run()
         except Exception as error:
             reason = " ".join(f"{type(error).__name__}: {error}".split())
-            self.report(f"this output has ended ({reason}); the answers go on without it")
+            self.report(f"this output has ended ({reason}); predictions continue without it")
 
 
 class Output(Service):

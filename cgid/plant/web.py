@@ -126,7 +126,7 @@ class PageFile(Service):
                 self._write()
                 self._last_message = ""
             except OSError as error:
-                self.report(f"{error}; the answers go on")
+                self.report(f"{error}; predictions continue")
             if ending:
                 return
 
@@ -156,7 +156,7 @@ def metrics_of(plant: PlantState) -> Callable[[], bytes]:
         def collect(self) -> Iterator[Any]:
             yield from plant.read(lambda supports: list(_families(supports, gauge, counter)))
             yield gauge("cgid_last_block_age_seconds", "Time since the last block of the stream", value=plant.age)
-            yield gauge("cgid_behind_seconds", "Delay of the answers behind the stream", value=plant.behind)
+            yield gauge("cgid_behind_seconds", "Delay of the predictions after the stream", value=plant.behind)
             yield counter("cgid_blocks", "Blocks of the stream that were taken", value=plant.beats)
             states = [output.status() for output in plant.outputs]
             for name, text, family in (
@@ -177,7 +177,7 @@ def metrics_of(plant: PlantState) -> Callable[[], bytes]:
 def _families(supports: dict[str, Any], gauge: Any, counter: Any) -> Iterator[Any]:
     """Yield the metrics of the supports."""
     for name, text, value in (
-        ("gangue_share", "Share of gangue in the window", lambda one: one.share),
+        ("gangue_share", "Gangue fraction in the window", lambda one: one.share),
         ("gangue_share_low", "Lower end of its interval of 95 %", lambda one: one.low),
         ("gangue_share_high", "Upper end of its interval of 95 %", lambda one: one.high),
         ("shut", "1 if the window should be shut", lambda one: float(one.state == SHUT)),
@@ -189,8 +189,8 @@ def _families(supports: dict[str, Any], gauge: Any, counter: Any) -> Iterator[An
             metric.add_metric([channel], value(one))
         yield metric
     for name, text, label, counts in (
-        ("answers", "Answers since the start", "label", "labels"),
-        ("turns", "Turns of the decision since the start", "turn", "turns"),
+        ("answers", "Predictions since the start", "label", "labels"),
+        ("turns", "Switches of the decision since the start", "turn", "turns"),
     ):
         metric = counter(f"cgid_{name}", text, labels=["channel", label])
         for channel, one in supports.items():

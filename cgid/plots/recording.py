@@ -21,7 +21,7 @@ MAX_CHANNELS = 8
 MAX_LABEL_LENGTH = 32
 #: Longest and shortest range of a level scale [dB].
 _DEEPEST, _SHALLOWEST = 90.0, 30.0
-#: Largest number of marks that are also drawn through the waveform of a channel, if they leave room.
+#: Largest number of marks that are also drawn through the waveform of a channel, if there is space.
 _FEW_MARKS = 150
 #: Smallest width of a mark relative to the time axis: with few marks, and with many.
 _NARROWEST_MARK = (3e-3, 1.2e-3)
@@ -248,7 +248,7 @@ def hertz(frequency: float, digits: int = 6) -> str:
 def written(unit: str | None) -> str:
     """Return a unit with the usual symbols."""
     if unit is None:
-        return "unit not said"
+        return "unit unknown"
     return unit.replace("s**2", "s²").replace("s^2", "s²").replace("s2", "s²").replace("um", "µm").replace("uV", "µV")
 
 

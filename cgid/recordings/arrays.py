@@ -101,7 +101,7 @@ def _floats(samples: NDArray[Any]) -> NDArray[Any]:
 
 
 def require_readable_size(size: int, source: str, hint: str) -> None:
-    """Raise `BadData` if arrays [bytes] are too large to be read whole."""
+    """Raise `BadData` if arrays [bytes] are too large to be read completely."""
     if size > MAX_ARRAYS:
         raise BadData(
             f"{source}: the arrays of this format must be at most {MAX_ARRAYS >> 30} GiB, it "
@@ -112,8 +112,8 @@ def require_readable_size(size: int, source: str, hint: str) -> None:
 def blocks_of_arrays(arrays: Iterable[tuple[str, NDArray[Any]]], source: str, variable: str | None) -> Blocks:
     """Return the recording among arrays in memory, each with its path; single numbers and texts are metadata."""
     variables, statements = [], dict[str, dict[str, Value]]()
-    for place, array in arrays:
-        group, _, name = place.rpartition("/")
+    for array_path, array in arrays:
+        group, _, name = array_path.rpartition("/")
         axes = orientation(array.shape)
         if (value := _value(array)) is not None:
             statements.setdefault(group, {})[name] = value

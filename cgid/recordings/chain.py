@@ -1,7 +1,7 @@
 """The measuring chain from a sensor to the numbers of a file: sensitivity, gain and full scale of each channel.
 
-A number of a file times full scale is a voltage; over the gain it is what the sensor gave; over the sensitivity it is
-what the sensor measured. This is done once, where the samples enter: behind it they are in N, m/s^2 or another SI unit.
+A number of a file times full scale is a voltage; over the gain it is the output of the sensor; over the sensitivity it
+is the measured quantity. The conversion is done once, on input: then samples are in N, m/s^2 or another SI unit.
 """
 
 from __future__ import annotations
@@ -24,13 +24,13 @@ from cgid.validation import shown
 if TYPE_CHECKING:
     from cgid.recordings.recording import Blocks
 
-#: What may be stated of a chain: one value for all channels, a mapping of names or numbers (from 1) to values, or
+#: Settings of a chain: one value for all channels, a mapping of names or numbers (from 1) to values, or
 #: several texts, each a value or NAME=VALUE.
 Statement = float | str | Mapping[int | str, float | str] | Sequence[float | str]
 
-#: Quantities that a sensitivity may be for.
+#: Quantities of sensors with a sensitivity.
 _MEASURED = ("force", "acceleration", "velocity", "displacement", "pressure")
-#: Largest relative difference between values of file and user that are one, and limits of a factor of samples.
+#: Tolerance between values of file and user, relative, and limits of a factor of samples.
 _TOLERANCE, _FACTORS = 1e-3, (1e-30, 1e30)
 _MAX_BITS, _LONGEST = 64, 200
 _LOUDEST = 400.0
@@ -40,7 +40,7 @@ _FULL_SCALE = re.compile(r"(?:±|\+/?-)?\s*(.*?)(?:\s+at\s+([0-9]{1,3})\s*bits?)
 
 @dataclass(frozen=True, kw_only=True)
 class Sensitivity:
-    """The signal of a sensor for one unit of what it measures, in SI units such as V/(m/s^2)."""
+    """The signal of a sensor per unit of the measured quantity, in SI units such as V/(m/s^2)."""
 
     value: float
     signal: str
@@ -61,8 +61,7 @@ class Sensitivity:
         value = found[0] * ratio[2]
         if not 0 < value < math.inf:
             raise InvalidValue(
-                f"sensitivity must be above 0 and finite, got {text}; a sensor that points the other way is "
-                "turned over by --invert"
+                f"sensitivity must be above 0 and finite, got {text}; for a reversed sensor use --invert"
             )
         return cls(value=value, signal=ratio[0], measured=ratio[1], text=text)
 
@@ -89,17 +88,17 @@ class Gain:
         is_of_charge = ratio is not None and ratio[:2] == ("voltage", "charge")
         if math.isnan(number) or (unit and not is_of_charge):
             raise InvalidValue(
-                "gain must be a number, a factor or with dB behind it, or that of a charge amplifier such as "
+                "gain must be a number, a factor or in dB, or that of a charge amplifier such as "
                 f"'1 mV/pC', got {shown(given)}"
             )
         if not 0 < number < math.inf:
-            raise InvalidValue(f"gain must be above 0 and finite, got {text}; a signal is turned over by --invert")
+            raise InvalidValue(f"gain must be above 0 and finite, got {text}; to invert a signal use --invert")
         return cls(value=number * (ratio[2] if ratio and is_of_charge else 1.0), is_of_charge=is_of_charge, text=text)
 
 
 @dataclass(frozen=True, kw_only=True)
 class FullScale:
-    """What a sample of full scale stands for; `bits` is the resolution of the converter of integers."""
+    """The value of a sample at full scale; `bits` is the resolution of the converter of integers."""
 
     value: float
     unit: str | None = None
@@ -126,7 +125,7 @@ class FullScale:
 
 
 def _text(given: Any) -> str:
-    """Return a short text with single blanks, a number as a text of all its digits, "" for anything else."""
+    """Return a short text with single blanks, a number with all its digits, "" for anything else."""
     if isinstance(given, Real) and not isinstance(given, bool):
         return repr(float(given)).removesuffix(".0")
     return " ".join(given.split()) if isinstance(given, str) and len(given) <= _LONGEST else ""
@@ -156,7 +155,7 @@ class _Stated(Generic[Part]):
     values: tuple[tuple[int | str | None, Part], ...] = ()
 
     def at(self, index: int, contents: Blocks, source: str) -> tuple[Part | None, bool]:
-        """Return the value for a channel, and whether it is for this channel alone; two must not differ."""
+        """Return the value for a channel, and whether it is only for this channel; two must not differ."""
         if not self.values:
             return None, False
         option = f"--{self.name.replace('_', '-')} CHANNEL=VALUE"
@@ -167,8 +166,8 @@ class _Stated(Generic[Part]):
         for other in values[1:]:
             if other != values[0]:
                 raise InvalidValue(
-                    f"{source}: channel {contents.label(index)} must have one {self.name}, got "
-                    f"{values[0].text} and {other.text}; leave one out"
+                    f"{source}: channel {contents.label(index)} must have one {self.name}, got {values[0].text} and "
+                    f"{other.text}; leave one out"
                 )
         return (values[0] if values else None), bool(of_channel)
 
@@ -199,7 +198,7 @@ def units_of(given: str | None) -> _Stated[Unit]:
 
 @dataclass(frozen=True, kw_only=True)
 class Link:
-    """How the samples of a channel enter: times `factor` they are in `unit`; `origin` says why, "" if as they are."""
+    """Conversion of a channel: times `factor` samples are in `unit`; `origin` describes it, "" if unchanged."""
 
     unit: str | None
     factor: float = 1.0
@@ -227,7 +226,8 @@ class Chain:
 
     def links(self, contents: Blocks, channels: Sequence[int], unit: str | None, source: str) -> list[Link]:
         """Return the link of each channel, from the statements of user and file, which must agree."""
-        # A sensitivity or charge gain for all channels is for those in volts or coulombs, of which there must be one.
+        # A sensitivity or charge gain for all channels applies to those in volts or coulombs; there must be at least
+        # one.
         units = units_of(unit)
         scaled_links = [self._scaled(contents, index, units, source) for index in channels]
         is_some = any(link.unit and quantity_of(link.unit) in ELECTRICAL for link in scaled_links)
@@ -305,14 +305,12 @@ def _full_scale(scale: FullScale, stated: str | None, contents: Blocks, index: i
     largest = _full_scale_number(contents, index)
     if scale.bits is not None:
         if largest == 1.0:
-            raise InvalidValue(
-                f"{name}: full_scale must leave out the bits, got {scale.text}, the file says them itself"
-            )
+            raise InvalidValue(f"{name}: full_scale must leave out the bits, got {scale.text}, the file states them")
         largest = 2.0 ** (scale.bits - 1)
     if largest is None:
         raise InvalidValue(
-            f"{name}: full_scale must be that of a sound file or of signed integers of 16 bit, the file does not say "
-            f"what its largest number is; give the bits of the converter, as in '{scale.value:g} {unit} at 24 bit'"
+            f"{name}: full_scale must be that of a sound file or of signed integers of 16 bit, the file does not state "
+            f"its largest number; give the bits of the converter, as in '{scale.value:g} {unit} at 24 bit'"
         )
     return unit, scale.value / largest
 
@@ -325,13 +323,13 @@ def _require_full_scale(unit: str | None, contents: Blocks, index: int, source: 
     bits = "" if _full_scale_number(contents, index) else " at 24 bit"
     example = {"acceleration": "500 g", "voltage": "10 V"}.get(quantity_of(unit), f"500 {unit}")
     raise MissingOption(
-        f"{channel_name(source, contents.label(index))}: the samples are integers, and the unit ({unit}) does not say "
-        f"how many {unit} full scale is; give it as in --full-scale '{example}{bits}'"
+        f"{channel_name(source, contents.label(index))}: the samples are integers, and the unit ({unit}) does not "
+        f"state how many {unit} full scale is; give it as in --full-scale '{example}{bits}'"
     )
 
 
 def _full_scale_number(contents: Blocks, index: int) -> float | None:
-    """Return the number that stands for full scale, None if the file does not state it."""
+    """Return the number at full scale, None if the file does not state it."""
     return contents.full_scales[index] if index < len(contents.full_scales) else None
 
 
@@ -362,7 +360,7 @@ def _charge_gain(
 
 
 def _gain_of_file(text: str, needed: bool, name: str) -> Gain | None:
-    """Return the charge gain that a file states; raise `MissingOption` for one that may be in the samples already."""
+    """Return the charge gain stated by a file; raise `MissingOption` if it may already be in the samples."""
     try:
         gain: Gain | None = Gain.of(text)
     except InvalidValue:
@@ -388,7 +386,7 @@ def _agreed(given: Sensitivity | None, stated: str | None, name: str) -> Sensiti
     alike = (given.signal, given.measured) == (parsed.signal, parsed.measured)
     if not alike or abs(given.value - parsed.value) > _TOLERANCE * min(given.value, parsed.value):
         raise InvalidValue(
-            f"{name}: sensitivity must agree with the file to 0.1 %, got {given.text} where it says {parsed.text}; "
+            f"{name}: sensitivity must agree with the file to 0.1 %, got {given.text} where it states {parsed.text}; "
             "leave "
             "out --sensitivity or correct it"
         )
@@ -398,12 +396,12 @@ def _agreed(given: Sensitivity | None, stated: str | None, name: str) -> Sensiti
 def _not_electrical(name: str, unit: str | None, what: str) -> InvalidValue | MissingOption:
     if unit is None:
         return MissingOption(
-            f"{name}: the file does not say the unit, and a {what} is for samples in volts or coulombs; give it as in "
-            "--unit V"
+            f"{name}: the file does not state the unit, and a {what} is for samples in volts or coulombs; give it as "
+            "in --unit V"
         )
     if unit == "FS":
         return MissingOption(
-            f"{name}: the file does not say how many volts full scale is, and a {what} is for volts; give it as in "
+            f"{name}: the file does not state how many volts full scale is, and a {what} is for volts; give it as in "
             "--full-scale '10 V'"
         )
     return InvalidValue(
@@ -432,14 +430,14 @@ def scaled(blocks: Iterable[NDArray[Any]], factors: Sequence[float]) -> Iterable
     column = np.array(factors)[:, np.newaxis]
 
     def times(block: NDArray[Any]) -> NDArray[Any]:
-        with np.errstate(over="ignore"):  # infinite samples are refused by those who read them
+        with np.errstate(over="ignore"):  # infinite samples are refused later
             return np.asarray(block * column.astype(block.dtype))
 
     return map(times, blocks)
 
 
 def require_measured(unit: str | None, name: str) -> None:
-    """Raise `MissingOption` for samples in volts or coulombs, whose sensitivity is not known."""
+    """Raise `MissingOption` for samples in volts or coulombs without a sensitivity."""
     if unit is None or (quantity := quantity_of(unit)) not in ELECTRICAL:
         return
     example = "'10.2 mV/g', or '2.3 mV/N' of a force" if quantity == "voltage" else "'3.1 pC/g', or '4 pC/N' of a force"

@@ -221,7 +221,7 @@ def open_recording(
 ) -> RecordingFile:
     r"""Open a recording; its content determines the format, not its name, unless `format` does.
 
-    The page "Formats of recordings" of the reference says what is read of each format, and what of a damaged file.
+    The page "Formats of recordings" of the reference lists what is read of each format and of damaged files.
 
     Volts and coulombs become N or m/s^2 if `sensitivity` or the file states the sensitivity of the sensor: a line ``#
     sensitivity: 10.2 mV/g`` above a text or in the header of a UFF, an attribute, property or value of such a name.
@@ -330,7 +330,7 @@ def read_recording(
     full_scale: Statement | None = None,
     format: str | None = None,
 ) -> list[Signal]:
-    r"""Read a whole recording into memory.
+    r"""Read a complete recording into memory.
 
     Parameters
     ----------

@@ -105,12 +105,12 @@ def live_stream(
         head = read_wave_head(file, partial(_skip, file), source, start)
         if not 0 < head.n_channels <= MAX_CHANNELS:
             raise BadData(f"{source}: a stream must be of 1 to {MAX_CHANNELS} channels, got {head.n_channels}")
-        for name, stated, own in (("channels", n_channels, head.n_channels), ("sample_format", coding, head.coding)):
-            if stated not in (None, own):
+        for name, stated, actual in (("channels", n_channels, head.n_channels), ("sample_format", coding, head.coding)):
+            if stated not in (None, actual):
                 says = (
-                    f"got {stated} where the WAV header says {own}"
+                    f"got {stated} where the WAV header states {actual}"
                     if name == "channels"
-                    else "the WAV header says another"
+                    else "the WAV header states another"
                 )
                 raise InvalidValue(
                     f"{source}: {name} must agree with the stream, {says}; leave out --{name.replace('_', '-')}"
@@ -130,7 +130,7 @@ def live_stream(
             (n_channels is None, "the number of channels", "--channels N"),
         ):
             if missing:
-                raise MissingOption(f"{source}: a raw stream does not say {what}; give it with {option}")
+                raise MissingOption(f"{source}: a raw stream does not state {what}; give it with {option}")
         assert coding is not None and n_channels is not None
         contents = _contents(n_channels, coding, None if coding.kind == "f" else "FS")
         about = {"coding": coding, "head": start}

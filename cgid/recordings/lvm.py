@@ -64,8 +64,14 @@ def read_lvm(path: Path, source: str, variable: str | None) -> Blocks:
     )
     rates, start_time = () if rate is None else (rate,), first.start_time(channels[0])
     header = Header(columns=tuple(columns), sampling_rates=rates, start_time=start_time)
-    place: dict[str, Any] = {"path": path, "encoding": encoding, "source": source, "start": 0, "first_line": first.line}
-    body = _Rows(**place, layout=layout, segments=lvm, only=only, channel=channels[0])
+    arguments: dict[str, Any] = {
+        "path": path,
+        "encoding": encoding,
+        "source": source,
+        "start": 0,
+        "first_line": first.line,
+    }
+    body = _Rows(**arguments, layout=layout, segments=lvm, only=only, channel=channels[0])
     rate_from = "column of x" if x else "Delta_X"
     return replace(assembled(header, body, list(range(len(x)))), rate_from=rate_from, warnings=warnings)
 
@@ -96,23 +102,23 @@ class _Segment:
         x = _at(of_file.get("X_Columns", ["", "One"]), 1).lower()
         if x not in ("no", "one", "multi") or separator.isalnum():
             raise BadData(
-                f"{source}: the head of a LabVIEW file must say X_Columns No, One or Multi, got {x[:20]!r}, "
+                f"{source}: the head of a LabVIEW file must state X_Columns No, One or Multi, got {x[:20]!r}, "
                 f"and a separator that is no letter, got {separator!r}; export it again"
             )
         channels = _at(tags.get("Channels", []), 1)
         if not (channels.isascii() and channels.isdigit() and 0 < int(channels[:9]) <= MAX_CHANNELS):
             raise BadData(
-                f"{source}: segment {number} (line {line}) must say its number of Channels, 1 to {MAX_CHANNELS}, got "
+                f"{source}: segment {number} (line {line}) must state its number of Channels, 1 to {MAX_CHANNELS}, got "
                 f"{channels[:20]!r}; export the file again"
             )
         other = {field.strip() for field in tags.get("X_Dimension", [])[1:]} - {"", "Time"}
         if other:
             raise BadData(
-                f"{source}: the x axis must be time, segment {number} says {min(other)[:40]}; export the signals"
+                f"{source}: the x axis must be time, segment {number} states {min(other)[:40]}; export the signals"
             )
         labels, n_channels = lines[-1].split(separator), int(channels)
-        place: dict[str, Any] = {"number": number, "line": line, "separator": separator, "x": x}
-        return cls(**place, tags=tags, of_file=of_file, labels=labels, n_channels=n_channels)
+        arguments: dict[str, Any] = {"number": number, "line": line, "separator": separator, "x": x}
+        return cls(**arguments, tags=tags, of_file=of_file, labels=labels, n_channels=n_channels)
 
     def column(self, channel: int) -> int:
         """Return the column of the samples of a channel."""
@@ -153,8 +159,8 @@ class _Segment:
         steps = {self.number_of("Delta_X", channel) for channel in channels}
         if len(steps) > 1:
             raise BadData(
-                f"{source}: channels must have one sampling rate, Delta_X says {', '.join(map(str, list(steps)[:9]))} "
-                "s; export those of one rate"
+                f"{source}: channels must have one sampling rate, Delta_X states "
+                f"{', '.join(map(str, list(steps)[:9]))} s; export those of one rate"
             )
         return channels
 
@@ -164,8 +170,8 @@ class _Segment:
         if step is None or not (math.isfinite(step) and step > 0):
             return None
         digits, _, exponent = self.field("Delta_X", channel).replace(",", ".").lower().partition("e")
-        places = len(digits.partition(".")[2])
-        return 1 / step if 0.5 * 10.0 ** (int(exponent or 0) - places) <= _FINE * step else None
+        decimals = len(digits.partition(".")[2])
+        return 1 / step if 0.5 * 10.0 ** (int(exponent or 0) - decimals) <= _FINE * step else None
 
     def has_decimal_comma(self, text: str) -> bool:
         """Return whether the rows have decimal commas; `text` holds the first ones."""
@@ -290,7 +296,7 @@ class _Rows(Body):
             self._require_end(before, count)
 
     def last_row(self) -> None:
-        """Return None, as the times of a later segment may begin anew."""
+        """Return None, as the times of a later segment may restart."""
 
     def _require_end(self, segment: _Segment, count: int) -> None:
         declared = segment.n_samples
@@ -318,6 +324,6 @@ class _Rows(Body):
             passed.append((moments[1] - moments[0]).total_seconds())
         if all(abs(seconds - span) > allowed for seconds in passed):
             raise BadData(
-                f"{name} must begin where the one before ends, after {span:.6g} s, its head says after "
+                f"{name} must begin where the one before ends, after {span:.6g} s, its head states after "
                 f"{passed[-1]:.6g} s; {hint}"
             )

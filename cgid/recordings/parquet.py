@@ -40,7 +40,7 @@ def read_parquet(path: Path, source: str) -> Blocks:
     for name, kind, values in file.columns():
         column = column_of(name)
         if kind == "other":
-            warnings.append(Remark(f"column {name} holds no numbers and is left out"))
+            warnings.append(Remark(f"column {name} contains no numbers and is skipped"))
         elif name.startswith(_INDEX) and kind == "number":
             warnings.append(Remark(f"column {name} is an index without a name and is left out"))
         else:

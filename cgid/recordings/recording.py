@@ -1,4 +1,4 @@
-"""Recordings read block by block: the `Blocks` of a file, and a `RecordingFile`, which adds what the user states."""
+"""Recordings read block by block: the `Blocks` of a file, and a `RecordingFile`, with the settings of the user."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ MAX_CHANNELS = 4096
 #: Largest relative difference between two stated sampling rates: more than clock errors, less than typing errors.
 RATE_TOLERANCE = 1e-3
 
-#: Largest arrays that a format read whole may unpack to [bytes].
+#: Largest arrays that a format read completely may unpack to [bytes].
 MAX_ARRAYS = 2 << 30
 
 #: (block length, channels) -> blocks (len(channels), at most length), from the first sample on.
@@ -66,7 +66,7 @@ class Blocks:
     sampling_rate : float or None
         [Hz]; None if the file does not state it.
     rate_from : str
-        Place in the file that states the sampling rate, for messages.
+        Part of the file that states the sampling rate, for messages.
     fallback_unit : str or None
         Unit if neither the file nor the user states one, such as "FS".
     full_scales : sequence of float or None
@@ -193,19 +193,19 @@ class Blocks:
         stated = self.sampling_rate
         if stated is not None and not (np.isfinite(stated) and stated > 0):
             raise BadData(
-                f"{source}: sampling rate must be above 0 and finite, the {self.rate_from} says {stated:g} Hz; "
+                f"{source}: sampling rate must be above 0 and finite, the {self.rate_from} states {stated:g} Hz; "
                 "correct it"
             )
         if stated is None:
             if given is None:
-                raise MissingOption(f"{source}: the file does not say the sampling rate; give it with --rate HZ")
+                raise MissingOption(f"{source}: the file does not state the sampling rate; give it with --rate HZ")
             return given
         if given is None:
             return stated
         if not rates_agree(given, stated):
             raise InvalidValue(
                 f"{source}: sampling_rate must agree with the file to 0.1 %, got {given:.10g} Hz where the "
-                f"{self.rate_from} says {stated:.10g} Hz; leave out --rate or correct it"
+                f"{self.rate_from} states {stated:.10g} Hz; leave out --rate or correct it"
             )
         return given
 
@@ -217,9 +217,9 @@ class Blocks:
         if _meaning(given) == _meaning(stated):
             return stated
         raise BadData(
-            f"{source}: channel {self.label(index)} must be in one unit, its header says {stated} "
-            f"({quantity_of(stated)}) and --unit says {given} ({quantity_of(given)}); leave out --unit or correct the "
-            "header, or pick another channel with --channel"
+            f"{source}: channel {self.label(index)} must be in one unit, its header states {stated} "
+            f"({quantity_of(stated)}) and --unit states {given} ({quantity_of(given)}); leave out --unit or correct "
+            "the header, or pick another channel with --channel"
         )
 
 
@@ -235,9 +235,9 @@ def rates_agree(first: float, second: float) -> bool:
 def require_one_rate(first: tuple[float, str], second: tuple[float, str], source: str) -> None:
     """Raise `BadData` unless two sampling rates [Hz] of a recording agree; each comes with its origin."""
     if not rates_agree(first[0], second[0]):
-        other = "" if first[1] == second[1] else f"{second[1]} says "
+        other = "" if first[1] == second[1] else f"{second[1]} states "
         raise BadData(
-            f"{source}: the sampling rate must be one to 0.1 %, {first[1]} says {first[0]:.10g} Hz and "
+            f"{source}: the sampling rate must be one to 0.1 %, {first[1]} states {first[0]:.10g} Hz and "
             f"{other}{second[0]:.10g} Hz; correct one"
         )
 

@@ -112,7 +112,7 @@ def read_wave_head(file: BinaryIO, skip: Callable[[int], object], source: str, s
     start += file.read(12 - len(start))
     order = ">" if start.startswith(b"RIFX") else "<"
     if len(start) < 12 or start[8:] != b"WAVE":
-        kind = f", it says {start[8:]!r}" if len(start) == 12 else "; the file looks cut off"
+        kind = f", it states {start[8:]!r}" if len(start) == 12 else "; the file looks cut off"
         raise BadData(f"{source}: a WAV file must begin with RIFF and WAVE{kind}; export it again")
     chunks: dict[bytes, bytes] = {}
     for _ in range(_MAX_CHUNKS):
@@ -203,7 +203,7 @@ def read_wav(path: Path, source: str) -> Blocks:
                 complete = len(raw) - len(raw) % head.frame_size
                 yield np.ascontiguousarray(head.coding.decoded(raw[:complete]).reshape(-1, head.n_channels).T[picked])
                 if len(raw) < min(max_samples, size - first):
-                    warnings.append("the file became shorter while it was read; what is whole was read")
+                    warnings.append("the file became shorter while it was read; the complete part was read")
                     return
 
     return Blocks(
@@ -221,7 +221,7 @@ def read_wav(path: Path, source: str) -> Blocks:
 
 
 def _size_of_sound(file: BinaryIO, head: WaveHead, start: int, n_available: int, warnings: list[str]) -> int:
-    """Return the bytes of whole frames in the file; warn of wrong declared sizes."""
+    """Return the bytes of complete frames in the file; warn of wrong declared sizes."""
     declared, follows = head.data_size, n_available - start
     # Recorders that lose power, and programs that write to pipes, never fill in the size.
     never_closed = declared == 0 and follows > 0 and not _is_chunk(file, head, start, n_available)
@@ -240,12 +240,12 @@ def _size_of_sound(file: BinaryIO, head: WaveHead, start: int, n_available: int,
         # A zero byte follows sound of odd size, but some programs omit it.
         if end + end % 2 < n_available and not any(_is_chunk(file, head, at, n_available) for at in (end, end + 1)):
             warnings.append(
-                f"{n_available - end} bytes behind the declared sound are no part of a WAV file and were left out; "
+                f"{n_available - end} bytes after the declared sound are not part of a WAV file and were left out; "
                 "check the file"
             )
         if left := declared % head.frame_size:
             warnings.append(
-                f"{declared} bytes of sound are not whole frames of {head.frame_size}; the last {left} were left out"
+                f"{declared} bytes of sound are not complete frames of {head.frame_size}; the last {left} were left out"
             )
     return follows - follows % head.frame_size
 

@@ -19,7 +19,7 @@ from cgid.recordings.variables import Value, Variable, contents_of, full_scale_o
 _LEAD_IN, _TAG = 28, b"TDSm"
 #: Declared length of a segment that is still being written.
 _UNKNOWN = 2**64 - 1
-#: nptdms reads a chunk of a channel whole; a channel of longer chunks [samples] is read whole, too.
+#: nptdms reads a chunk of a channel whole; a channel of longer chunks [samples] is read completely, too.
 MAX_CHUNK_SIZE = 1 << 22
 #: Samples to read at once, if chunks are shorter.
 _READ = 1 << 18
@@ -144,9 +144,9 @@ def _values(properties: Any) -> dict[str, Value]:
 
 def _is_cut(file: BinaryIO) -> bool:
     """Return whether the last segment ends too early, by the declared lengths of all segments."""
-    size, place = file.seek(0, 2), 0
-    while place + _LEAD_IN <= size:
-        file.seek(place)
+    size, position = file.seek(0, 2), 0
+    while position + _LEAD_IN <= size:
+        file.seek(position)
         lead_in = file.read(_LEAD_IN)
         if not lead_in.startswith(_TAG):
             return False  # damaged, not cut: nptdms reports it
@@ -154,5 +154,5 @@ def _is_cut(file: BinaryIO) -> bool:
         follows = int.from_bytes(lead_in[12:20], "big" if lead_in[4] & 0x40 else "little")
         if follows == _UNKNOWN:
             return True
-        place += _LEAD_IN + follows
-    return place != size
+        position += _LEAD_IN + follows
+    return position != size

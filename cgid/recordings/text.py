@@ -406,7 +406,7 @@ def time_columns(columns: tuple[Column, ...], rows: Floats) -> list[int]:
 
 
 def _counts(columns: tuple[Column, ...], rows: Floats, index: int) -> bool:
-    """Return whether a column only numbers the rows: its name says so, and it grows by one."""
+    """Return whether a column only numbers the rows: its name indicates so, and it grows by one."""
     is_named = bool(columns) and columns[index].name.lower().strip(" .:#") in _NAMES_OF_COUNTERS
     with np.errstate(all="ignore"):
         return is_named and len(rows) > 1 and bool((np.diff(rows[:, index]) == 1).all())

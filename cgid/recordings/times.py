@@ -29,7 +29,7 @@ def seconds(unit: str, source: str) -> float:
     """Return the factor from the unit of a time column to seconds, 1 for ""; raise `BadData` for other units."""
     factor = seconds_of(unit)
     if factor is None:
-        raise BadData(f"{source}: the time column must be in s, ms or us, its header says {unit!r}; convert it")
+        raise BadData(f"{source}: the time column must be in s, ms or us, its header states {unit!r}; convert it")
     return factor
 
 
@@ -79,7 +79,7 @@ def runs_evenly(times: Floats) -> bool:
 
 
 class EvenTimes:
-    """Check of the times of a recording, piece by piece; `sampling_rate` [Hz] is that of the whole recording."""
+    """Check of the times of a recording, piece by piece; `sampling_rate` [Hz] is that of the complete recording."""
 
     def __init__(self, sampling_rate: float, source: str) -> None:
         self._step, self._source = 1 / sampling_rate, source
@@ -161,9 +161,9 @@ def _printed_digit(times: Floats) -> float:
 
 
 def _last_digit(sizes: Floats) -> float:
-    places = math.floor(math.log10(float(sizes.max())))
-    for place in range(places, max(places - 17, -300), -1):
-        in_digits = sizes * 10.0**-place
+    highest = math.floor(math.log10(float(sizes.max())))
+    for digit in range(highest, max(highest - 17, -300), -1):
+        in_digits = sizes * 10.0**-digit
         if (np.abs(in_digits - np.rint(in_digits)) <= 4e-16 * in_digits).all():
-            return float(10.0**place)
+            return float(10.0**digit)
     return 0.0

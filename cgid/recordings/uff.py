@@ -127,7 +127,7 @@ def _require_whole(path: Path, source: str) -> None:
             "data sets at once, or export WAV or TDMS"
         )
     content = path.read_bytes()
-    # Where bytes are added or missing, pyuff reads the numbers at wrong places.
+    # Where bytes are added or missing, pyuff reads the numbers at wrong positions.
     ends = [content[-200:].rstrip()[-2:], *(_after(content, match) for match in _BINARY.finditer(content))]
     if any(end != b"-1" for end in ends):
         raise BadData(
@@ -185,7 +185,7 @@ def _require_recordings(selected: Sequence[_DataSet], source: str) -> None:
         label = _text(header["abscissa_axis_units_lab"])
         if header["abscissa_spec_data_type"] == _TIME_AXIS and seconds_of(label) not in (None, 1.0):
             raise BadData(
-                f"{source}: the abscissa of data set {one.number} must be in s, as the format has it, its label says "
+                f"{source}: the abscissa of data set {one.number} must be in s, as the format has it, its label states "
                 f"{label}; correct label or increment"
             )
         if one.n_samples != first.n_samples or not rates_agree(one.step, first.step):

@@ -66,7 +66,9 @@ def stated_rate(values: Values, source: str) -> tuple[float, str] | None:
         if number is None:
             continue
         if not (np.isfinite(number) and number > 0):
-            raise BadData(f"{source}: the sampling rate must be above 0 and finite, {name} says {value!r}; correct it")
+            raise BadData(
+                f"{source}: the sampling rate must be above 0 and finite, {name} states {value!r}; correct it"
+            )
         rates.append((number, name))
     for other in rates[1:]:
         require_one_rate(rates[0], other, source)

@@ -62,8 +62,8 @@ def random_words(first: int, row: Word, block: Word, high: Word, key_0: Word, ke
 @jit
 def to_normal(words: Array, angles: Array, scratch: Array, normal: Array) -> None:
     """Convert words and angles (`LANES`) of 32 random bits to normal numbers (2, `LANES`), using scratch."""
-    # u = (word + 1/2)/2^32; sqrt(-2 ln u) (cos, sin) of the angle. Its last bit is the half turn, the others the place
-    # in it.
+    # u = (word + 1/2)/2^32; sqrt(-2 ln u) (cos, sin) of the angle. Its last bit is the half turn, the others the
+    # position in it.
     uniform, fraction = scratch[0], scratch[1]
     for k in range(LANES):
         uniform[k] = _real(words[k]) + _HALF_STEP

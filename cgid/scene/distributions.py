@@ -142,8 +142,8 @@ class Section(BaseModel):
             if field.description:
                 field.description = " ".join(field.description.split())
                 lines += [f"{name} : {optional}{unit}".rstrip(" :"), f"    {field.description}"]
-        own = inspect.cleandoc(vars(cls).get("__doc__") or "")
-        cls.__doc__ = "\n".join([own, "", "Parameters", "----------", *lines])
+        summary = inspect.cleandoc(vars(cls).get("__doc__") or "")
+        cls.__doc__ = "\n".join([summary, "", "Parameters", "----------", *lines])
 
     @property
     def distributions(self) -> dict[str, Distribution]:
@@ -343,7 +343,7 @@ class Normal(_Truncatable):
 
 
 class Lognormal(_Truncatable):
-    """The logarithm is Gaussian, with standard deviation `sigma`; half of the draws lie below `median`."""
+    """The logarithm is Gaussian, with standard deviation `sigma`; half of the draws are below `median`."""
 
     distribution: Literal["lognormal"]
     median: _Positive
@@ -366,7 +366,7 @@ class RosinRammler(_Truncatable):
 
     distribution: Literal["rosin-rammler"]
     characteristic: _Positive
-    """Value below which 63 % of the draws lie."""
+    """Value below which 63 % of the draws are."""
     uniformity: Annotated[Number, Quantity(rule=positive)]
     """The higher, the narrower the distribution."""
 
@@ -399,10 +399,10 @@ class Mixed(_Weighted):
         edges = self._edges
         which = np.searchsorted(edges, uniform, side="right")
         below = np.concatenate([np.zeros(1), edges])[which]
-        place = np.clip((uniform - below) / (edges[which] - below), MIN_UNIFORM, MAX_UNIFORM)
+        within = np.clip((uniform - below) / (edges[which] - below), MIN_UNIFORM, MAX_UNIFORM)
         values = np.empty(uniform.shape)
         for number, part in enumerate(self.parts):
-            values[which == number] = part.quantile(place[which == number])
+            values[which == number] = part.quantile(within[which == number])
         return values
 
     @property

@@ -340,7 +340,7 @@ class Tabulated(NamedTuple):
 
 
 def tabulate(
-    asked: Plan,
+    requested: Plan,
     output: str | Path,
     n_signals: int,
     seed: int = 0,
@@ -351,20 +351,20 @@ def tabulate(
     """Write a plan for features, closed forms or parameters as a table, with labels and specimens."""
     n_signals, seed = validation.whole("n_signals", n_signals, 1, MAX_SIGNALS), require_seed(seed)
     path = check_table_output(output, overwrite)
-    next(iter(columns_of(asked, 1, seed)))  # raises errors of the plan or the seed before anything is written
-    size = n_signals * (2 + len(asked.column_units)) * (_BYTES_OF_TEXT if path.suffix == ".csv" else _BYTES)
+    next(iter(columns_of(requested, 1, seed)))  # raises errors of the plan or the seed before anything is written
+    size = n_signals * (2 + len(requested.column_units)) * (_BYTES_OF_TEXT if path.suffix == ".csv" else _BYTES)
     require_room(path, path.parent, size, "rows", "free some space, or make fewer signals")
     header = TableHeader(
-        kind=asked.kind,
-        units=asked.column_units,
-        attributes={"n_signals": n_signals} | attributes_of(asked.scene, seed),
+        kind=requested.kind,
+        units=requested.column_units,
+        attributes={"n_signals": n_signals} | attributes_of(requested.scene, seed),
     )
     unmeasured = 0
-    width = max(len(label.encode()) for label in asked.scene.labels)
+    width = max(len(label.encode()) for label in requested.scene.labels)
     with table_writer(path, header, width, overwrite=overwrite) as writer:
-        for rows in columns_of(asked, n_signals, seed):
+        for rows in columns_of(requested, n_signals, seed):
             writer.add(rows)
-            measured = [np.isfinite(rows.columns[name]) for name in asked.features]
+            measured = [np.isfinite(rows.columns[name]) for name in requested.features]
             unmeasured += len(rows) - int(np.count_nonzero(np.logical_and.reduce(measured))) if measured else 0
             if progress is not None:
                 progress(len(rows))

@@ -33,7 +33,7 @@ from cgid.scene.draws import (
     specimen_of,
     with_drawn_modes,
 )
-from cgid.scene.impacts import Blows, Strike
+from cgid.scene.impacts import PulseBlock, Strike
 from cgid.scene.plan import Plan, plan
 from cgid.scene.schema import Scene, load_scene
 from cgid.scene.synthesis import batch_of, make_frames, require_frames
@@ -161,7 +161,7 @@ def _require_on_panel(known: Mapping[str, Floats], scene: Scene) -> None:
 
 def _block_pulses(
     plan: Plan, pulses: SampledPulses, labels: NDArray[np.str_], known: dict[str, Floats], seed: int, block: int
-) -> Blows:
+) -> PulseBlock:
     settings = settings_of(plan.scene, seed, block)
     here = with_drawn_modes(settled(plan.scene, settings), seed, block)
     values = {name: np.full(BLOCK, np.nan) for name in parameter_units(plan.scene)}
@@ -175,7 +175,7 @@ def _block_pulses(
     number = block * BLOCK + np.arange(BLOCK, dtype=np.uint64)
     specimen = np.where(unknown_particle, number, specimen_of([np.ascontiguousarray(column) for column in particle]))
     strike = Strike(np.arange(BLOCK), pulses, values["onset"])
-    return Blows(labels, values, specimen, (strike,), plan.for_block(here))
+    return PulseBlock(labels, values, specimen, (strike,), plan.for_block(here))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

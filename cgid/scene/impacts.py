@@ -67,28 +67,28 @@ def _beam_modes(section: TailBeamSection, panel: TailBeam | None, highest: float
     return _learned(section, modes.measured_at(section.sensor_point.x, section.sensor_point.y))
 
 
-def _learned(section: TailBeamSection, own: Modes) -> Modes:
-    """Return a beam's own modes as impacts have taught them."""
+def _learned(section: TailBeamSection, modes: Modes) -> Modes:
+    """Return a beam's modes with the learned corrections."""
     learned = section.learned_modes
     if learned is None:
-        return own
-    if learned.frequency.size != own.frequency.size:
+        return modes
+    if learned.frequency.size != modes.frequency.size:
         raise InvalidValue(
-            f"tail_beam.learned: must have a row for each of the {own.frequency.size} modes of this beam in the band "
+            f"tail_beam.learned: must have a row for each of the {modes.frequency.size} modes of this beam in the band "
             f"of its recorder, got {learned.frequency.size}; calibrate again (cgid calibrate), or leave it out"
         )
-    return own.as_learned(learned)
+    return modes.as_learned(learned)
 
 
-def places_of(parameters: Mapping[str, Floats]) -> tuple[Floats, Floats]:
+def locations_of(parameters: Mapping[str, Floats]) -> tuple[Floats, Floats]:
     """Return x and y of each impact [m], each (n,); zeros where the modes are those of one point."""
     nowhere = np.zeros(len(next(iter(parameters.values()))))
     return parameters.get("impact_x", nowhere), parameters.get("impact_y", nowhere)
 
 
 def _shapes(modes: Modes, parameters: Mapping[str, Floats]) -> Floats:
-    """Return the shapes at the place of each impact, which the scene has checked to be on the beam, (n, n_modes)."""
-    x, y = places_of(parameters)
+    """Return the shapes at the location of each impact, which is on the beam, (n, n_modes)."""
+    x, y = locations_of(parameters)
     return modes.at_impact.inside(x, y) if isinstance(modes.at_impact, PanelShapes) else modes.shape(x, y)
 
 
@@ -108,13 +108,13 @@ class Recorder:
         return participation if self.gain is None else self.gain * participation
 
 
-def recorder_of(asked: Plan) -> Recorder | None:
+def recorder_of(plan: Plan) -> Recorder | None:
     """Return the response of beam and sensor; None where the forces themselves are recorded."""
-    if not asked.responds:
+    if not plan.responds:
         return None
-    chain = asked.runs("sensor chain")
-    count("sensor_filters", len(asked.scene.sensor.filters) * chain)
-    return _recorder(asked.scene, asked.runs("tail beam"), chain)
+    chain = plan.runs("sensor chain")
+    count("sensor_filters", len(plan.scene.sensor.filters) * chain)
+    return _recorder(plan.scene, plan.runs("tail beam"), chain)
 
 
 @lru_cache(maxsize=16)
@@ -135,56 +135,56 @@ def _recorder(scene: Scene, beam: bool, chain: bool) -> Recorder:
 
 
 def impacts_of(
-    asked: Plan, values: Mapping[str, Floats], rows: NDArray[np.intp]
+    plan: Plan, values: Mapping[str, Floats], rows: NDArray[np.intp]
 ) -> Iterator[tuple[NDArray[np.intp], Impact]]:
     """Yield groups of rows that lose energy in the same way, and their impacts, as from `impact_of`."""
-    if not asked.scene.mixes_laws:
-        yield rows, impact_of(asked, values, rows)
+    if not plan.scene.mixes_laws:
+        yield rows, impact_of(plan, values, rows)
         return
     laws = values["dissipation"][rows]
     for law in np.unique(laws):
         own = rows[laws == law]
-        yield own, impact_of(asked, values, own)
+        yield own, impact_of(plan, values, own)
 
 
-def impact_of(asked: Plan, values: Mapping[str, Floats], rows: NDArray[np.intp]) -> Impact:
+def impact_of(plan: Plan, values: Mapping[str, Floats], rows: NDArray[np.intp]) -> Impact:
     """Return the impacts of some rows of the same dissipation; a beam of known size counts as an infinite plate."""
-    scene = asked.scene
+    scene = plan.scene
     parts = _collision(scene, values, rows)
-    if not asked.runs("gravity"):
+    if not plan.runs("gravity"):
         return Contacts(target=scene.body, **parts)
     return weighed(scene.impact, target=scene.body, **parts)
 
 
 def impacts_by_coupling(
-    asked: Plan, impact: Impact, values: Mapping[str, Floats], rows: NDArray[np.intp]
+    plan: Plan, impact: Impact, values: Mapping[str, Floats], rows: NDArray[np.intp]
 ) -> Iterator[tuple[NDArray[np.intp], Impact | ModalImpact, Callable[[NDArray[np.intp]], Impact | ModalImpact]]]:
     """Yield groups of rows by coupling to the beam: the rows, their impacts, and a function from rows to impacts."""
-    through_modes = _through_modes(asked, impact, values, rows)
+    through_modes = _through_modes(plan, impact, values, rows)
     plain, modal = rows[~through_modes], rows[through_modes]
     if plain.size:
-        make = partial(impact_of, asked, values)
+        make = partial(impact_of, plan, values)
         yield plain, impact if not modal.size else make(plain), make
     if modal.size:
-        make_modal = partial(_modal_impact_of, asked.scene, values)
+        make_modal = partial(_modal_impact_of, plan.scene, values)
         yield modal, make_modal(modal), make_modal
 
 
 def contacts_of(
-    asked: Plan, values: Mapping[str, Floats], rows: NDArray[np.intp]
+    plan: Plan, values: Mapping[str, Floats], rows: NDArray[np.intp]
 ) -> Iterator[tuple[NDArray[np.intp], Impact | ModalImpact]]:
     """Yield groups of rows of one law and one coupling, and their impacts."""
-    for own, impact in impacts_of(asked, values, rows):
-        for group, contacts, _ in impacts_by_coupling(asked, impact, values, own):
+    for own, impact in impacts_of(plan, values, rows):
+        for group, contacts, _ in impacts_by_coupling(plan, impact, values, own):
             yield group, contacts
 
 
 def _through_modes(
-    asked: Plan, impact: Impact, values: Mapping[str, Floats], rows: NDArray[np.intp]
+    plan: Plan, impact: Impact, values: Mapping[str, Floats], rows: NDArray[np.intp]
 ) -> NDArray[np.bool_]:
     """Return which impacts feel the edges of the beam: waves return during contact, and lambda is not negligible."""
-    scene = asked.scene
-    if not asked.runs("coupling"):
+    scene = plan.scene
+    if not plan.runs("coupling"):
         return np.zeros(rows.size, bool)
     assert scene.tail_beam is not None
     if scene.tail_beam.couples_always:
@@ -199,7 +199,7 @@ def _through_modes(
 def _modal_impact_of(scene: Scene, values: Mapping[str, Floats], rows: NDArray[np.intp]) -> ModalImpact:
     modes = beam_modes(scene)
     shape = _shapes(modes, {name: column[rows] for name, column in values.items()})
-    order = np.argsort(modes.frequency, kind="stable")  # learned modes may have changed places
+    order = np.argsort(modes.frequency, kind="stable")  # learned modes may have swapped
     return ModalContacts(
         target=scene.impact.body,
         frequency=modes.frequency[order],
@@ -306,7 +306,7 @@ class Strike:
 
 
 @dataclass(frozen=True)
-class Blows:
+class PulseBlock:
     """All pulses of one block of signals; `impacts` are all drawn ones, as if a beam had no edges."""
 
     # parameters : drawn and derived, (n_signals,), nan where not applicable; peak and duration are those of the first
@@ -351,38 +351,40 @@ class Blows:
         return np.concatenate([np.empty(0), *(p.inelasticity for p in first if isinstance(p, Impact))])
 
 
-def draw(scene: Scene, seed: int, block: int) -> Blows:
-    """Return the true pulses of one block of 256, as `blows_of`; rocks of a stream as if they fell into frames."""
-    return blows_of(Plan(scene=scene, kind="pulses"), seed, block)
+def draw(scene: Scene, seed: int, block: int) -> PulseBlock:
+    """Return the true pulses of one block of 256, as `pulses_of_block`; rocks of a stream fall into frames."""
+    return pulses_of_block(Plan(scene=scene, kind="pulses"), seed, block)
 
 
-def draws(scene: Scene, seed: int, n_blocks: int = sys.maxsize) -> Iterator[Blows]:
+def draws(scene: Scene, seed: int, n_blocks: int = sys.maxsize) -> Iterator[PulseBlock]:
     """Yield the pulses of the first blocks, as `draw`, many at once where they share a rig."""
-    asked, step = Plan(scene=scene, kind="pulses"), at_once(scene, _MAX_BLOCKS)
+    plan, step = Plan(scene=scene, kind="pulses"), at_once(scene, _MAX_BLOCKS)
     for first in range(0, n_blocks, step):
-        yield blows_of(asked, seed, first, min(step, n_blocks - first))
+        yield pulses_of_block(plan, seed, first, min(step, n_blocks - first))
 
 
-def blows_of(asked: Plan, seed: int, block: int, n_blocks: int = 1) -> Blows:
+def pulses_of_block(plan: Plan, seed: int, block: int, n_blocks: int = 1) -> PulseBlock:
     """Return the pulses of one block of 256, or of several of one rig, which takes a fifth of the time."""
-    drawn = drawn_block(asked.scene, seed, block, n_blocks)
-    here, values = asked.for_block(drawn.scene), drawn.values
+    drawn = drawn_block(plan.scene, seed, block, n_blocks)
+    block_plan, values = plan.for_block(drawn.scene), drawn.values
     strikes: list[Strike] = []
-    groups = list(impacts_of(here, values, drawn.fallen))
-    for own, impact in groups if here.runs("pulses") else ():
-        for rows, pulses, pulses_of in impacts_by_coupling(here, impact, values, own):
-            strikes += _strikes(here, pulses, pulses_of, rows, values)
+    groups = list(impacts_of(block_plan, values, drawn.fallen))
+    for group, impact in groups if block_plan.runs("pulses") else ():
+        for rows, pulses, pulses_of in impacts_by_coupling(block_plan, impact, values, group):
+            strikes += _strikes(block_plan, pulses, pulses_of, rows, values)
             # Store the delivered values; the requested restitution may differ.
             for name in STORED:
                 values[name][rows] = getattr(pulses, name)
-    if here.runs("taps"):
+    if block_plan.runs("taps"):
         tapped = partial(_taps, drawn.shapes, values)
-        strikes += _strikes(here, tapped(drawn.tapped), tapped, drawn.tapped, values)
-    return Blows(drawn.labels, values, drawn.specimen, tuple(strikes), here, tuple(impact for _, impact in groups))
+        strikes += _strikes(block_plan, tapped(drawn.tapped), tapped, drawn.tapped, values)
+    return PulseBlock(
+        drawn.labels, values, drawn.specimen, tuple(strikes), block_plan, tuple(impact for _, impact in groups)
+    )
 
 
 def _strikes(
-    asked: Plan,
+    plan: Plan,
     first: Pulses,
     pulses_of: Callable[[NDArray[np.intp]], Pulses],
     rows: NDArray[np.intp],
@@ -391,7 +393,7 @@ def _strikes(
     """Yield the first pulses of some signals, then the second hits, if any."""
     if rows.size:
         yield Strike(rows, first, values["onset"][rows])
-    if not asked.runs("second hits"):
+    if not plan.runs("second hits"):
         return
     again = rows[np.isfinite(values["second_hit_delay"][rows])]
     if again.size:

@@ -18,7 +18,7 @@ from cgid.recordings import read_recording
 from cgid.scene._noise import LANES, TILE, add_normal
 from cgid.scene.background import BackgroundSection, ColouredNoise
 from cgid.scene.draws import BLOCK, COLOURED, COLOURED_NOISE, HUM, NOISE, RECORDED, require_seed, uniforms
-from cgid.scene.impacts import Blows, blows_of
+from cgid.scene.impacts import PulseBlock, pulses_of_block
 from cgid.scene.plan import Plan
 from cgid.scene.schema import Scene
 from cgid.scene.sensor import CHUNK, Sensor
@@ -211,13 +211,13 @@ def _wave(turns: Floats) -> Floats:
 def reference_peak(scene: Scene) -> float:
     """Return the median peak of the first impacts of a scene's rocks, by the weights of their populations."""
     plan = Plan(scene=scene)
-    peaks = [_peaks(blows_of(plan, 0, block)) for block in range(_REFERENCE_BLOCKS)]
+    peaks = [_peaks(pulses_of_block(plan, 0, block)) for block in range(_REFERENCE_BLOCKS)]
     slope = 0.0 if scene.stream is None else scene.stream.inclination
     # The normal velocity of a vertical fall is v cos(alpha), and the peak of a Hertz impact scales with v^(6/5).
     return float(np.median(peaks) * np.power(np.cos(slope), 1.2))
 
 
-def _peaks(pulses: Blows) -> Floats:
+def _peaks(pulses: PulseBlock) -> Floats:
     if not pulses.plan.responds:
         return pulses.parameters["peak_force"]
     frames = np.zeros((BLOCK, pulses.scene.sampling.samples or _REFERENCE_SAMPLES))

@@ -199,7 +199,7 @@ def plan(
     Returns
     -------
     Plan
-        Its `decisions` say for every stage whether it runs, and why.
+        Its `decisions` state for every stage whether it runs, and why.
 
     Raises
     ------
@@ -210,8 +210,8 @@ def plan(
     --------
     >>> from cgid.scene import load_scene
     >>> from cgid.shipped import scene_path
-    >>> asked = plan(load_scene(scene_path("reference")), "closed-form", quantities=["contact_duration"])
-    >>> [stage for stage, decision in asked.decisions.items() if decision.runs]
+    >>> requested = plan(load_scene(scene_path("reference")), "closed-form", quantities=["contact_duration"])
+    >>> [stage for stage, decision in requested.decisions.items() if decision.runs]
     ['impacts']
     """
     scene = load_scene(scene)
@@ -288,7 +288,7 @@ def highest_frequency(scene: Scene) -> float:
     )
 
 
-# -- one decision per stage: what the scene asks for, and what an output must have for it to run ----------
+# -- one decision per stage: what the scene has, and what an output needs ----------
 
 
 def _arrivals(plan: Plan) -> str:
@@ -421,14 +421,14 @@ def _bandwidth(plan: Plan) -> str:
     edge = plan.scene.sensor.bandwidth
     if plan.scene.draws("bandwidth"):
         return "random for each block; always complete frames"
-    return "" if edge is None else f"{edge:g} Hz; always whole frames"
+    return "" if edge is None else f"{edge:g} Hz; always complete frames"
 
 
 def _noise(plan: Plan) -> str:
     if not plan.scene.sensor.noisy and not plan.scene.draws("relative_noise"):
         return ""
     extent = plan.runs("rest of the frames")
-    return _colour(plan) + ("whole frames" if extent else "up to the last sample that a feature uses")
+    return _colour(plan) + ("complete frames" if extent else "up to the last sample that a feature uses")
 
 
 def _colour(plan: Plan) -> str:
@@ -447,7 +447,7 @@ def _background(plan: Plan) -> str:
     section = plan.scene.background
     on = [name for name in ("hum", "coloured", "recorded") if section is not None and getattr(section, name)]
     on += ["hum drawn for each block"] * plan.scene.draws("hum")
-    return ", ".join(on) + "; always whole frames" * bool(on)
+    return ", ".join(on) + "; always complete frames" * bool(on)
 
 
 def _digitising(plan: Plan) -> str:
@@ -470,12 +470,12 @@ def _measuring(plan: Plan) -> str | Decision:
 
 #: Requirements of a stage, and the reason if one is missing.
 _NEEDS: Mapping[str, tuple[Callable[[Plan], bool], str]] = {
-    "rocks": (lambda asked: bool(asked.scene.populations), "no populations: taps have no contact law"),
-    "results": (lambda asked: bool(asked.quantities), "only sampled numbers are requested"),
-    "signals": (lambda asked: asked.signals, "no signals are requested"),
-    "sensor": (lambda asked: asked.sensed, "no sensor signals are requested"),
-    "stream": (lambda asked: asked.scene.stream is not None, "the scene is not a stream"),
-    "recordings": (lambda asked: asked.kind == "recordings", "no recordings are requested"),
+    "rocks": (lambda plan: bool(plan.scene.populations), "no populations: taps have no contact law"),
+    "results": (lambda plan: bool(plan.quantities), "only sampled numbers are requested"),
+    "signals": (lambda plan: plan.signals, "no signals are requested"),
+    "sensor": (lambda plan: plan.sensed, "no sensor signals are requested"),
+    "stream": (lambda plan: plan.scene.stream is not None, "the scene is not a stream"),
+    "recordings": (lambda plan: plan.kind == "recordings", "no recordings are requested"),
 }
 #: Every stage in processing order: its requirements, and whether a scene has it, and why (only a text: yes; none: off).
 STAGES: Mapping[str, tuple[str, Callable[[Plan], str | Decision]]] = {
@@ -487,13 +487,13 @@ STAGES: Mapping[str, tuple[str, Callable[[Plan], str | Decision]]] = {
     "pulses": ("signals rocks", lambda _: "samples in contact only"),
     "taps": (
         "signals",
-        lambda asked: "samples in contact only" if asked.scene.taps else Decision(False, "the scene has none"),
+        lambda plan: "samples in contact only" if plan.scene.taps else Decision(False, "the scene has none"),
     ),
     "second hits": (
         "signals",
-        lambda asked: (
+        lambda plan: (
             "the same pulse again, with random delay and ratio"
-            * any(source.second_hit is not None for source in asked.scene.sources)
+            * any(source.second_hit is not None for source in plan.scene.sources)
         ),
     ),
     "tail beam": ("sensor", _tail_beam),
@@ -504,7 +504,7 @@ STAGES: Mapping[str, tuple[str, Callable[[Plan], str | Decision]]] = {
     "background": ("sensor", _background),
     "clipping": (
         "sensor",
-        lambda asked: "random clipped_at" * any(source.clipped_at is not None for source in asked.scene.sources),
+        lambda plan: "random clipped_at" * any(source.clipped_at is not None for source in plan.scene.sources),
     ),
     "offset, range and bits": ("sensor", _digitising),
     "features": ("", _measuring),

@@ -42,7 +42,7 @@ def repair(verified: Verified, scene: Scene | None = None, progress: Progress | 
     BadData
         It is not a folder of this version with a valid description.
     CannotCreate
-        Its files do not follow from the description here, a run writes into the folder, or the disk has no room.
+        Its files do not follow from the description here, a run writes into the folder, or the disk is full.
     WriteFailed
         The disk is full.
     """

@@ -3,8 +3,8 @@
 Arrivals are drawn stretch by stretch of the time axis. Rocks move from impact to impact by formula, one generation of
 rebounds at a time, without time steps. They do not collide or spin, and keep their speed along the beam.
 
-x runs along the length from the held edge, down the slope of an inclined beam, and y across. A beam of measured modes
-and a half space have no points, so nothing falls off these.
+x runs along the length from the clamped edge, down the slope of an inclined beam, and y across. A beam of measured
+modes and a half space have no points, so nothing falls off these.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ from cgid.validation import Floats
 #: Largest expected number of rocks in a stretch. Because their number is drawn by inversion at no more than 1 - 2^-53,
 #: a stretch never exceeds a block of 256.
 EXPECTED_ROCKS = 128.0
-#: Longest stretch [s]: its samples are held in memory.
+#: Longest stretch [s]: its samples are in memory.
 MAX_STRETCH = 16.0
 
 
@@ -127,11 +127,11 @@ class GivenTimes:
         while start < duration:
             block = next_row // BLOCK
             stop = start + MAX_STRETCH
-            behind = min(int(np.searchsorted(listed, stop)), (block + 1) * BLOCK)
-            if behind < listed.size:
-                stop = min(stop, float(listed[behind]))
-            yield Stretch(start, stop, listed[next_row:behind], block, np.arange(next_row, behind) - block * BLOCK)
-            start, next_row = stop, behind
+            end = min(int(np.searchsorted(listed, stop)), (block + 1) * BLOCK)
+            if end < listed.size:
+                stop = min(stop, float(listed[end]))
+            yield Stretch(start, stop, listed[next_row:end], block, np.arange(next_row, end) - block * BLOCK)
+            start, next_row = stop, end
 
 
 def arrivals_of(stream: StreamSection) -> PoissonTimes | GivenTimes:

@@ -134,22 +134,22 @@ class Scene(Section):
     def _problems_of_dissipation(self) -> list[str]:
         problems = []
         for index, (population, dissipation) in enumerate(zip(self.populations, self.dissipations, strict=True)):
-            needed, place = loss_key(dissipation), f"populations.{index}"
+            needed, table = loss_key(dissipation), f"populations.{index}"
             instead = {"yield_pressure": "strength"}.get(needed or "")
             for name in ("restitution", "yield_pressure", "strength"):
                 given = getattr(population, name) is not None
                 if given and name not in (needed, instead):
                     hint = "; for viscous loss beside crushing give viscous_restitution" * (instead is not None)
-                    problems.append(f"{place}.{name}: must be left out when dissipation is {dissipation}{hint}")
+                    problems.append(f"{table}.{name}: must be left out when dissipation is {dissipation}{hint}")
                 if not given and name == needed and not (instead and getattr(population, instead) is not None):
                     other = f", or {instead}" * (instead is not None)
-                    problems.append(f"{place}.{name}: is missing, {dissipation} dissipation needs it{other}")
+                    problems.append(f"{table}.{name}: is missing, {dissipation} dissipation needs it{other}")
             if population.yield_pressure is not None and population.strength is not None:
-                problems.append(f"{place}.strength: must be left out with yield_pressure, which it replaces")
+                problems.append(f"{table}.strength: must be left out with yield_pressure, which it replaces")
             if population.viscous_restitution is not None and "viscous_restitution" not in named(dissipation).keys:
                 hint = "leave it out" if needed is None else "give restitution, which is viscous"
                 problems.append(
-                    f"{place}.viscous_restitution: must be left out when dissipation is {dissipation}; {hint}"
+                    f"{table}.viscous_restitution: must be left out when dissipation is {dissipation}; {hint}"
                 )
         return problems
 
@@ -377,15 +377,15 @@ def _path(location: tuple[int | str, ...]) -> str:
 def _secondary(entry: Any, errors: Sequence[Any]) -> bool:
     """Return whether an error is a consequence of another, or concerns the unused form of target."""
     if entry["type"] == "too_short":  # a list all of whose rows are invalid
-        place = entry["loc"]
-        return any(other["loc"][: len(place)] == place and len(other["loc"]) > len(place) for other in errors)
+        location = entry["loc"]
+        return any(other["loc"][: len(location)] == location and len(other["loc"]) > len(location) for other in errors)
     if "literal['rigid']" in entry["loc"]:
         return isinstance(entry["input"], dict)
     return "TargetSection" in entry["loc"] and entry["type"] == "model_type"
 
 
 def _lines(entry: Any) -> list[str]:
-    """Return one line for each problem; problems of the whole scene already carry their paths."""
+    """Return one line for each problem; problems of the complete scene already carry their paths."""
     message = _message(entry)
     if not entry["loc"] and entry["type"] == "value_error":
         return message.split("\n")
@@ -491,18 +491,18 @@ def varied(scene: Scene | str | Path, *, keep_frame: bool = False, **changes: An
     if keep_frame:
         changes |= _same_frame(scene, changes)
     for name, value in changes.items():
-        places = _places(content, name)
-        if not places:
+        sections = _sections_with(content, name)
+        if not sections:
             raise InvalidValue(f"{name} must be a setting of scene {scene.name}, which has no setting of this name")
-        for place in places:
+        for section in sections:
             for other in (name, _INSTEAD.get(name, name)):
-                place.pop(other, None)
+                section.pop(other, None)
             if value is not None:
-                place[name] = value
+                section[name] = value
     return parse_scene(content, source=f"variation of {scene.name}", folder=scene.folder)
 
 
-def _places(content: dict[str, Any], name: str) -> list[dict[str, Any]]:
+def _sections_with(content: dict[str, Any], name: str) -> list[dict[str, Any]]:
     """Return the sections of a scene that may have this key, and remove it from `randomise`."""
     randomise = content.get("randomise", {})
     for drawn in (name, _RANDOMISED_AS.get(name, name)):
@@ -510,11 +510,11 @@ def _places(content: dict[str, Any], name: str) -> list[dict[str, Any]]:
             del content["randomise"]
     if name in ("name", "description"):
         return [content]
-    places = [content.setdefault(part, {}) for part, section in _SECTIONS.items() if name in section.model_fields]
+    sections = [content.setdefault(part, {}) for part, section in _SECTIONS.items() if name in section.model_fields]
     if name not in _SOURCE_KEYS:
         for part, kind in _LISTS.items():
-            places += content.get(part, []) if name in kind.model_fields else []
-    return places
+            sections += content.get(part, []) if name in kind.model_fields else []
+    return sections
 
 
 def _same_frame(scene: Scene, changes: dict[str, Any]) -> dict[str, Any]:

@@ -59,8 +59,8 @@ DISSIPATIONS = tuple(LAWS)
 #: Those of a contact that unloads on another path, with or without viscous loss.
 PLASTIC = ("thornton", "walton-braun")
 
-#: Sharpest corner and flattest side of a rock over its radius, and the least share of its mass in an impact: wider than
-#: any lump.
+#: Limits of the curvature of a rock over its radius, and minimum fraction of its mass in an impact: wider than any
+#: rock.
 CURVATURES, MIN_MASS = (1e-3, 10.0), 1e-2
 #: Maximum number of rows of a table of modes.
 _MAX_MODES = 10_000
@@ -72,7 +72,7 @@ def _or_custom_law(value: Any, handler: Callable[[Any], Any]) -> Any:
 
 
 def loss_key(dissipation: str) -> str | None:
-    """Return the key of a population that says how much is lost, None for none."""
+    """Return the key of a population with the amount of loss, None for none."""
     keys = named(dissipation).keys
     return keys[0] if keys else None
 
@@ -99,7 +99,7 @@ _Clipped = Annotated[Distribution, Quantity("ratio", Rule(1e-3, 1))]
 _Restitution = Annotated[Distribution, Quantity("ratio", Rule(MIN_RESTITUTION, MAX_RESTITUTION))]
 _Poisson = Annotated[Distribution, Quantity("ratio", poisson_ratio)]
 _Curvature = Annotated[Distribution, Quantity("ratio", Rule(*CURVATURES, note=" and is 1 for a sphere"))]
-_MassInBlow = Annotated[Distribution, Quantity("ratio", Rule(MIN_MASS, 1, note=" and is 1 for a central blow"))]
+_ImpactMass = Annotated[Distribution, Quantity("ratio", Rule(MIN_MASS, 1, note=" and is 1 for a central impact"))]
 _Relative = Annotated[Distribution, Quantity("ratio", Rule(0, 1e6))]
 _Range = Annotated[Distribution, Quantity("ratio", Rule(1e-3, 1e6))]
 _Exponent = Annotated[Distribution, Quantity("ratio", Rule(-1, 2))]
@@ -121,11 +121,11 @@ class _Source(Section):
     label: Annotated[str, AfterValidator(partial(validation.label, "label"))]
     """Class, such as "coal": 1 to 100 letters, digits, blanks, `_`, `.` or `-`; "unknown" is reserved."""
     weight: Annotated[Number, Quantity(rule=Rule(0, 1e9, without="lowest"))] = 1.0
-    """How often this source is drawn, relative to the others."""
+    """Relative frequency of this source."""
     second_hit: SecondHit | None = None
-    """The pulse comes a second time."""
+    """A repetition of the pulse."""
     clipped_at: _Clipped | None = None
-    """Share of the peak at which the pulse is clipped, as by a sensor whose range is too small."""
+    """Fraction of the peak at which the pulse is clipped, as by a sensor of too small a range."""
 
     @cached_property
     def laws(self) -> dict[str, Distribution]:
@@ -135,11 +135,11 @@ class _Source(Section):
 
 
 class Population(_Source):
-    """Particles of one kind and how they fall; several populations may share a label."""
+    """Rocks of one type and their fall; several populations may have the same label."""
 
     dissipation: Loss | None = None
     """How these rocks lose energy, instead of `impact.dissipation`. Populations of one label may differ in it:
-    then their weights say how often each law applies.
+    then their weights are the frequencies of the laws.
     """
     density: _Density
     """Density of the rock."""
@@ -150,15 +150,15 @@ class Population(_Source):
     radius: _Length
     """Radius of the rock, a sphere, or of the sphere of equal mass."""
     curvature: _Curvature | None = None
-    """Radius of curvature where the rock touches, over its radius: below 1 at a corner, above 1 on a flat side;
-    left out for a sphere.
+    """Radius of curvature of the rock at the contact, over its radius: below 1 at a corner, above 1 on a flat side; 1
+    by default.
     """
-    effective_mass: _MassInBlow | None = None
-    """Mass that takes part in the impact, over the mass of the rock: below 1 where it touches beside its centre
-    and turns aside; left out for a central blow.
+    effective_mass: _ImpactMass | None = None
+    """Effective mass of the impact over the mass of the rock: below 1 for an eccentric impact, in which the rock turns
+    aside; 1 by default.
     """
     restitution: _Restitution | None = None
-    """Rebound speed over impact speed that the rock alone would have; for hunt-crossley, walton-braun and
+    """Rebound speed over impact speed of the rock by itself; for hunt-crossley, walton-braun and
     kuwabara-kono dissipation.
     """
     yield_pressure: _Pressure | None = None
@@ -166,19 +166,18 @@ class Population(_Source):
     strength: _Pressure | None = None
     """Uniaxial compressive strength of the rock, instead of `yield_pressure`, which is 1.6 times as high."""
     viscous_restitution: _Restitution | None = None
-    """Rebound speed over impact speed that a viscous loss alone would leave, for rocks that lose energy in both
-    ways: beside `yield_pressure` or `strength` of thornton dissipation, or `restitution` of walton-braun
-    dissipation.
+    """Rebound speed over impact speed by a viscous loss alone, for rocks with both losses: in addition to
+    `yield_pressure` or `strength` of thornton dissipation, or `restitution` of walton-braun dissipation.
     """
     drop_height: _Length | None = None
-    """How far the rock falls; either this or `velocity`."""
+    """Drop height of the rock; either this or `velocity`."""
     velocity: _Speed | None = None
     """Impact speed; either this or `drop_height`."""
 
     @model_validator(mode="after")
     def _one_way_to_fall(self) -> Self:
         if (self.drop_height is None) == (self.velocity is None):
-            raise ValueError("must have either drop_height or velocity, and not both")
+            raise ValueError("must have either drop_height or velocity")
         return self
 
 
@@ -203,7 +202,7 @@ class TargetSection(Section):
     poisson_ratio: Annotated[float, Quantity("ratio", poisson_ratio)]
     """Poisson's ratio of the target."""
     thickness: Length | None = None
-    """Makes the target a thin plate that no wave returns in; left out where there is a tail beam."""
+    """Makes the target a thin plate without returning waves; must be left out with a tail beam."""
 
     @cached_property
     def material(self) -> Material:
@@ -224,20 +223,20 @@ class ImpactSection(Section):
     stiffness: Literal["hertz", "rigid-sphere", "series"]
     """Theory of the contact stiffness; there is no default."""
     dissipation: Loss
-    """How the rock loses energy: not at all, by hysteretic damping, by crushing where it touches (thornton), as
+    """How the rock loses energy: not at all, by hysteretic damping, by crushing at the contact (thornton), as
     a bilinear spring (walton-braun), or as a viscoelastic sphere (kuwabara-kono). Rocks that crush, or are
     bilinear, may also have a `viscous_restitution`.
     """
     law: Law = "exact"
-    """For hunt-crossley, relation of the damping to the restitution: "exact" delivers the restitution that is
-    requested; the published factors deliver another one.
+    """For hunt-crossley, relation of the damping to the restitution: "exact" gives the requested restitution; the
+    published factors give another one.
     """
     target: TargetSection | Literal["rigid"]
-    """What is hit: an elastic body, or a wall that does not yield."""
+    """The target: an elastic body, or a rigid wall."""
     gravity: Acceleration | None = None
-    """Weight of the rock during contact; left out for none."""
+    """Gravity during contact; none by default."""
     gravity_tolerance: Annotated[float, Quantity("ratio", Rule(0, 0.1))] | None = None
-    """Weight is ignored for every elastic or hunt-crossley impact that it changes by less than this share."""
+    """Gravity is ignored for every elastic or hunt-crossley impact that it changes by less than this fraction."""
 
     @model_validator(mode="after")
     def _law_applies(self) -> Self:
@@ -261,7 +260,7 @@ class SamplingSection(Section):
     pre_trigger: Annotated[WholeNumber, Quantity(rule=Rule(2))] = 0
     """Samples before onset; required, except in a stream, where it is left out."""
     jitter: Annotated[Number, Quantity(rule=Rule(0, 1))] = 1.0
-    """The onset falls anywhere within this part of a sample."""
+    """Range of the random onset within a sample, as a fraction."""
 
     @model_serializer(mode="wrap")
     def _without_frames(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
@@ -319,9 +318,9 @@ class RandomiseSection(Section):
     @model_validator(mode="after")
     def _something(self) -> Self:
         if not self.laws:
-            raise ValueError(f"must name at least one of {', '.join(type(self).model_fields)}; or take it out")
+            raise ValueError(f"must name at least one of {', '.join(type(self).model_fields)}; or remove it")
         if self.hum_frequency is not None and self.hum is None:
-            raise ValueError("hum_frequency must come with hum, its amplitude; give that, too, or leave it out")
+            raise ValueError("hum_frequency needs hum, its amplitude; give that, too, or leave it out")
         return self
 
     @cached_property
@@ -330,17 +329,17 @@ class RandomiseSection(Section):
         return self.distributions
 
 
-_Place = Annotated[Distribution, Quantity("length", Rule(0, LIMITS["length"][1]))]
+_Position = Annotated[Distribution, Quantity("length", Rule(0, LIMITS["length"][1]))]
 # Shapes may have any scale; the modal mass includes it.
 _ShapeValue = Annotated[Number, Quantity(rule=Rule(-1e6, 1e6))]
 
 
 class ImpactPoint(Section):
-    """The point of impact: x along the length from the held edge, y along the width."""
+    """The point of impact: x along the length from the clamped edge, y along the width."""
 
-    x: _Place
-    """Along the length, from the held edge."""
-    y: _Place
+    x: _Position
+    """Along the length, from the clamped edge."""
+    y: _Position
     """Over the width."""
 
 
@@ -348,7 +347,7 @@ class SensorPoint(Section):
     """The position of the sensor."""
 
     x: Length
-    """Along the length, from the held edge."""
+    """Along the length, from the clamped edge."""
     y: Length
     """Over the width."""
 
@@ -368,7 +367,7 @@ class _Mode(Section):
     frequency: Frequency
     """Natural frequency."""
     damping_ratio: DampingRatio
-    """Share of critical damping."""
+    """Fraction of critical damping."""
 
 
 class ModeRow(_Mode):
@@ -377,16 +376,16 @@ class ModeRow(_Mode):
     modal_mass: Mass
     """Modal mass, consistent with the scale of the shapes."""
     shape_impact: _ShapeValue
-    """Shape of the mode where the rocks hit."""
+    """Shape of the mode at the impact."""
     shape_sensor: _ShapeValue
-    """Shape of the mode where the sensor sits."""
+    """Shape of the mode at the sensor."""
 
 
 class LearnedRow(_Mode):
-    """A mode of the beam as impacts have taught it: `cgid calibrate`. Each block of 256 signals draws its modes."""
+    """A mode of the beam learned from impacts by `cgid calibrate`. Each block of 256 signals samples its modes."""
 
     participation: Annotated[Number, Quantity(rule=Rule(0, 1e6, without="lowest"))] = 1.0
-    """Factor of the participation of the beam's own mode."""
+    """Factor of the participation of the beam's mode."""
     frequency_deviation: Share = 0.0
     """Standard deviation of the logarithm of the frequency."""
     damping_ratio_deviation: Share = 0.0
@@ -472,31 +471,31 @@ class TailBeamSection(Section):
     """A rectangular panel, stiffened or not, or modes measured in a tap test."""
 
     length: Length | None = None
-    """Length of the panel, from the held edge."""
+    """Length of the panel, from the clamped edge."""
     width: Length | None = None
     """Width of the panel."""
     thickness: Length | None = None
     """Thickness of the panel."""
     edges: Literal["simply-supported", "clamped", "cantilever"] | None = None
-    """How the edges are held: all four simply supported or clamped, or one edge clamped."""
+    """Support of the edges: all four simply supported or clamped, or one edge clamped."""
     damping_ratio: DampingRatio | None = None
-    """Share of critical damping of every mode."""
+    """Fraction of critical damping of every mode."""
     ribs: RibsSection | None = None
     """Ribs under the panel, along its length."""
     impact_point: ImpactPoint | None = None
-    """Where rocks hit the panel."""
+    """Locations of the impacts."""
     sensor_point: SensorPoint | None = None
-    """Where the sensor sits."""
+    """Position of the sensor."""
     modes: ModeTable | None = None
     """Instead of a panel, modes measured in a tap test, with ascending frequencies; in a file `modes =
     "modes.csv"` reads them from a table.
     """
     learned: LearnedTable | None = None
-    """What impacts have taught of the modes of the panel, or of those measured, one row for each in their order;
-    in a file `learned = "site-modes.csv"` reads them from a table, as `cgid calibrate` writes it.
+    """Corrections, learned from impacts, of the modes of the panel, or of measured ones, one row for each in their
+    order; in a file `learned = "site-modes.csv"` reads them from a table, as `cgid calibrate` writes it.
     """
     coupling: Literal["auto", "impedance", "modes"] = "auto"
-    """How the beam yields under a rock: as an infinite thin plate, through its modes, or whichever applies."""
+    """Coupling of the beam to a rock: as an infinite thin plate, through its modes, or whichever applies."""
 
     @model_validator(mode="after")
     def _panel_or_table(self) -> Self:
@@ -506,9 +505,9 @@ class TailBeamSection(Section):
         if self.modes is None and missing:
             raise ValueError(f"must have {', '.join(missing)}, or modes in place of a panel")
         if self.modes is not None and given:
-            raise ValueError(f"must have either modes or a panel, and not both; take out {', '.join(given)}")
+            raise ValueError(f"must have either modes or a panel; remove {', '.join(given)}")
         if self.modes is not None and self.coupling == "impedance":
-            raise ValueError("coupling must be auto or modes where the modes are measured: a table has no impedance")
+            raise ValueError("coupling must be auto or modes for measured modes: a table has no impedance")
         self._require_modes()
         self._require_on_panel()
         return self
@@ -523,10 +522,7 @@ class TailBeamSection(Section):
                 f"{frequency[row - 1]:g} Hz; sort them"
             )
         if not (self.modes["shape_impact"] * self.modes["shape_sensor"]).any():
-            raise ValueError(
-                "modes must contain one whose shape is not 0 both where the rocks hit and where the sensor sits; "
-                "there is none, and nothing would be heard"
-            )
+            raise ValueError("modes must contain one with shapes other than 0 at both impact and sensor; there is none")
 
     def _require_on_panel(self) -> None:
         if self.impact_point is None or self.sensor_point is None:
@@ -562,13 +558,13 @@ class TailBeamSection(Section):
 
     @cached_property
     def learned_modes(self) -> Modes | None:
-        """The learned modes, relative to the beam's own."""
+        """The learned modes, relative to those of the beam."""
         return None if self.learned is None else Modes.of(self.learned.columns)
 
     def with_learned(self, modes: Modes) -> TailBeamSection:
         """Return the beam with other learned modes."""
         made = self.model_copy(update={"learned": Table(modes.columns)})
-        made.__dict__["learned_modes"] = modes  # a copy keeps what is cached
+        made.__dict__["learned_modes"] = modes  # a copy keeps cached values
         return made
 
 

@@ -98,7 +98,7 @@ def empty_truth(scene: Scene) -> dict[str, NDArray[Any]]:
 
 
 def joined(scene: Scene, parts: list[dict[str, NDArray[Any]]]) -> dict[str, NDArray[Any]]:
-    """Return the truth of a whole recording, with neighbours, from its parts in order."""
+    """Return the truth of a complete recording, with neighbours, from its parts in order."""
     truth = {name: np.concatenate([part[name] for part in parts]) for name in empty_truth(scene)}
     touch = truth["time"]
     separation = touch + truth["contact_duration"]

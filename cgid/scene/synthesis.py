@@ -15,7 +15,7 @@ from cgid.counting import count
 from cgid.errors import InvalidValue
 from cgid.measure.features import extract_array, extract_truncated, samples_needed
 from cgid.scene.draws import BLOCK, at_once, drawn_block, parameter_units, require_seed
-from cgid.scene.impacts import Blows, blows_of, contacts_of
+from cgid.scene.impacts import PulseBlock, contacts_of, pulses_of_block
 from cgid.scene.noise import MAX_NOISE, add_sensor_noise, background_of
 from cgid.scene.plan import OF_TAPS, TRUE, Plan, plan
 from cgid.scene.schema import Scene, load_scene
@@ -75,7 +75,7 @@ def synthesise(
         raise InvalidValue(f"output must be frames or pulses where signals are wanted, got {output}")
     together = min(TOGETHER, max(_MAX_SAMPLES // (BLOCK * scene.sampling.samples), 1))
     for block, part in blocks(n_signals, first, at_once(scene, together)):
-        pulses = blows_of(synthesis_plan, seed, block, _spanned(part))
+        pulses = pulses_of_block(synthesis_plan, seed, block, _spanned(part))
         frames = make_frames(pulses, seed, block, synthesis_plan.dtype)
         for _, one in _by_block(part):
             yield batch_of(scene, pulses, frames, one)
@@ -113,7 +113,7 @@ def require_frames(scene: Scene) -> None:
         )
 
 
-def batch_of(scene: Scene, pulses: Blows, frames: NDArray[Any], part: slice) -> Batch:
+def batch_of(scene: Scene, pulses: PulseBlock, frames: NDArray[Any], part: slice) -> Batch:
     """Return some of these signals of a scene, (n_signals, n_samples), with labels, parameters and specimens."""
     plan = pulses.plan
     return Batch(
@@ -128,20 +128,20 @@ def batch_of(scene: Scene, pulses: Blows, frames: NDArray[Any], part: slice) -> 
     )
 
 
-def make_frames(pulses: Blows, seed: int, block: int, dtype: DTypeLike) -> NDArray[Any]:
+def make_frames(pulses: PulseBlock, seed: int, block: int, dtype: DTypeLike) -> NDArray[Any]:
     """Return the frames of one block, or of several from it on, as planned."""
     return make_beginnings(pulses, seed, block, dtype, pulses.scene.sampling.samples)[0]
 
 
 def make_beginnings(
-    pulses: Blows, seed: int, block: int, dtype: DTypeLike, n_samples: int
+    pulses: PulseBlock, seed: int, block: int, dtype: DTypeLike, n_samples: int
 ) -> tuple[NDArray[Any], Floats]:
     """Return the first samples of frames, equal to those of `make_frames`, and upper bounds of the rest."""
     # All contacts must end within them or begin after the frame.
     plan, sampling, sensor = pulses.plan, pulses.scene.sampling, pulses.scene.sensor
     n_signals, rate = len(pulses.labels), sampling.sampling_rate
     max_after = np.zeros(n_signals)
-    # The transform of a low-pass is periodic over the whole frame.
+    # The transform of a low-pass is periodic over the complete frame.
     filtered = plan.runs("bandwidth")
     frames: NDArray[Any] = np.zeros((n_signals, sampling.samples if filtered else n_samples), dtype)
     pulses.add_to_frames(frames)
@@ -220,7 +220,7 @@ def _untimed(plan: Plan, seed: int, block: int, part: slice) -> Rows:
     )
 
 
-def _beginning(pulses: Blows) -> int:
+def _beginning(pulses: PulseBlock) -> int:
     """Return the number of samples of each frame that the features will most likely use."""
     sampling, names = pulses.scene.sampling, pulses.plan.features
     if pulses.plan.runs("rest of the frames"):
@@ -238,12 +238,12 @@ def _measured(plan: Plan, n_signals: int, seed: int, first: int) -> Iterator[Row
     together = 1 if plan.scene.draws("sampling_rate") else TOGETHER
     n_blocks = at_once(plan.scene, together)
     several = blocks(n_signals, first, n_blocks)
-    drawn = ((block, part, blows_of(plan, seed, block, _spanned(part))) for block, part in several)
+    drawn = ((block, part, pulses_of_block(plan, seed, block, _spanned(part))) for block, part in several)
     while group := list(islice(drawn, together // n_blocks)):
         yield _features(plan, seed, group)
 
 
-def _features(plan: Plan, seed: int, drawn: list[tuple[int, slice, Blows]]) -> Rows:
+def _features(plan: Plan, seed: int, drawn: list[tuple[int, slice, PulseBlock]]) -> Rows:
     """Return the features of some blocks, each with its number and its requested signals."""
     names, sampling = plan.features, drawn[0][2].scene.sampling
     length = max(_beginning(pulses) for _, _, pulses in drawn)
@@ -269,13 +269,13 @@ def _features(plan: Plan, seed: int, drawn: list[tuple[int, slice, Blows]]) -> R
 
 
 def _features_of_frames(
-    names: tuple[str, ...], seed: int, drawn: list[tuple[int, slice, Blows]], needed: NDArray[np.bool_]
+    names: tuple[str, ...], seed: int, drawn: list[tuple[int, slice, PulseBlock]], needed: NDArray[np.bool_]
 ) -> Floats:
     """Return the features of signals whose first samples did not suffice, (n_wanted, n_features)."""
-    sampling, rows, place = drawn[0][2].scene.sampling, [], 0
+    sampling, rows, position = drawn[0][2].scene.sampling, [], 0
     for block, part, pulses in drawn:
-        here = needed[place : place + part.stop - part.start]
-        place += here.size
+        here = needed[position : position + part.stop - part.start]
+        position += here.size
         if here.any():
             rows.append(make_frames(pulses, seed, block, np.float32)[part][here])
     return extract_array(

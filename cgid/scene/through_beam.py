@@ -1,4 +1,4 @@
-"""What it takes to look through a scene's beam to the force: beam, sensor and the contact forces of its rocks."""
+"""The inversion of a scene's beam to the contact force: beam, sensor and the contact forces of its rocks."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from cgid.measure.beam import FINE, MAX_SENSORS, RATES, SPAN_TIME, TOUCH, Beam, 
 from cgid.measure.modes import Modes, NodeShapes, nodes
 from cgid.physics.response import DERIVATIVES
 from cgid.scene.draws import BLOCK, require_seed
-from cgid.scene.impacts import beam_modes, blows_of, draw
+from cgid.scene.impacts import beam_modes, draw, pulses_of_block
 from cgid.scene.plan import highest_frequency, plan
 from cgid.scene.schema import Scene, parse_scene, stored_scene
 from cgid.scene.synthesis import batch_of, blocks, make_frames, require_count, require_frames
@@ -69,10 +69,10 @@ def beam_of(scene: Scene, n_shapes: int = N_SHAPES, sensors: Iterable[tuple[floa
 def through_modes(scene: Scene, beam: Beam) -> Beam:
     """Return a beam with the modes of a scene instead of its own: those of other dimensions, without errors."""
     modes = beam_modes(scene)
-    own = replace(
+    at_node = replace(
         modes, at_impact=_at_nodes(scene, modes), at_sensor=np.ones((1, modes.frequency.size)), deviation=None
     )
-    return replace(beam, modes=own)
+    return replace(beam, modes=at_node)
 
 
 def full_beam(scene: Scene) -> Beam:
@@ -169,7 +169,7 @@ def moved(scene: Scene, point: tuple[float, float]) -> Scene:
     if learned is not None and ((learned.participation() != 1).any() or uncertain):
         raise InvalidValue(
             f"scene {scene.name}: tail_beam.learned must have participations of 1 without deviation to move its "
-            "sensor, those learned by blows are of one point; leave sensors out, or tail_beam.learned"
+            "sensor, those learned from impacts are of one point; leave sensors out, or tail_beam.learned"
         )
     content = json.loads(scene.text)
     content["tail_beam"]["sensor_point"] = dict(zip("xy", map(float, point), strict=True))
@@ -187,7 +187,7 @@ def recorded_together(
     for block, part in blocks(n_signals, 0):
         batches = []
         for number, one_plan in enumerate(plans):
-            blows, noise_seed = blows_of(one_plan, seed, block), (seed + number * _NOISE_APART) % 2**63
+            blows, noise_seed = pulses_of_block(one_plan, seed, block), (seed + number * _NOISE_APART) % 2**63
             batches.append(batch_of(one_plan.scene, blows, make_frames(blows, noise_seed, block, one_plan.dtype), part))
         yield replace(batches[0], signals=np.stack([batch.signals for batch in batches], axis=1), source=scene.sha256)
 

@@ -107,7 +107,7 @@ class SiteCalibration:
                 part["path"] = str((self.scene.folder / part["path"]).resolve())
         head = f"# Written by cgid calibrate: the modes of {table.name} are learned from {self.n_impacts} impacts.\n"
         texts = {table: text_of_table(self.learned.columns), path: head + "\n".join(_toml(content)) + "\n"}
-        write_together({place: text.encode() for place, text in texts.items()}, overwrite=overwrite)
+        write_together({file: text.encode() for file, text in texts.items()}, overwrite=overwrite)
         return path, table
 
 
@@ -129,14 +129,14 @@ def usable_impacts(events: Iterable[Event]) -> tuple[list[Event], dict[str, int]
     tuple of list and dict
         The usable impacts, and the number of overlapping, clipped and cut ones.
     """
-    kept, lost = [], {"overlapping": 0, "clipped": 0, "cut": 0}
+    usable, lost = [], {"overlapping": 0, "clipped": 0, "cut": 0}
     for event in events:
         flaw = next((name for name in lost if getattr(event, name)), None)
         if flaw is None and not event.problem:
-            kept.append(event)
+            usable.append(event)
         elif flaw is not None:
             lost[flaw] += 1
-    return kept, lost
+    return usable, lost
 
 
 @renamed_arguments(most_blows="max_impacts")

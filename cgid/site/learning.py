@@ -24,14 +24,14 @@ from cgid.validation import Floats
 #: thousandths of a radian.
 POLE_STEP = 1e-6
 #: Prior standard deviation of a location about its estimate [m].
-_PLACE_DEVIATION = 0.1
+_LOCATION_DEVIATION = 0.1
 #: Impacts per round while the poles move far, and per search of single modes.
 _FEW, _N_SEARCHED = 120, 48
 #: Gauss-Newton rounds before the first search of single modes, between two, and at last with all impacts; searches.
 _FIRST, _BETWEEN, _LAST, _MAX_SEARCHES = 8, 2, 10, 6
 #: Successive bands as fractions of the whole, and the range of modes beyond a band that still affect it.
 _BANDS, _BEYOND = (0.12, 0.24, 0.4, 0.6, 0.8, 1.0), 1.15
-#: With frequency errors below this fraction of the damping ratio, the whole band is learned at once.
+#: With frequency errors below this fraction of the damping ratio, the complete band is learned at once.
 _NARROW = 0.7
 #: Factor of the standard deviations for the nonlinearity in the poles; measured by benchmarks/calibrate.py.
 _BEYOND_LINEAR = 1.1
@@ -195,7 +195,7 @@ class System:
             _cut(impacts.frames, self.inverted.start, self.inversion.n_samples) / (impacts.noise * raised)[:, None]
         )
         self.samples = self.inversion.transformed(samples)[:, self.columns] * self.root
-        self.table = self._told(respond(beam, self.inversion.forces, self.inversion.n_samples))
+        self.table = self._informative(respond(beam, self.inversion.forces, self.inversion.n_samples))
         self.at = self.beam.weights(self.inverted.x, self.inverted.y)
         self.power = np.empty(len(impacts))
 
@@ -214,7 +214,7 @@ class System:
         step = np.zeros((len(CORRECTED), len(self.beam.poles)))
         step[row] = POLE_STEP
         sides = [self._responses(corrected(self.beam, sign * step)) for sign in (1, -1)]
-        return self._told((sides[0] - sides[1]) / (2 * POLE_STEP))
+        return self._informative((sides[0] - sides[1]) / (2 * POLE_STEP))
 
     def equations(self, slopes: Callable[[int], Singles | Floats]) -> tuple[Floats, Floats]:
         """Return the gradients of the impacts in the parameters, (n_blows, n), and their curvature, (n, n)."""
@@ -232,7 +232,7 @@ class System:
             pulls.append(weight * (jacobian @ left).astype(np.float64) - cross.T @ push)
         return np.array(pulls), curvature
 
-    def _told(self, responses: Floats) -> Singles:
+    def _informative(self, responses: Floats) -> Singles:
         """Return the informative coefficients of responses."""
         return np.ascontiguousarray(self.inversion.transformed(responses)[..., self.columns])
 
@@ -242,7 +242,7 @@ class System:
 
     def of(self, beam: Beam) -> Singles:
         """Return the table of the active modes of another beam."""
-        return self._told(self._responses(beam))
+        return self._informative(self._responses(beam))
 
     def by_beams(self, sides: Callable[[int], tuple[Beam, Beam]], n: int, step: float) -> Callable[[int], Floats]:
         """Return the slopes of an impact in n parameters, from the beams a step above and below in each."""
@@ -252,7 +252,7 @@ class System:
             for beam, sign in zip(sides(number), (1, -1), strict=True):
                 at = beam.weights(self.inverted.x, self.inverted.y)[0]
                 weights = (at[:, :, None] * self.inverted.coefficients[:, None]).reshape(len(at), -1).astype(np.float32)
-                table = self._told(respond(beam, self.inversion.forces, self.inversion.n_samples))
+                table = self._informative(respond(beam, self.inversion.forces, self.inversion.n_samples))
                 slopes[:, number] += np.float32(sign / (2 * step)) * (weights @ table.reshape(-1, self.columns.size))
         return lambda row: slopes[row].astype(np.float64)
 
@@ -269,7 +269,7 @@ class System:
         left = self.samples[row] - single @ ways[0]
         weight = 1 / max(float(np.mean(np.square(left))), 1.0)
         every = np.concatenate([ways[0], ways[1:, 0]])
-        prior = np.diag(np.concatenate([np.full(force.size, 1 / self.level(row)), np.full(2, _PLACE_DEVIATION**-2)]))
+        prior = np.diag(np.concatenate([np.full(force.size, 1 / self.level(row)), np.full(2, _LOCATION_DEVIATION**-2)]))
         # The level of the forces is unknown: their prior would determine the size of a beam.
         along = force / max(float(np.linalg.norm(force)), 1e-300)
         prior[:-2, :-2] -= np.outer(along, along) / self.level(row)

@@ -266,10 +266,10 @@ def _jump(response: Floats, onset: int, sampling_rate: float) -> float:
     """Return by how much the second differences grow at an onset; beating modes are no impact."""
     n = max(round(_JUMP_TIME * sampling_rate), 4)
     bends = np.diff(response[:, max(onset - 2 * n, 0) : onset + n], n=2, axis=1)
-    before, behind = bends[:, : -n - n // 2], bends[:, -n:]
+    before, after = bends[:, : -n - n // 2], bends[:, -n:]
     if before.shape[1] < n // 4:
         return np.inf
-    return float(np.max(np.sqrt(np.mean(behind**2, axis=1) / np.maximum(np.mean(before**2, axis=1), 1e-300))))
+    return float(np.max(np.sqrt(np.mean(after**2, axis=1) / np.maximum(np.mean(before**2, axis=1), 1e-300))))
 
 
 def _force(hammer: Floats, sampling_rate: float, source: str) -> tuple[Floats, list[Event]]:
@@ -304,7 +304,7 @@ def _judged(
     nexts = [event.onset for event in events[1:]] + [n]
     taps = []
     for event, following in zip(events, nexts, strict=True):
-        known = event.pre_trigger is None  # a pulse of a hammer ends where it ends
+        known = event.pre_trigger is None  # a pulse of a hammer ends with its contact
         start = (event.end + round(_AFTER * sampling_rate)) if known else event.onset + round(contact * sampling_rate)
         stop = following - (round(_BEFORE_NEXT * sampling_rate) if following < n else 0)
         separation = (following - event.onset) / sampling_rate
@@ -364,14 +364,14 @@ def _long_enough(taps: list[Tap], sampling_rate: float, n: int) -> list[Tap]:
     for tap in taps:
         duration = max(tap.stop - tap.start, 0) / sampling_rate
         if not tap.flaw and duration < needed:
-            behind = "the end of the recording" if tap.stop == n else "the next tap"
-            tap = replace(tap, flaw=f"too close to {behind}, {duration:.3g} s where {needed:.3g} s are needed")
+            after = "the end of the recording" if tap.stop == n else "the next tap"
+            tap = replace(tap, flaw=f"too close to {after}, {duration:.3g} s where {needed:.3g} s are needed")
         out.append(tap)
     return out
 
 
 def _listed(taps: Sequence[Tap]) -> str:
-    """Return how many taps there are, with what is wrong with the first."""
+    """Return the number of taps, with the flaw of the first."""
     count = {flaw: sum(tap.flaw.split(",")[0] == flaw for tap in taps) for flaw in (t.flaw.split(",")[0] for t in taps)}
     reasons = ", ".join(f"{number} {flaw}" for flaw, number in count.items() if flaw)
     return f"{counted(len(taps), 'tap')}: {reasons}"

@@ -41,7 +41,7 @@ _HEADER = b"\x78\x01"
 #: zlib's default.
 _MEMORY = 8
 #: Number of samples of a plane, and their size [bytes].
-_PLACES, _LOOK = 8, 256
+_PARTS, _LOOK = 8, 256
 #: A plane is packed if its samples shrink to at most this fraction.
 _WORTH = 0.97
 
@@ -59,10 +59,10 @@ def deflated(planes: NDArray[np.uint8]) -> bytes:
 
 
 def _is_worth_packing(plane: NDArray[np.uint8]) -> bool:
-    if plane.size <= _PLACES * _LOOK:
+    if plane.size <= _PARTS * _LOOK:
         return True
     # The even spread takes them from all over the signals.
-    starts = np.linspace(0, plane.size - _LOOK, _PLACES).astype(int)
+    starts = np.linspace(0, plane.size - _LOOK, _PARTS).astype(int)
     seen = b"".join([plane[start : start + _LOOK].tobytes() for start in starts])
     packer = zlib.compressobj(1, zlib.DEFLATED, _RAW, _MEMORY, zlib.Z_RLE)
     return len(packer.compress(seen)) + len(packer.flush()) <= _WORTH * len(seen)

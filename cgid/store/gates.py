@@ -42,7 +42,7 @@ def storage_fault(item: h5py.Dataset, file_size: int, best_ratio: float = BEST_R
         return f"declares {n_chunks} chunks in a file of {file_size} bytes"
     declared, stored = item.size * item.dtype.itemsize, item.id.get_storage_size()
     if declared > best_ratio * stored or stored > file_size:
-        return f"declares {declared} bytes and holds {min(stored, file_size)}"
+        return f"declares {declared} bytes and contains {min(stored, file_size)}"
     if item.chunks is None:
         return ""
     if chunk_bytes(item) > _MAX_CHUNK_SIZE:
@@ -159,7 +159,7 @@ def opened(path: Path, source: str, identity: Identity | None = None) -> Iterato
     except DAMAGE:
         raise BadData(
             f"{source}: must be a readable HDF5 file, it is empty, truncated or no HDF5 file; copy it again, or "
-            "generate it anew"
+            "generate it again"
         ) from None
     with file, clear_damage(source):
         if identity not in (None, identity_of(os.fstat(file.id.get_vfd_handle()))):
@@ -169,7 +169,7 @@ def opened(path: Path, source: str, identity: Identity | None = None) -> Iterato
 
 @contextmanager
 def clear_damage(
-    source: str, what: str = "is damaged", hint: str = "copy it again, or generate it anew"
+    source: str, what: str = "is damaged", hint: str = "copy it again, or generate it again"
 ) -> Iterator[None]:
     """Turn h5py's errors on a damaged file into `BadData`."""
     try:

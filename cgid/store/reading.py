@@ -32,7 +32,7 @@ _COMMON = ("n_samples", "dtype", "sampling_rate", "pre_trigger", "unit", "parame
 
 
 def state_of(path: Path, sha256: str | None = None, listing: str = "") -> Identity:
-    """Return the state of a file; raises `BadData` if it has another SHA-256 than `listing` says."""
+    """Return the state of a file; raises `BadData` if it has another SHA-256 than in `listing`."""
     try:
         if not path.is_file():
             raise BadData(f"{path}: must be a regular file; copy it to one first")

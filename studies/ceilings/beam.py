@@ -25,7 +25,7 @@ from cgid.measure.beam import respond
 from cgid.measure.template import curve
 from cgid.scene import Scene
 from cgid.scene.draws import BLOCK
-from cgid.scene.impacts import Blows, draw
+from cgid.scene.impacts import PulseBlock, draw
 from cgid.scene.through_beam import beam_of, has_beam
 from cgid.validation import Floats
 
@@ -81,7 +81,7 @@ class Pulses:
 
     unknowns: Floats
     apart: Floats
-    blows: Blows
+    blows: PulseBlock
 
 
 class BeamErrors:
