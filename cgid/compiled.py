@@ -78,6 +78,11 @@ def inner_jit(function: Function) -> Function:
     return _compiled(function, _OPTIONS | {"no_cpython_wrapper": True, "no_cfunc_wrapper": True})
 
 
+def bare_jit(function: Function) -> Function:
+    """Return the same for a function that makes no array: it counts no references, which took half of the time."""
+    return _compiled(function, _OPTIONS | {"no_cpython_wrapper": True, "no_cfunc_wrapper": True, "_nrt": False})
+
+
 def _compiled(function: Function, options: dict[str, Any]) -> Function:
     dispatcher: Any = numba.njit(**options)(function)
     dispatcher._cache = KernelCache(function, kernel_folder)

@@ -9,6 +9,7 @@ import pytest
 from scipy.integrate import quad
 from scipy.optimize import brentq
 
+from cgid.errors import BadData
 from cgid.physics import HuntCrossley, Impact, ModalImpact, Sphere, Thornton, WaltonBraun
 from cgid.physics.curves import TOLERANCE
 from cgid.physics.materials import Material
@@ -314,3 +315,12 @@ def test_rocks_crush_on_a_tail_beam():
         assert isinstance(public.dissipation, Thornton)
         assert drawn.parameters["peak_force"][strike.rows] == pytest.approx(public.peak_force, rel=1e-12)
         assert (public.radiated_energy > 0).all()
+
+
+def test_a_plate_that_bilinear_rocks_do_not_leave_is_refused():
+    """Spring, mass and impedance of the plate are overdamped: the rock comes to rest and never leaves."""
+    content = tomllib.loads(scene_path("reference").read_text())
+    steel = {"density": 7850.0, "youngs_modulus": "210 GPa", "poisson_ratio": 0.3, "thickness": "20 mm"}
+    content["impact"] |= {"dissipation": "walton-braun", "target": steel}
+    with pytest.raises(BadData, match=r"populations\.0: .* must rebound"):
+        parse_scene(content)

@@ -26,7 +26,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cgid.compiled import inner_jit, jit
+from cgid.compiled import bare_jit, inner_jit, jit
 from cgid.physics._dop853 import END, ERROR_3, ERROR_5, LAST, STAGES, dense, stages, weighted
 from cgid.physics._modes import (
     IMPULSE,
@@ -75,6 +75,8 @@ _LOOSE, _LEAST = 1e-6, 3e-13
 _FREE = 1e-4
 #: A contact that lasts longer than this under its weight on modes does not end [T0].
 _FOR_GOOD = 1e3
+#: Less than this, in speed and force, is no rebound.
+_NOTHING = 1e-16
 #: Slowest rebound that can be told from rounding, of a sphere that is released by the force.
 _MIN_REBOUND = 1e-12
 _NO_EVENT, _END, _RELEASE, _TURN, _CORNER = 0, 1, 2, 3, 4
@@ -122,7 +124,7 @@ def step(force, p, history, inelasticity, weight, cells, h, w, y, tau, u, f, top
     return error, w{END}, y{END}, later, u, g, c, f
 """
 exec(compile(_STEP, __file__, "exec"), globals())
-step = inner_jit(globals()["step"])
+step = bare_jit(globals()["step"])
 
 
 @jit
@@ -143,7 +145,7 @@ def flags_of(law: Any) -> int:
     return HYSTERETIC * int(law.corner is not None or law.turn is not None) + PULLS * int(law.pulls)
 
 
-@inner_jit
+@bare_jit
 def value(row: Array, first: int, s: float) -> float:
     """Return the dense output whose columns begin at `first`, at the share s of a step."""
     r = 1.0 - s
@@ -159,7 +161,7 @@ def value(row: Array, first: int, s: float) -> float:
     return total
 
 
-@inner_jit
+@bare_jit
 def state_at(
     force: Any, p: Array, history: Array, inelasticity: float, cells: Any, row: Array, s: float
 ) -> tuple[float, float, float]:
@@ -187,7 +189,7 @@ def _refine(cells: Any, row: Array, first: float, last: float) -> None:
         row[Y + degree] = dot(THROUGH[degree], u)
 
 
-@inner_jit
+@bare_jit
 def _watched(
     event: int,
     force: Any,
@@ -212,7 +214,7 @@ def _watched(
     return push
 
 
-@inner_jit
+@bare_jit
 def _place(
     event: int,
     force: Any,
@@ -247,7 +249,7 @@ def _place(
     return high
 
 
-@inner_jit
+@bare_jit
 def _first_step(force: Any, p: Array, history: Array, inelasticity: float, w: float, u: float) -> float:
     """Return the length of the first step: one that changes the velocity by some per cent."""
     h = 1.0
@@ -264,7 +266,7 @@ def _first_step(force: Any, p: Array, history: Array, inelasticity: float, w: fl
     return h
 
 
-@inner_jit
+@bare_jit
 def _creeps(force: Any, p: Array, history: Array, weight: float, w: float) -> bool:
     """Return whether a sphere that its weight all but holds at w comes to rest without swinging beyond."""
     low, high = 0.0, w
@@ -278,14 +280,14 @@ def _creeps(force: Any, p: Array, history: Array, weight: float, w: float) -> bo
     return bool(c * c > 67.0 * _stiffness(force, p, history, high))
 
 
-@inner_jit
+@bare_jit
 def _stiffness(force: Any, p: Array, history: Array, w: float) -> float:
     """Return the slope of the force at rest."""
     slope: float = (force(p, history, 1.001 * w)[0] - force(p, history, w)[0]) / (0.002 * w * w)
     return slope
 
 
-@inner_jit
+@bare_jit
 def _rests(force: Any, p: Array, history: Array, weight: float, modes: Any, w: float, u: float, f: float) -> bool:
     """Return whether neither contact nor modes swing so far that a sphere leaves which its weight holds."""
     swing = abs(f - weight) + math.sqrt(max(_stiffness(force, p, history, w), 0.0)) * abs(u) if w > 0.0 else weight
@@ -431,6 +433,8 @@ def integrate(
             if event == _NO_EVENT and (at_rest or creeps):
                 result[0], result[1] = STAYS, 0.0
                 return n
+        elif modes is None and inelasticity > 0.0 and abs(y) + f < _NOTHING:
+            return 0  # it comes to rest in a plate
         elif modes is None and not (compressing or pulls) and n < steps.shape[0] and g + c * y < _FREE * permitted * g:
             y = -g / c  # what f tends to 0 at
             _fly(steps[n], history, w, y, tau)
@@ -496,11 +500,11 @@ def _follow(
     return n if result[0] == SEPARATED else 0
 
 
-@inner_jit
+@bare_jit
 def find_peak(force: Any, p: Array, inelasticity: float, cells: Any, steps: Array, result: Array) -> float:
     """Find the peak force and its time, where it is above that of the result; return the integral of the force squared.
 
-    By golden sections near the largest force at the nodes.
+    By golden sections near the largest force at the nodes, then a parabola.
     """
     best, place, total, n = -1, 0.0, 0.0, len(steps)
     for k in range(n):
@@ -518,7 +522,7 @@ def find_peak(force: Any, p: Array, inelasticity: float, cells: Any, steps: Arra
         elif (k < best and place > 0.0) or (k > best and place < 1.0):
             continue
         history = row[HISTORY : HISTORY + 4]
-        for _ in range(45):
+        for _ in range(20):
             first, second = low + 0.3819660112501051 * (high - low), low + 0.6180339887498949 * (high - low)
             if (
                 state_at(force, p, history, inelasticity, cells, row, first)[2]
@@ -527,21 +531,28 @@ def find_peak(force: Any, p: Array, inelasticity: float, cells: Any, steps: Arra
                 low = first
             else:
                 high = second
-        for s in (0.5 * (low + high), 0.0, 1.0):
+        middle = 0.5 * (low + high)
+        f0 = state_at(force, p, history, inelasticity, cells, row, low)[2]
+        f1 = state_at(force, p, history, inelasticity, cells, row, middle)[2]
+        f2 = state_at(force, p, history, inelasticity, cells, row, high)[2]
+        bend = f0 - 2.0 * f1 + f2
+        if bend < 0.0:
+            middle = min(max(middle + 0.25 * (high - low) * (f0 - f2) / bend, low), high)
+        for s in (middle, 0.0, 1.0):
             f = state_at(force, p, history, inelasticity, cells, row, s)[2]
             if f >= result[3]:
                 result[3], result[4] = f, value(row, TAU, s)
     return total
 
 
-@inner_jit
+@bare_jit
 def _end(steps: Array) -> float:
     """Return when the last step ends."""
     end: float = steps[-1, TAU] + steps[-1, TAU + 1] if len(steps) else 0.0
     return end
 
 
-@inner_jit
+@bare_jit
 def _march(steps: Array, n: int, s: float, tau: float) -> tuple[int, float]:
     """Return the step and the share of it at time tau, seeking from (n, s): Newton in a bracket; -1 in a flight."""
     if tau < steps[n, TAU]:
@@ -571,7 +582,7 @@ def _march(steps: Array, n: int, s: float, tau: float) -> tuple[int, float]:
     return n, s
 
 
-@inner_jit
+@bare_jit
 def _quantity(force: Any, p: Array, inelasticity: float, cells: Any, row: Array, s: float, quantity: int) -> float:
     w, _, f = state_at(force, p, row[HISTORY : HISTORY + 4], inelasticity, cells, row, s)
     return row[HISTORY] + w * w if quantity == DISPLACEMENT else max(f, 0.0)

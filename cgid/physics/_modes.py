@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cgid.compiled import inner_jit, jit
+from cgid.compiled import bare_jit, inner_jit, jit
 from cgid.physics._dop853 import END, LAST, STAGES, within
 
 Array = NDArray[Any]
@@ -155,7 +155,7 @@ def settle(m: Structure, width: float) -> None:
     _fit(m.answer, 0, m.cells[:_NEAR])
 
 
-@inner_jit
+@bare_jit
 def dot(a: Array, b: Array) -> float:
     """Return the scalar product in four sums, which are independent and so run side by side."""
     s0, s1, s2, s3 = 0.0, 0.0, 0.0, 0.0
@@ -180,7 +180,7 @@ def _expand(m: Structure, a: Array, b: Array, out: Array) -> None:
         out[k] = dot(_EXPAND[k], at_nodes)
 
 
-@inner_jit
+@bare_jit
 def _fit(values: Array, first: int, cells: Array) -> None:
     """Fill cells (n, 10) with the polynomials through values from the first on."""
     for k in range(len(cells)):
@@ -189,7 +189,7 @@ def _fit(values: Array, first: int, cells: Array) -> None:
             cells[k, degree] = dot(_FIT[degree], near)
 
 
-@inner_jit
+@bare_jit
 def _polynomial(c: Array, first: int, n: int, at: float) -> float:
     """Return the value of polynomials in n cells from the first on at a time in widths of a cell."""
     k = min(max(int(at), 0), n - 1)
@@ -203,7 +203,7 @@ def _polynomial(c: Array, first: int, n: int, at: float) -> float:
     return total
 
 
-@inner_jit
+@bare_jit
 def _spread(at: float, weights: Array) -> int:
     """Fill the weights (10,) of the values that give that at a time; return the first of these values."""
     k = math.floor(at)
@@ -215,7 +215,7 @@ def _spread(at: float, weights: Array) -> int:
     return int(k) + _NEGATIVE - _BEFORE
 
 
-@inner_jit
+@bare_jit
 def velocity(cells: Array, stage: int, time: float, h: float) -> float:
     """Return the velocity of the point of impact at a stage of a step."""
     per = 1.0 / cells[_CLOCK, 1]
@@ -263,14 +263,14 @@ def _look_ahead(m: Structure, time: float) -> None:
     _fit(m.free, int(first) + LONGEST, cells[_NEAR:STAGE])
 
 
-@inner_jit
+@bare_jit
 def known(cells: Array, time: float) -> float:
     """Return for how long the motion is known."""
     left: float = cells[_CLOCK, 0] + CELLS * cells[_CLOCK, 1] - time
     return left
 
 
-@inner_jit
+@bare_jit
 def width_of(cells: Array) -> float:
     """Return the width of a cell."""
     width: float = cells[_CLOCK, 1]

@@ -118,7 +118,7 @@ def problem_of_weight(section: ImpactSection, target: Target, population: Popula
     return None
 
 
-def problem_on_plate(target: Target, theory: str, population: Population, thickness: str) -> str | None:
+def problem_on_plate(section: ImpactSection, target: Target, population: Population, thickness: str) -> str | None:
     """Return an error message if the target is a plate too thin for this population, else None."""
     if not isinstance(target, ThinPlate):
         return None
@@ -127,10 +127,18 @@ def problem_on_plate(target: Target, theory: str, population: Population, thickn
     velocity = _speeds(population)[1]
     # lambda = m / (Z T0) with T0 = (m / K)^(2/5) v^(-1/5) grows with all of these.
     mass = float(sphere.impact_mass)
-    factor = STIFFNESS_THEORIES[theory]
+    factor = STIFFNESS_THEORIES[section.stiffness]
     stiffness = stiffness_of(reduced_radius(sphere, target), reduced_modulus(sphere, target), factor)
     inelasticity = float(np.power(mass, 0.6) * np.power(stiffness, 0.4) * np.power(velocity, 0.2) / target.impedance)
     if inelasticity <= MAX_INELASTICITY:
+        law = _largest_loss(section, population)
+        if isinstance(law, Elastic | HuntCrossley):
+            return None
+        parts: dict[str, Any] = {"sphere": sphere, "target": target, "velocity": velocity}
+        try:
+            Contacts(**parts, stiffness=section.stiffness, dissipation=law).curves.require_rebound()
+        except InvalidValue as error:
+            return f"the heaviest, stiffest and fastest possible impact must rebound: {error}; or raise {thickness}"
         return None
     return (
         f"lambda of the thin plate must be at most {MAX_INELASTICITY:g}, its maximum is {inelasticity:.3g}; "

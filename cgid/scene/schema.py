@@ -93,9 +93,9 @@ class Scene(Section):
         if not problems:  # an invalid beam cannot be a target
             thickness = "impact.target.thickness" if self.tail_beam is None else "tail_beam.thickness"
             for index, population in enumerate(self.populations):
-                problem = problem_on_plate(
-                    self.body, self.impact.stiffness, population, thickness
-                ) or problem_of_weight(self.impact, self.body, population)
+                problem = problem_on_plate(self.impact, self.body, population, thickness) or problem_of_weight(
+                    self.impact, self.body, population
+                )
                 if problem is not None:
                     problems.append(f"populations.{index}: {problem}")
         if self.impact.gravity_tolerance is not None and self.impact.gravity is None:
