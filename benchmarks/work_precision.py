@@ -3,6 +3,7 @@
     python benchmarks/work_precision.py                 # table, benchmarks/work_precision.csv and .png
     python benchmarks/work_precision.py --quick         # two minutes: fewer settings of the peers, no files
     python benchmarks/work_precision.py --laws          # one minute: every contact law
+    python benchmarks/work_precision.py --modes         # two minutes: rocks on the modes of a beam
 
 The population is that of the shipped scene "peers": 2048 samples at 200 kHz, float64, one thread. All fill fresh frames
 with the same pulses on the same grid; the error is the largest force error over the peak of a pulse, against
@@ -11,7 +12,8 @@ mass, stiffness, restitution and velocity; "from materials" also builds the impa
 Times are processor times, the least of several runs, and depend on the machine: compare ratios. `--laws` has a table of
 every contact law on a half space, on a plate of 20 mm and with weight, at three tolerances: these rocks with the same
 restitution by other laws; "and viscous" has a viscous restitution of .7 besides. Errors are against scipy's DOP853
-(rtol 1e-12 and less), of the first 20.
+(rtol 1e-12 and less), of the first 20. `--modes` has the rocks of `tail_beam` on its modes, at 200 times of the
+contact; peers have every mode as two states, and the error is that of the force against DOP853 (rtol 1e-12), of the first 5.
 
 Peers solve `x'' = -x^(3/2) (1 + D x')`, x(0) = 0, x'(0) = 1, in units of L and T0; atol is a hundredth of rtol, for x
 starts at 0. solve_ivp and the fixed steps find the separation themselves; odeint stops at given times only, so it
@@ -46,6 +48,7 @@ from cgid.physics import (
     HuntCrossley,
     Impact,
     Law,
+    ModalImpact,
     Sphere,
     ThinPlate,
     Thornton,
@@ -402,6 +405,88 @@ def contact_error(impact: Impact, row: int) -> float:
     return float(np.abs(found - exact).max() / exact.max())
 
 
+@_jit
+def _on_modes(_time, state, squares, losses, shares, damping):
+    n, out = shares.size, np.empty(state.size)
+    x, u = state[0], state[1]
+    for r in range(n):
+        x -= shares[r] * state[2 + r]
+        u -= shares[r] * state[2 + n + r]
+    force = x * math.sqrt(x) * max(1.0 + damping * u, 0.0) if x > 0.0 else 0.0
+    out[0], out[1] = state[1], -force
+    for r in range(n):
+        out[2 + r] = state[2 + n + r]
+        out[2 + n + r] = force - losses[r] * state[2 + n + r] - squares[r] * state[2 + r]
+    return out
+
+
+@_jit
+def _rk4_on_modes(grid, steps, squares, losses, shares, damping):
+    states, now, t = np.empty((2 + 2 * shares.size, grid.size)), np.zeros(2 + 2 * shares.size), 0.0
+    now[1] = 1.0
+    for k in range(grid.size):
+        h = (grid[k] - t) / steps
+        for _ in range(steps):
+            a = _on_modes(t, now, squares, losses, shares, damping)
+            b = _on_modes(t, now + 0.5 * h * a, squares, losses, shares, damping)
+            c = _on_modes(t, now + 0.5 * h * b, squares, losses, shares, damping)
+            d = _on_modes(t, now + h * c, squares, losses, shares, damping)
+            now = now + h / 6 * (a + 2.0 * b + 2.0 * c + d)
+        states[:, k], t = now, grid[k]
+    return states
+
+
+def _modal_peer(how: str, impact: Any, row: int, grid: Floats, setting: float) -> Floats:
+    """Return the force of one impact over its scale at times [T0], with every mode as two states."""
+    frequency, ratio, compliance = impact._modes(impact.reduced_mass.shape)
+    omega = 2 * np.pi * frequency * impact.time_scale[row]
+    shares = np.ascontiguousarray(compliance[row]) * impact.reduced_mass[row]
+    given = omega**2, 2 * ratio * omega, shares, float(impact.curves.numbers[row, 0])
+    start = np.zeros(2 + 2 * omega.size)
+    start[1] = 1.0
+    if how == "numba RK4":
+        states = _rk4_on_modes(grid, int(setting), *given)
+    elif how == "odeint":
+        states = odeint(
+            _on_modes, start, np.append(0.0, grid), given, rtol=setting, atol=setting / 100, tfirst=True, mxstep=10**5
+        )[1:].T
+    else:
+        options = {"rtol": setting, "atol": setting / 100, "t_eval": grid}
+        states = solve_ivp(_on_modes, (0, grid[-1]), start, method="DOP853", args=given, **options).y
+    n = omega.size
+    x, u = states[0] - shares @ states[2 : 2 + n], states[1] - shares @ states[2 + n :]
+    return np.where(x > 0, np.abs(x) ** 1.5 * np.maximum(1 + given[-1] * u, 0), 0)
+
+
+def mode_rows() -> list[Row]:
+    """Return a row for each method and setting: rocks of `tail_beam` on the modes of their beam."""
+    drawn = draw(load_scene(shipped.scene_path("tail_beam")), 0, 0)
+    (base,) = [strike.pulses for strike in drawn.strikes if isinstance(strike.pulses, ModalImpact)]
+    n, known = base.reduced_mass.size, range(5)
+    grids = [np.linspace(0, 1, 201)[1:] * base.end_of_contact[row] / base.time_scale[row] for row in range(n)]
+    times = np.array(grids) * base.time_scale[:, None]
+    exact = [_modal_peer("solve_ivp DOP853", base, row, grids[row], 1e-12) for row in known]
+
+    def error(forces: Any) -> list[float]:
+        return [float(np.abs(force - one).max() / one.max()) for force, one in zip(forces, exact, strict=True)]
+
+    rows = []
+    for tolerance in (1e-4, 1e-6, 1e-8):
+        run = lambda t=tolerance: replace(base, tolerance=t).force(times)  # noqa: E731
+        errors = error(run()[list(known)] / base.force_scale[list(known), None])
+        rows.append(Row("cgid", f"{tolerance:g}", least_time(run, 3) / n * 1e6, max(errors), float(np.median(errors))))
+    for how, settings in {
+        "solve_ivp DOP853": (1e-4, 1e-6, 1e-8), "odeint": (1e-4, 1e-6, 1e-8), "numba RK4": (1, 4, 16),
+    }.items():  # fmt: skip
+        for setting in settings:
+            run = lambda h=how, s=setting: [_modal_peer(h, base, row, grids[row], s) for row in known]  # noqa: E731
+            errors = error(run())
+            seconds = least_time(run, 1) / len(known)
+            rows.append(Row(how, f"{setting:g}", seconds * 1e6, max(errors), float(np.median(errors))))
+            print(rows[-1], file=sys.stderr, flush=True)
+    return rows
+
+
 def contact_table(rows: list[ContactRow]) -> str:
     lines = [
         "| law | target | us a pulse at 1e-4 / 1e-6 / 1e-8 | with its results | error at 1e-8 |",
@@ -513,7 +598,11 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="fewer settings, no files")
     parser.add_argument("--laws", action="store_true", help="every contact law instead")
+    parser.add_argument("--modes", action="store_true", help="rocks on the modes of a beam instead")
     options = parser.parse_args()
+    if options.modes:
+        print(work_table(mode_rows()))
+        return
     if options.laws:
         print(contact_table(contact_rows(2000)))
         return
