@@ -13,7 +13,8 @@ Times are processor times, the least of several runs, and depend on the machine:
 every contact law on a half space, on a plate of 20 mm and with weight, at three tolerances: these rocks with the same
 restitution by other laws; "and viscous" has a viscous restitution of .7 besides. Errors are against scipy's DOP853
 (rtol 1e-12 and less), of the first 20. `--modes` has the rocks of `tail_beam` on its modes, at 200 times of the
-contact; peers have every mode as two states, and the error is that of the force against DOP853 (rtol 1e-12), of the first 5.
+contact; peers have every mode as two states, and the error is that of the force against DOP853 (rtol 1e-12), of the
+first 5.
 
 Peers solve `x'' = -x^(3/2) (1 + D x')`, x(0) = 0, x'(0) = 1, in units of L and T0; atol is a hundredth of rtol, for x
 starts at 0. solve_ivp and the fixed steps find the separation themselves; odeint stops at given times only, so it
