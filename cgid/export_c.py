@@ -332,7 +332,7 @@ def _table(name: str, array: NDArray[Any]) -> str:
 
 
 def _type_of(name: str, array: NDArray[Any]) -> str:
-    """Return the C type of a table: the smallest that holds whole numbers; sets and tests stay double."""
+    """Return the C type of a table: the smallest for integers; sets and tests stay double."""
     if array.dtype.kind == "f":
         return "double" if name in _ALWAYS_DOUBLE else "cgid_real"
     largest = int(array.max())

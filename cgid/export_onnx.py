@@ -44,7 +44,7 @@ class _Graph:
         return result
 
     def integer(self, values: Any) -> str:
-        """Return the name of a constant of whole numbers."""
+        """Return the name of a constant of integers."""
         return self.constant(values, np.int64)
 
     def columns(self, values: str, numbers: Iterable[int]) -> str:

@@ -123,7 +123,7 @@ def _model(file: str) -> dict[str, Any]:
 
 
 def is_model(file: str) -> bool:
-    """Return whether a file is named like an archive but does not hold plain arrays: an intact or damaged model."""
+    """Return whether a file is named like an archive but does not contain plain arrays: an intact or damaged model."""
     if not file.endswith(".npz"):
         return False
     try:

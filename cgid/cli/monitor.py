@@ -95,7 +95,7 @@ class Inbox:
 
     @property
     def behind(self) -> float:
-        """Delay of the answers behind the stream [s], at most the duration of the waiting samples."""
+        """Delay of the answers relative to the stream [s], at most the duration of the waiting samples."""
         # A stream faster than real time is not live, so it is also at most the lead of the clock over the samples
         # taken.
         return max(min(self._n_waiting / self._rate, self._clock - self.n_taken / self._rate), 0.0)
@@ -268,7 +268,7 @@ def _follow(
 
 
 class DelayReport:
-    """Report the delay of the answers behind the stream when it grows, and when it is over."""
+    """Report the delay of the answers when it grows, and when it is over."""
 
     def __init__(self, source: str, lines: AnswerLines) -> None:
         self._source, self._lines = source, lines

@@ -304,9 +304,9 @@ def predict(
     Stdout is one CSV table, with the probability of each label as p_LABEL. The label is "unknown" if the impact is out
     of distribution (novelty above 1), or with --coverage if several labels, or none, remain.
 
-    Recordings of several impacts have a gangue fraction over a sliding window, with the interval that holds it with 95
-    %, a line SHUT where going on surely (--evidence) costs more than it brings, and a summary; these go to stderr. With
-    --json all of it goes to stdout in lines that have a kind: impact, window, share, shut, open, warning, summary.
+    Recordings of several impacts have a gangue fraction over a sliding window, with its 95 % interval, a line SHUT
+    where going on surely (--evidence) costs more than it brings, and a summary; these go to stderr. With --json all of
+    it goes to stdout in lines that have a kind: impact, window, share, shut, open, warning, summary.
     """
     from cgid import shipped
     from cgid.recordings import is_dataset

@@ -65,7 +65,7 @@ def flags(name: str) -> Column:
 
 
 def output_options(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Add the options for the file that holds the table."""
+    """Add the options for the file of the table."""
     ends = ", ".join(ENDINGS[:-1])
     description = f"Write the table to this file ({ends}) instead of stdout (-)."
     return click.option("-o", "--output", type=PATH, metavar="FILE", help=description)(overwrite_option(command))

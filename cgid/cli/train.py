@@ -157,8 +157,8 @@ def train(
     [[recording]] for each file, which may list intervals = [{ start, end, label }]. cgid events writes one with a row
     for each impact, --template one with a row for each recording; fill in the labels. A group (a recording, a day, a
     support) is never on both sides of a split; each group in turn judges what was chosen and trained on the others.
-    Scenes and datasets beside recordings are used for training, too, with their level and spectrum moved to those of
-    the recordings.
+    Scenes and datasets given with recordings are used for training, too, with their level and spectrum moved to those
+    of the recordings.
 
     With --from, ten to fifty labelled impacts correct a model that is there: its bias, its slope and the gain of the
     sensor, as far as they give evidence. It reports the accuracy on this beam.

@@ -299,7 +299,7 @@ def identify_frames(
     Parameters
     ----------
     frames : ndarray, (n_signals, n_samples)
-        In the unit of the model; (n_signals, n_sensors, n_samples) if it looks through a beam with several sensors.
+        In the unit of the model; (n_signals, n_sensors, n_samples) if it is for a beam with several sensors.
     sampling_rate : float [Hz]
     model : Model
     settings : PredictionSettings, optional

@@ -185,7 +185,7 @@ class BeamResponses:
 
     @cached_property
     def forces(self) -> Floats:
-        """Principal shapes behind the filters, each times its deviation, (n_shapes, n_points)."""
+        """Principal shapes after the filters, each times its deviation, (n_shapes, n_points)."""
         return filtered(self.beam, self.beam.shapes * self.beam.deviations[:, None])
 
     @cached_property

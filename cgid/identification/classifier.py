@@ -137,7 +137,7 @@ def _network(settings: ImpactClassifier) -> Any:
 
 
 def contrast_of(known: Floats, others: Floats, linear: tuple[int, ...], seed: int) -> Contrast:
-    """Return a contrast of known and other rows (n, n_features); its limit holds 99.7 % of the known."""
+    """Return a contrast of known and other rows (n, n_features); its limit includes 99.7 % of the known."""
     pick = np.random.default_rng(seed)
     rows = [part[pick.permutation(len(part))[:_MAX_CONTRASTED]] for part in (known, others)]
     inputs, other = np.concatenate(rows), np.repeat([0, 1], [len(part) for part in rows])
@@ -278,7 +278,7 @@ class ImpactClassifier(ClassifierMixin, BaseEstimator):  # type: ignore[misc]
         return self
 
     def decision_function(self, X: ArrayLike) -> Floats:
-        """Return the scores behind the probabilities.
+        """Return the scores from which the probabilities follow.
 
         Parameters
         ----------

@@ -39,7 +39,7 @@ _BIAS, _SLOPE, _GAIN = 0.7, 0.3, 0.2
 _NOTHING = 0.75
 #: Logarithms of the gains tried, over the prior standard deviation.
 _GAINS = np.linspace(-2.0, 2.0, 9)
-#: The array that holds the intercept of each score, by family.
+#: The array with the intercept of each score, by family.
 _INTERCEPTS = {"boosting": "baseline", "linear": "intercepts", "logistic": "intercepts", "network": "biases_3"}
 #: Metrics of the correction stored in a model.
 _REPORTED = ("accuracy", "accuracy_interval_95", "recall", "confusion", "log_loss", "expected_calibration_error")

@@ -166,7 +166,7 @@ class ImpactDetector:
             n_complete = (self._fed - self._taken) // chunk * chunk
             events += self._take(min(n_complete, max(together, self._needed - self._taken)))
             self._needed = self._taken + chunk
-        # A view would hold all of a long block in memory.
+        # A view would keep all of a long block in memory.
         self._samples = self._samples.copy()
         return events
 

@@ -84,7 +84,7 @@ class Event:
     overlapping : bool
         Whether another impact begins before this one is over, or this one before the previous is over.
     clipped : bool
-        Whether three samples in a row hold the highest or lowest value.
+        Whether three samples in a row have the highest or lowest value.
     cut : bool
         Whether the recording begins or ends within the impact.
     since : int
@@ -208,7 +208,7 @@ class FrameCutter:
         stop: int | None,
         by: str,
     ) -> Event:
-        """Return the event of an onset, between gaps and up to the `following` onset; `by` tells what cuts it off."""
+        """Return the event of an onset, between gaps and up to the `following` onset; `by` names the cause of a cut."""
         framing, length = self._framing, self._framing.length_of(onset)
         before, running = self._before.get(onset.row, (None, False))
         if before is not None and before.sample < begin:

@@ -223,7 +223,7 @@ class Logistic(Linear):
 
 
 class Boosting(Family):
-    """Sums of decision trees; one table holds the nodes of all trees."""
+    """Sums of decision trees; one table contains the nodes of all trees."""
 
     AXES: ClassVar[Mapping[str, int]] = {
         "baseline": 1,

@@ -117,7 +117,7 @@ class Rows:
     references : mapping of str to ndarray, (n_channels, n_bands)
         Reference spectra of the sensors.
     beam : Beam or None
-        The beam that the features look through.
+        The beam of the features.
     left_out : int
         Number of rows that could not be measured.
     failures : tuple of CgidError

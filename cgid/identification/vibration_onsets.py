@@ -120,7 +120,7 @@ class VibrationOnsets:
         n_channels, _, n_bands = energies.shape
         means = _window_means(energies)
         highest = np.fmax.reduce(means.reshape(n_channels, -1, _CHUNK_WINDOWS, n_bands), axis=2)
-        # A chunk without a whole window has no largest one.
+        # A chunk without a complete window has no largest one.
         max_energy = np.concatenate([self._max_energy, np.fmax(highest, np.float32(0))], axis=1)
         self._max_energy = max_energy[:, max_energy.shape[1] - _N_CHUNKS + 1 :]
         max_energy = np.lib.stride_tricks.sliding_window_view(max_energy, _N_CHUNKS, axis=1).max(axis=-1)

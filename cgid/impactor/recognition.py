@@ -115,7 +115,7 @@ def through_beam(
     beam: ThroughBeam,
     detection_limit: float = DETECTION_LIMIT,
 ) -> MeasuredPulses:
-    """Return the pulses of the contact forces behind vibrations; a frame without an impact is not usable."""
+    """Return the pulses of the contact forces that cause vibrations; a frame without an impact is not usable."""
     rate, parts = require_rate(sampling_rate), []
     detection_limit = max(detection_limit - BEAM_LEAD, 0.0)
     for first in range(0, max(len(frames), 1), _ROWS):

@@ -161,7 +161,7 @@ class Beam:
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> Beam | None:
-        """Return the beam of `arrays`, checked; None if they hold none."""
+        """Return the beam of `arrays`, checked; None if there is none."""
         stored = {name.removeprefix("beam."): array for name, array in arrays.items() if name.startswith("beam.")}
         if not stored:
             return None
@@ -277,7 +277,7 @@ def gain(poles: NDArray[np.complex128], frequencies: NDArray[np.floating]) -> ND
 
 
 def filtered(beam: Beam, forces: Floats) -> Floats:
-    """Return forces (..., n_points), `FINE` points to a sample, behind the filters of a beam."""
+    """Return forces (..., n_points), `FINE` points to a sample, after the filters of a beam."""
     n_points = forces.shape[-1]
     spectrum = np.fft.rfft(forces, 2 * n_points, axis=-1)
     spectrum *= gain(beam.filters, np.fft.rfftfreq(2 * n_points, 1 / (FINE * beam.sampling_rate)))

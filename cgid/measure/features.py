@@ -67,7 +67,7 @@ def kind_of(features: Iterable[str]) -> Kind:
 
 
 def any_through_beam(features: Iterable[str]) -> bool:
-    """Return whether any of the features looks through a beam."""
+    """Return whether any of the features needs a beam."""
     return any(FEATURES[name].beam for name in features)
 
 

@@ -277,8 +277,8 @@ def read_modes(path: str | Path, columns: Mapping[str, str] = COLUMNS) -> Modes:
     r"""Read a table of modes from a UTF-8 file of comma-separated values.
 
     The first line names the columns with their units, in any order: `frequency [Hz]`, `damping_ratio [1]`,
-    `modal_mass [kg]`, `shape_impact [1]`, `shape_sensor [1]`; other columns are ignored. Each further line holds one
-    mode; empty lines and lines that begin with # are ignored.
+    `modal_mass [kg]`, `shape_impact [1]`, `shape_sensor [1]`; other columns are ignored. Each further line is one mode;
+    empty lines and lines that begin with # are ignored.
 
     Parameters
     ----------

@@ -72,7 +72,7 @@ class Profiled:
     cost: Floats  # (n, n_shapes)
     result: SearchResult
     scale: Floats  # (n,), factor from costs of the search to squared residuals
-    binned: bool  # whether costs of the search are used, as bins hold as much information as samples
+    binned: bool  # whether costs of the search are used, since bins contain as much information as samples
 
     def second(self, best: Optimum, variance: Floats) -> tuple[Floats, NDArray[np.bool_]]:
         """Return parameters (n, 5) of the second likely shape, and which rows have one."""
@@ -90,8 +90,8 @@ class Profiled:
 
     def moments(self, tops: list[Optimum], variance: Floats, problems: Problems) -> tuple[Floats, Floats]:
         """Return covariances about the best parameters, and restitutions as `gaussian_restitution`."""
-        # `tops` holds the best parameters and those of a second maximum, of infinite cost if there is none. A maximum
-        # narrower than the grid counts by its own parabola, as three points of Gauss-Hermite quadrature.
+        # `tops` contains the best parameters and those of a second maximum, of infinite cost if there is none. A
+        # maximum narrower than the grid counts by its own parabola, as three points of Gauss-Hermite quadrature.
         fine, spline = _interpolation()
         best, shapes = tops[0].parameters, [np.broadcast_to(fine, (len(variance), fine.size))]
         squares = [np.matmul((self.cost / variance[:, None])[:, None], spline.T)[:, 0]]

@@ -1,6 +1,6 @@
 """The global search for a pulse: all shapes at once, each with its peak, width and peak time.
 
-A bank holds the damped-Hertz pulse of each shape of `NODES`, with its slopes in time and width, in coordinates in
+A bank contains the damped-Hertz pulse of each shape of `NODES`, with its slopes in time and width, in coordinates in
 which the pulses overlap most. The samples around a pulse become bins in the same coordinates, so one product of
 matrices solves least squares for all shapes. A few repetitions with the bins moved to the best solution find the global
 optimum. The likelihood of every shape (`Found.cost`) then gives standard deviations where a parabola would not: a dull

@@ -1,6 +1,6 @@
 """The table of features: entries of one feature, banks of many, and the lookup by name.
 
-An entry holds the name, unit, definition and source of a feature and how to measure it. `features.csv` describes them;
+An entry has the name, unit, definition and source of a feature and how to measure it. `features.csv` describes them;
 how they are measured is at the end of the module that does it: `PULSE_FEATURES` in `pulses.py`, `VIBRATION_FEATURES` in
 `vibration.py`, `WINDOW_FEATURES` in `windows.py`. To add a feature, add a row::
 
@@ -71,7 +71,7 @@ class Feature:
 
 
 def described(measures: Mapping[str, Callable[[Any], Floats]], **about: Any) -> tuple[Feature, ...]:
-    """Return the features of these names in `features.csv`; `about` holds what they have in common."""
+    """Return the features of these names in `features.csv`; `about` has their common attributes."""
     return tuple(Feature(**_described(name), measure=measure, **about) for name, measure in measures.items())
 
 

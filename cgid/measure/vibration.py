@@ -72,7 +72,7 @@ class VibrationBatch(Frames):
 
     # Without `pre_trigger`, each row is quiet up to well before it first leaves its initial level.
 
-    #: The beam that vibrates, for the features that look through it.
+    #: The beam that vibrates, for the features that need it.
     beam: Beam | None = None
     #: Channel of the recording of each impact, in order of time within each channel; None without a recording.
     channel: NDArray[np.intp] | None = None

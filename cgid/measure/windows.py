@@ -172,7 +172,7 @@ class WindowBatch:
 
     @cached_property
     def _fine_spectrum(self) -> EnergySpectrum:
-        """Mean square in the narrow bins of the whole window [unit^2], without frames."""
+        """Mean square in the narrow bins of the complete window [unit^2], without frames."""
         bell = hann(self.swing.shape[1])
         spectrum = EnergySpectrum.of(self.swing * bell, self.sampling_rate)
         return EnergySpectrum(spectrum.spacing, spectrum.energy * (self.sampling_rate / np.sum(bell**2)))

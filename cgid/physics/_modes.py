@@ -71,7 +71,7 @@ def polynomial_shapes(x: Array, y: Array, along: Array, across: Array, coefficie
 
 #: Cells of time in which free motion is known, and those of the longest step.
 CELLS, LONGEST = 66, 16
-#: Values of the polynomial of a cell, of which these lie before it.
+#: Values of the polynomial of a cell, of which these are before it.
 _POINTS, _BEFORE = 10, 4
 #: Times before the clock at which answers are known, all such times, and the Chebyshev times between.
 _NEGATIVE = LONGEST + _BEFORE
@@ -335,7 +335,7 @@ def aloft(m: Structure, sphere: float, y: float, weight: float, t: float) -> tup
 
 @inner_jit
 def energy(m: Structure) -> float:
-    """Return what the modes hold: mu (Q'^2 + w^2 Q^2) / 2."""
+    """Return the energy of the modes: mu (Q'^2 + w^2 Q^2) / 2."""
     total = 0.0
     for r in range(m.share.size):
         a, b, loss = m.amplitude[0, r], m.amplitude[1, r], m.loss[r]

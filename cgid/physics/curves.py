@@ -508,8 +508,8 @@ def kernel(module: ModuleType, name: str, n_impacts: int, n_samples: int = 0) ->
     """Return a kernel for this amount of work: compiled, or interpreted for one or two impacts.
 
     Compiling takes seconds, once after installing; interpreting takes milliseconds per pulse. Both run the same
-    operations in the same order and return the same bits. Pass the size of the whole batch, not only of the rows that
-    need the kernel.
+    operations in the same order and return the same bits. Pass the size of the complete batch, not only of the rows
+    that need the kernel.
     """
     if n_impacts > _FEW_IMPACTS or n_impacts * n_samples > FEW_SAMPLES or _spent > _MAX_INTERPRETED:
         compiled: Callable[..., None] = getattr(module, name)

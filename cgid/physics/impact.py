@@ -399,7 +399,7 @@ class Impact:
         n_samples : int
             Length of a frame.
         onset : array_like [s]
-            Time of onset relative to the start of the frame; it may lie outside the frame.
+            Time of onset relative to the start of the frame; it may be outside the frame.
         dtype : {"float64", "float32"}
         threads : int
             Number of threads that share the impacts.
@@ -455,7 +455,7 @@ class Impact:
         leading, index = self._broadcast_with(onset=onsets, sampling_rate=rate)
         _require_frames(frames, leading)
         _output(frames.dtype, self.force_scale)
-        with np.errstate(over="ignore", divide="ignore"):  # onset or separation may lie far outside the frame
+        with np.errstate(over="ignore", divide="ignore"):  # onset or separation may be far outside the frame
             place = np.broadcast_to(onsets * rate, leading).ravel()
             step = 1 / (np.broadcast_to(rate, leading).ravel() * self.time_scale.ravel()[index])
         rows, height = frames.reshape(index.size, frames.shape[-1]), self.force_scale.ravel()[index]

@@ -1,6 +1,6 @@
 """From a contact force to the samples of a recorder, through a tail beam and a chain of sensors.
 
-The whole chain is linear, so it is one sum over poles: those of the beam's modes, and those of the sensor (mounting
+The chain is linear, so it is one sum over poles: those of the beam's modes, and those of the sensor (mounting
 resonance, anti-alias filter). Each pole is a resonator driven by the force. During contact the resonators run on a grid
 fine enough for the force (`cgid.physics.driving`). After it each decays as one exponential, computed only at the
 recorder's samples. There is no internal sampling rate, hence no filtering and decimation.

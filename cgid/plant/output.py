@@ -24,7 +24,7 @@ MAX_CLIENTS, _PAUSE_AFTER_EVICTION = 10, 0.01
 
 
 class Service:
-    """A thread that runs until told to stop; its errors become warnings and never end the monitor."""
+    """A thread that runs until stopped; its errors become warnings and never end the monitor."""
 
     def __init__(self, name: str, warn: Callable[[str], None]) -> None:
         self.name, self._warn = name, warn

@@ -1,4 +1,4 @@
-"""Read recordings of many formats as signals, whole or block by block."""
+"""Read recordings of many formats as signals, at once or block by block."""
 
 from __future__ import annotations
 

@@ -46,7 +46,7 @@ WAITING_TIME = 5.0
 
 @dataclass(frozen=True)
 class Format:
-    """One file format; `takes_variable`: whether a file may hold several arrays to choose from."""
+    """One file format; `takes_variable`: whether a file may contain several arrays to choose from."""
 
     name: str
     is_format: Callable[[bytes], bool]
@@ -422,7 +422,7 @@ def _saved(given: Path | BinaryIO, source: str) -> tuple[Path, ExitStack]:
             piece = stream.read(PIECE_LENGTH)
             waiting.cancel()
             if Path("/proc/self/fd").is_dir() and not is_hdf5(piece[:HEAD_SIZE]):
-                # An unnamed file leaves nothing behind, however this process ends.
+                # An unnamed file vanishes, however this process ends.
                 file: Any = spool.enter_context(tempfile.TemporaryFile())  # noqa: SIM115
                 path = Path(f"/proc/self/fd/{file.fileno()}")
             else:

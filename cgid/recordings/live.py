@@ -19,7 +19,7 @@ from cgid.validation import require_rate
 
 #: Most numbers to read from the stream at once.
 _MAX_NUMBERS = 1 << 16
-#: First bytes of formats that can only be read as whole files.
+#: First bytes of formats that can only be read as complete files.
 _FILES = {
     b"\x93NUM": "an NPY file",
     b"PK\3\4": "an archive",

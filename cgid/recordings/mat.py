@@ -1,4 +1,4 @@
-"""Read MATLAB files of version 5 to 7.2 whole, with scipy; 7.3 is HDF5."""
+"""Read MATLAB files of version 5 to 7.2 at once, with scipy; 7.3 is HDF5."""
 
 from __future__ import annotations
 

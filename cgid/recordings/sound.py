@@ -27,7 +27,7 @@ ENDLESS = 0x7FFF0000
 
 #: Bytes to read of each relevant chunk; the others are skipped.
 _READ = {b"fmt ": 40, b"ds64": 28, b"bext": 338}
-#: Maximum number of chunks before the sound; a hostile file could hold millions of empty ones.
+#: Maximum number of chunks before the sound; a hostile file could contain millions of empty ones.
 _MAX_CHUNKS = 1000
 
 _PCM, _FLOAT, _EXTENSIBLE = 1, 3, 0xFFFE
@@ -281,7 +281,7 @@ def read_audio(path: Path, source: str) -> Blocks:
 
     with opened() as sound:
         n_channels, rate, declared = int(sound.channels), float(sound.samplerate), int(sound.frames)
-    # A header may declare more than a file of this size can hold, or nothing.
+    # A header may declare more than a file of this size can contain, or nothing.
     n_samples = declared if 0 < declared <= _BEST_PACKING * path.stat().st_size else None
     is_ended, position = _ogg_end(path)
     if not is_ended:

@@ -19,7 +19,7 @@ from cgid.recordings.variables import Value, Variable, contents_of, full_scale_o
 _LEAD_IN, _TAG = 28, b"TDSm"
 #: Declared length of a segment that is still being written.
 _UNKNOWN = 2**64 - 1
-#: nptdms reads a chunk of a channel whole; a channel of longer chunks [samples] is read completely, too.
+#: nptdms reads a chunk of a channel at once; so is a channel of longer chunks [samples].
 MAX_CHUNK_SIZE = 1 << 22
 #: Samples to read at once, if chunks are shorter.
 _READ = 1 << 18

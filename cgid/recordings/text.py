@@ -66,7 +66,7 @@ def encoding_and_end(path: Path, source: str) -> tuple[str, list[str]]:
     with path.open("rb") as file:
         encoding = encoding_of(file.read(SNIFFED), source)
         file.seek(max(0, file.seek(0, io.SEEK_END) - 4))
-        # UTF-16 has zeros beside the line feed.
+        # UTF-16 has zeros next to the line feed.
         is_ended = file.read().rstrip(b"\0\x1a").endswith((b"\n", b"\r"))
     unended = "the last line has no line end; if the file was cut off, its last row is wrong or rows are missing"
     return encoding, [] if is_ended else [Remark(unended)]

@@ -376,7 +376,7 @@ def _columns(line: str, layout: Layout) -> tuple[Column, ...]:
     for fields in _divisions(text, layout):
         while len(fields) > layout.n_columns and not fields[-1].strip():
             fields = fields[:-1]
-        # "Operator: somebody" is a comment, not a name.
+        # "Operator: Smith" is a comment, not a name.
         if len(fields) == layout.n_columns and any(map(str.strip, fields)) and not re.search("[:=]", "".join(fields)):
             return tuple(map(column_of, fields))
     return ()

@@ -1,4 +1,4 @@
-"""Read universal files (UFF, UNV) of modal analysis: data sets 58, text or binary, which pyuff reads whole.
+"""Read universal files (UFF, UNV) of modal analysis: data sets 58, text or binary, which pyuff reads at once.
 
 Layout: "Universal Dataset Number 58", SDRL of the University of Cincinnati, https://www.ceas3.uc.edu/sdrluff/.
 """
@@ -22,7 +22,7 @@ from cgid.recordings.recording import Blocks, library, library_errors, rates_agr
 from cgid.recordings.text_layout import stated_chain
 from cgid.units import known_unit, seconds_of
 
-#: Largest file [bytes], as pyuff reads files whole and needs several times their size.
+#: Largest file [bytes], since pyuff reads files at once and needs several times their size.
 MAX_FILE_SIZE = 256 << 20
 
 _TIME_RESPONSE, _UNKNOWN_FUNCTION, _TIME_AXIS = 1, 0, 17

@@ -37,7 +37,7 @@ _GAIN_NAMES = frozenset(("gain", "chargegain", "amplifiergain"))
 _NAMES = _RATE_NAMES | _INTERVAL_NAMES | _UNIT_NAMES | _START_NAMES | _CHANNEL_NAMES | _GAIN_NAMES
 
 _NUMBER = re.compile(r"\s*([+-]?\d+(?:\.\d*)?(?:[eE][+-]?\d+)?)\s*([^\d\s]\S*)?\s*")
-#: A name of a sensitivity or of its unit, and the unit in brackets behind it.
+#: A name of a sensitivity or of its unit, and the unit in brackets after it.
 _SENSITIVITY = re.compile(
     r"(?i:(?:.*[\W_])?(?:sensor|transducer)?sensitivity(?:[\W_]*(?:value|(unit|units)))?)\s*(?:[(\[](.+)[)\]])?\s*"
 )
@@ -150,7 +150,7 @@ def stated_time_unit(name: str, values: Values) -> str:
 
 
 def _named(values: Values, names: frozenset[str]) -> Iterator[tuple[str, Value, str, str]]:
-    """Yield the values of these names: name as written, value, plain name and the unit behind it."""
+    """Yield the values of these names: name as written, value, plain name and the unit after it."""
     for name, value in values.items():
         plain, unit = _plain(name)
         if plain in names:
@@ -158,7 +158,7 @@ def _named(values: Values, names: frozenset[str]) -> Iterator[tuple[str, Value, 
 
 
 def _plain(name: str) -> tuple[str, str]:
-    """Return the letters and digits of a name in lower case, "" if it states nothing, and the unit behind it."""
+    """Return the letters and digits of a name in lower case, "" if it states nothing, and the unit after it."""
     # FS means full scale as often as sampling rate.
     if name.strip() == "FS":
         return "", ""
