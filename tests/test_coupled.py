@@ -180,7 +180,7 @@ class Crushed:
             near = solve_ivp(rates, (time, time + 1e-6), state, method="DOP853", rtol=1e-12, atol=1e-14,
                              dense_output=True)  # fmt: skip
             far = solve_ivp(rates, (near.t[-1], limit), near.y[:, -1], method="DOP853", rtol=1e-12, atol=1e-14,
-                            dense_output=True, events=events, max_step=0.2)  # fmt: skip
+                            dense_output=True, events=events, max_step=0.02)  # fmt: skip
             time, state = far.t[-1], far.y[:, -1]
             if contact:
                 self._solved += [(one.t[0], one.t[-1], one.sol, path, force_of) for one in (near, far)]
@@ -285,6 +285,36 @@ def test_plastic_contacts_on_modes_are_those_of_scipy(name):
     found = impact.force(tau * impact.time_scale) / impact.force_scale
     assert np.abs(found - force).max() < 1e-8 * force.max()
     assert abs(impact.energy_error) < 1e-8
+
+
+@pytest.mark.long
+def test_random_plastic_impacts_on_modes_are_those_of_scipy():
+    """Soft and hard, light and heavy structures; those that their weight holds, or that never rest, are refused."""
+    draw, solved = np.random.default_rng(9), 0
+    for _ in range(60):
+        n = draw.integers(1, 6)
+        omega, ratios = np.sort(10 ** draw.uniform(-0.5, 1.5, n)), 10 ** draw.uniform(-3, -0.3, n)
+        shares, weight = 10 ** draw.uniform(-2, 1, n), draw.choice([0.0, 0.0, 0.02, 0.1])
+        viscous = None if draw.random() < 0.5 else draw.uniform(0.3, 0.99)
+        law = [
+            Thornton(yield_pressure=10 ** draw.uniform(6.5, 8.3), viscous_restitution=viscous),
+            WaltonBraun(restitution=draw.uniform(0.2, 0.999), viscous_restitution=viscous),
+        ][draw.integers(0, 2)]
+        gravity = weight * float(rigid(law).velocity ** 2 / rigid(law).length_scale)
+        try:
+            impact = dimensionless(omega, ratios, shares, law, gravity=gravity)
+        except InvalidValue:
+            assert weight > 0
+            continue
+        paths, damping = crushing(impact)
+        expected = Crushed(omega, ratios, shares, paths, damping, weight)
+        tau = np.linspace(0, 1.01 * expected.end, 300)
+        found, force = impact.force(tau * impact.time_scale) / impact.force_scale, expected.force(tau)
+        assert impact.contacts == expected.contacts
+        assert np.abs(found - force).max() < 1e-8 * force.max()
+        assert impact.restitution == pytest.approx(expected.restitution, abs=1e-8)
+        solved += 1
+    assert solved > 50
 
 
 def test_peaks_are_the_largest_values_of_the_curves(pair):
