@@ -167,13 +167,13 @@ def basis(inversion: Inversion) -> np.ndarray:
 
 
 def dense(inversion: Inversion, x: float, y: float) -> np.ndarray:
-    """Samples of each shape at a place, (n_samples, n_shapes), of the frequencies that tell, in double precision."""
+    """Samples of each shape at a place, (n_sensors, n_samples, n_shapes), of the frequencies that tell."""
     beam = inversion.beam
     along = lagrange(beam.participation.shape[1], *beam.region[:2], np.array([x]))[0][0]
     across = lagrange(beam.participation.shape[2], *beam.region[2:], np.array([y]))[0][0]
     at = np.einsum("mxy,x,y->m", beam.participation, along, across)
     forces = filtered(beam, beam.shapes * beam.deviations[:, None])
-    samples = np.einsum("m,mkt->tk", at, respond(beam, forces, inversion.n_samples))
+    samples = np.einsum("sm,m,mkt->stk", beam.shares, at, respond(beam, forces, inversion.n_samples))
     own = basis(inversion)
     return own.T @ (own @ samples)
 
@@ -181,7 +181,7 @@ def dense(inversion: Inversion, x: float, y: float) -> np.ndarray:
 def rung(inversion: Inversion, x: float, y: float, height: float, seed: int) -> np.ndarray:
     """Samples of a blow that stands out of white noise of deviation 1, which has the frequencies that tell."""
     random = np.random.default_rng(seed)
-    response = dense(inversion, x, y)
+    response = dense(inversion, x, y)[0]
     blow = response @ random.normal(size=response.shape[1])
     own = basis(inversion)
     return height * blow / np.std(blow) + own.T @ random.normal(size=len(own))
@@ -195,7 +195,7 @@ def test_the_search_maximises_the_evidence_of_a_gaussian(height: float) -> None:
     found = started(inversion, sample)
 
     def evidence(x: float, y: float, height: float) -> float:
-        response = dense(inversion, x, y)
+        response = dense(inversion, x, y)[0]
         covariance = np.eye(inversion.n_samples) + height**2 * response @ response.T
         quadratic = sample @ sample - sample @ np.linalg.solve(covariance, sample)
         return 0.5 * quadratic - 0.5 * np.linalg.slogdet(covariance)[1]
@@ -226,11 +226,11 @@ def test_what_is_told_of_the_force_has_the_place_marginalised() -> None:
         found = inversion.refine(seen, replace(start, x=found.x, y=found.y))
     x, y, force = found.x[0], found.y[0], found.coefficients[0]
     step = 1e-5
-    response = dense(inversion, x, y)
+    response = dense(inversion, x, y)[0]
     slopes = np.stack(
         [
-            (dense(inversion, x + step, y) - dense(inversion, x - step, y)) @ force / (2 * step),
-            (dense(inversion, x, y + step) - dense(inversion, x, y - step)) @ force / (2 * step),
+            (dense(inversion, x + step, y)[0] - dense(inversion, x - step, y)[0]) @ force / (2 * step),
+            (dense(inversion, x, y + step)[0] - dense(inversion, x, y - step)[0]) @ force / (2 * step),
         ],
         axis=1,
     )
@@ -339,7 +339,7 @@ def test_errors_of_the_modes_are_noise_of_their_covariance(height: float) -> Non
     found, true = (turned * weight) @ turned.T, response.T @ np.linalg.solve(noise, response)
     np.testing.assert_allclose(np.linalg.eigvalsh(found), np.linalg.eigvalsh(true), rtol=0.12)
     # Strong blows tell far less than through modes that are known.
-    exact = own @ dense(known, 0.93, 0.31)
+    exact = own @ dense(known, 0.93, 0.31)[0]
     ratio = np.linalg.eigvalsh(exact.T @ exact) / np.linalg.eigvalsh(found)
     assert ratio.max() > 20 if height == 300 else ratio.max() < 3
 

@@ -200,35 +200,6 @@ def test_impulse_and_energy_balance_by_quadrature(law):
 # ---- scenes -------------------------------------------------------------------------------------------------------
 
 CRUSHED = {"restitution": None, "yield_pressure": uniform("10 MPa", "200 MPa")}
-SCENES = {
-    "thornton": scene_of({"dissipation": "thornton"}, CRUSHED, {}),
-    "walton-braun": scene_of({"dissipation": "walton-braun"}, None, {}),
-}
-
-
-def first_impacts(scene, parameters):
-    """Return the impacts of a batch, built from its stored parameters."""
-    material = Material(**{name: parameters[name] for name in ("density", "youngs_modulus", "poisson_ratio")})
-    law = WaltonBraun(restitution=parameters["restitution"])
-    if scene.impact.dissipation == "thornton":
-        law = Thornton(yield_pressure=parameters["yield_pressure"])
-    return Impact(
-        sphere=Sphere(material=material, radius=parameters["radius"]),
-        target=scene.body, velocity=parameters["velocity"], stiffness="hertz", dissipation=law,
-    )  # fmt: skip
-
-
-@pytest.mark.parametrize("name", SCENES)
-def test_a_scene_holds_the_impacts_of_its_parameters(name):
-    scene = SCENES[name]
-    (batch,) = synthesise(scene, 200, dtype="float64")
-    impact = first_impacts(scene, batch.parameters)
-    frames = impact.force_frames(200e3, 2048, batch.parameters["onset"])
-    assert np.abs(batch.signals - frames).max() < 1e-10 * frames.max()
-    for quantity in ("restitution", "peak_force", "contact_duration"):
-        assert batch.parameters[quantity] == pytest.approx(getattr(impact, quantity), rel=1e-14)
-    assert ("yield_pressure" in batch.parameters) == (name == "thornton")
-    assert parse_scene(json.loads(scene.text)) == scene
 
 
 def test_a_rock_that_rebounds_in_a_stream_crushes_less_each_time():

@@ -20,16 +20,15 @@ from cgid.identification.rows import BEAM_FEATURES
 from cgid.identification.stream import identify_blocks
 from cgid.identification.through_beam import ThroughBeam, clipped_samples
 from cgid.identification.training import train
-from cgid.measure.beam import Beam, filtered, respond
+from cgid.measure.beam import Beam
 from cgid.measure.features import extract_array
-from cgid.measure.modes import lagrange
 from cgid.measure.vibration import VibrationBatch
 from cgid.scene import load_scene, parse_scene, synthesise, varied
 from cgid.scene.impacts import beam_modes
 from cgid.scene.through_beam import beam_of, moved, recorded_together
 from cgid.signals import Batch, Signal
 from tests.hostile_models import beam_arrays
-from tests.test_inversion import basis, eight_modes
+from tests.test_inversion import basis, dense, eight_modes
 
 SEED, N = 2024, 60
 #: Off the middle line of the beam (y = .7 m), and on it.
@@ -45,18 +44,6 @@ def of_sensors(*shares: float) -> Inversion:
     order = np.arange(1, 9)
     sensors = np.stack([np.cos(share * order) for share in shares])
     return Inversion(sensors_for(eight_modes().beam, sensors))
-
-
-def dense(inversion: Inversion, x: float, y: float) -> np.ndarray:
-    """Samples of each shape at a place, (n_sensors, n_samples, n_shapes), of the frequencies that tell."""
-    beam = inversion.beam
-    along = lagrange(beam.participation.shape[1], *beam.region[:2], np.array([x]))[0][0]
-    across = lagrange(beam.participation.shape[2], *beam.region[2:], np.array([y]))[0][0]
-    at = np.einsum("mxy,x,y->m", beam.participation, along, across)
-    forces = filtered(beam, beam.shapes * beam.deviations[:, None])
-    samples = np.einsum("sm,m,mkt->stk", beam.shares, at, respond(beam, forces, inversion.n_samples))
-    own = basis(inversion)
-    return own.T @ (own @ samples)
 
 
 @pytest.mark.parametrize("louder", [1.0, 3.0])
