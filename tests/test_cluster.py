@@ -153,7 +153,7 @@ def test_a_folder_that_is_not_shared_is_told(
     reference_scene: Scene, address: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(shards, "_anywhere", lambda asked: moved(asked, tmp_path / "empty"))
-    with pytest.raises(CannotCreate, match="other"):
+    with pytest.raises(CannotCreate, match="all machines share"):
         generate(reference_scene, tmp_path / "other", 64, shard_signals=16, scheduler=address)
     assert not (tmp_path / "other").exists()
     assert not list((tmp_path / "empty").iterdir())
