@@ -86,8 +86,7 @@ class AnswerLines:
         )
         if lacking := self._table.begin(columns):
             raise BadData(
-                f"{source}: its rows must have the columns of earlier rows, its model has {lacking[0].title}, too; run "
-                "it separately"
+                f"{source}: its columns must be those of earlier rows, its model adds {lacking[0].title}; run it alone"
             )
 
     def answer(self, source: str, answer: Answer, kind: str = "impact", **more: Any) -> None:

@@ -104,8 +104,8 @@ class Windows:
         if (needed >= 31).any() or (1 << needed.max(initial=0)) > _MAX_STRIDE:
             shortest = float(pulses.contact_duration.min())
             raise InvalidValue(
-                f"sampling_rate must give a contact at least a {_MAX_STRIDE}th of a sample, got {sampling_rate:g} Hz "
-                f"for one of {shortest:.3g} s; raise it"
+                f"a contact must last at least a {_MAX_STRIDE}th of a sample, got {shortest:.3g} s at a sampling_rate "
+                f"of {sampling_rate:g} Hz; raise the rate"
             )
         self.stride = np.int64(1) << needed
         self.strides, self.level = np.unique(self.stride, return_inverse=True)

@@ -291,17 +291,17 @@ class Strike:
         if self.ratio is None and self.rows.size == len(frames):
             self.pulses.add_to_frames(frames, sampling_rate, self.onset)
             return
-        own = np.zeros((self.rows.size, frames.shape[1]), frames.dtype)
-        self.pulses.add_to_frames(own, sampling_rate, self.onset)
+        added = np.zeros((self.rows.size, frames.shape[1]), frames.dtype)
+        self.pulses.add_to_frames(added, sampling_rate, self.onset)
         if self.ratio is not None:
-            own *= self.ratio.astype(frames.dtype)[:, None]
-        frames[self.rows] += own
+            added *= self.ratio.astype(frames.dtype)[:, None]
+        frames[self.rows] += added
 
     def add_response(self, frames: NDArray[Any], recorder: Recorder, parameters: Mapping[str, Floats]) -> None:
         """Add the recorder's response to the pulses to the frames of the block, in place."""
-        own = {name: values[self.rows] for name, values in parameters.items()}
+        selected = {name: values[self.rows] for name, values in parameters.items()}
         recorder.response.add_to_frames(
-            frames, self.pulses, self.onset, recorder.participation(own), rows=self.rows, ratio=self.ratio
+            frames, self.pulses, self.onset, recorder.participation(selected), rows=self.rows, ratio=self.ratio
         )
 
 

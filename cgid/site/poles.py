@@ -397,8 +397,8 @@ class _Fit:
         by_pole = np.empty((parts.shape[1], n))
         for decay in range(parts.shape[1]):
             slope = moved[:n] * parts[:, decay]
-            ways = np.concatenate([slope, 1j * slope], axis=1)
-            by_pole[decay] = np.einsum("ap,pq,aq->a", ways, covariance, ways.conj()).real
+            directions = np.concatenate([slope, 1j * slope], axis=1)
+            by_pole[decay] = np.einsum("ap,pq,aq->a", directions, covariance, directions.conj()).real
         size = np.abs(factor) * self.scale
         both = np.stack([np.broadcast_to(variance, by_pole.shape), by_pole])
         return factor * self.scale * parts.T, np.sqrt(both) * size
