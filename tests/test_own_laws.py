@@ -125,7 +125,7 @@ def test_workers_make_the_same_bytes_and_another_law_is_no_resumption(cone, tmp_
 
 def test_a_scene_with_a_law_that_is_not_there_is_refused_by_name(monkeypatch):
     monkeypatch.setattr(own_laws, "_own", {})
-    with pytest.raises(BadData, match="cone"):
+    with pytest.raises(BadData, match="got 'cone'; give the module of a law of your own with --laws"):
         scene_of_cones()
 
 

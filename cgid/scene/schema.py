@@ -411,7 +411,9 @@ def _message(entry: Any) -> str:
     if entry["type"] != "value_error" and isinstance(given, str | int | float):
         text += f", got {shown(given)}"
     if entry["type"] == "literal_error":
-        text += suggestion(given, re.findall("'([^']+)'", entry["ctx"]["expected"]))
+        hint = suggestion(given, re.findall("'([^']+)'", entry["ctx"]["expected"]))
+        of_law = "; give the module of a law of your own with --laws" if "dissipation" in entry["loc"] else ""
+        text += hint or of_law
     return text
 
 
