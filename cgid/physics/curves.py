@@ -183,10 +183,8 @@ class Curves:
         """Integrated results for the rows outside the table; nan elsewhere."""
         from cgid.physics import _contact
 
-        results, rows = (
-            np.full((self.inelasticity.size, len(_contact.RESULTS)), np.nan),
-            np.flatnonzero(~self.tabulated),
-        )
+        rows = np.flatnonzero(~self.tabulated)
+        results = np.full((self.inelasticity.size, len(_contact.RESULTS)), np.nan)
         count("integrated_impacts", rows.size)
         run = self._kernel("summaries", rows.size)
         in_threads(run, (*self._problem(rows, self.tolerance), results), rows, 1)
