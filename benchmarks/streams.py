@@ -24,8 +24,9 @@ from cgid import plots, shipped
 from cgid.identification.answers import Answer
 from cgid.identification.model import Model
 from cgid.identification.prediction_settings import PredictionSettings
-from cgid.identification.share import CavingWatch, Share, Switch
+from cgid.identification.share import Share, Switch
 from cgid.identification.stream import identify_blocks
+from cgid.identification.support import CavingWatch, Report
 from cgid.scene import Scene, load_scene, parse_scene
 from cgid.scene.stream import record
 
@@ -58,21 +59,22 @@ class Stream:
         cost = (time.process_time() - begun) / len(answers)
         return cls(answers, truth["time"][first], truth["label"][first] == "gangue", cost)
 
-    def watched(self, model: Model, **settings: Any) -> list[Share | Switch]:
-        """Return shares and turns, as `cgid monitor` says them."""
+    def watched(self, model: Model, **settings: Any) -> list[Report]:
+        """Return the reports of the support, as `cgid monitor` makes them."""
         watch = CavingWatch(model, ("1",), PredictionSettings(**settings))
         return watch.feed(self.answers, DURATION) + watch.finish(DURATION)
 
     def shares(self, model: Model, length: float) -> Iterator[tuple[Share, float]]:
         """Yield the shares of windows end to end, and the true shares of the rocks that came in them."""
-        for share in self.watched(model, share_time=length, share_step=length):
-            if isinstance(share, Share) and share.n_impacts:
+        for report in self.watched(model, share_time=length, share_step=length):
+            share = report.state.share
+            if report.kind == "share" and share.n_impacts:
                 own = self.gangue[(self.time > share.start) & (self.time <= share.time)]
                 yield share, float(own.mean())
 
     def turns(self, model: Model, **settings: Any) -> list[Switch]:
         """Return the turns with windows of 10 s, each second."""
-        return [one for one in self.watched(model, share_step=1.0, **settings) if isinstance(one, Switch)]
+        return [one.switch for one in self.watched(model, share_step=1.0, **settings) if one.switch is not None]
 
     def drawn(self, until: float) -> tuple[float, float]:
         """Return the recovery of coal and the share of gangue among all rocks drawn until a time [s]."""
@@ -184,7 +186,7 @@ def picture_of(stream: Stream, model: Model) -> bytes:
     order = np.argsort(stream.time)
     truth = stream.time[order], stream.gangue[order].astype(float)
     plots.draw_drawn(axes, *truth, colour=red, title="in truth", width=1.2, says_times=False)
-    shares = [one for one in stream.watched(model, share_step=1.0) if isinstance(one, Share)]
+    shares = [one.state.share for one in stream.watched(model, share_step=1.0) if one.kind == "share"]
     shut = [turn.time for turn in stream.turns(model) if turn.shut]
     plots.draw_drawn(axes, times, plots.gangue_at(times, shares), shut, colour=blue, title="predicted")
     plots.finish_drawn(axes)

@@ -52,7 +52,7 @@ class Report:
     threshold: float | None = None  # share of gangue above which further caving costs more than it brings
     warnings: Sequence[str] = field(default_factory=tuple)  # what is damaged or doubtful
     unit_of_decision: str = "impact"  # subject of an answer, or "window"
-    hint: Hint | None = None  # why most answers are unknown, if they are
+    hints: Sequence[Hint] = ()  # why most answers of channels are unknown, if they are
 
     @property
     def labels(self) -> list[str]:
@@ -198,18 +198,16 @@ def _section(report: Report) -> Iterator[str]:
 
 
 def _next_steps(report: Report) -> Iterator[str]:
-    """Yield the box that explains why most predictions are unknown."""
-    if report.hint is None:
-        return
-    hint = report.hint
-    where = f" (channel {', '.join(hint.channels)})" if hint.channels else ""
-    yield f'<div class="hint"><strong>Next steps</strong><p>{_text(hint.reason + where)}.</p>'
-    yield f"<p>To go on, {_text(hint.advice)}.</p>"
-    for number, way in enumerate(filter(None, (hint.commands, hint.instead))):
-        # A step in words, such as filling in a table, is not code.
-        steps = (f"<code>{_text(step)}</code>" if step.startswith("cgid ") else _text(step) for step in way)
-        yield "<p>Or:</p>" * number + "<ol>" + "".join(f"<li>{step}</li>" for step in steps) + "</ol>"
-    yield "</div>"
+    """Yield the boxes that explain why most predictions are unknown."""
+    for hint in report.hints:
+        where = f" (channel {', '.join(hint.channels)})" if hint.channels else ""
+        yield f'<div class="hint"><strong>Next steps</strong><p>{_text(hint.reason + where)}.</p>'
+        yield f"<p>To go on, {_text(hint.advice)}.</p>"
+        for number, way in enumerate(filter(None, (hint.commands, hint.instead))):
+            # A step in words, such as filling in a table, is not code.
+            steps = (f"<code>{_text(step)}</code>" if step.startswith("cgid ") else _text(step) for step in way)
+            yield "<p>Or:</p>" * number + "<ol>" + "".join(f"<li>{step}</li>" for step in steps) + "</ol>"
+        yield "</div>"
 
 
 def _switches(report: Report) -> Iterator[str]:

@@ -20,7 +20,7 @@ from scipy.stats import binom
 from cgid.cli.hints import Hints
 from cgid.cli.main import run
 from cgid.identification.answers import Answer, identify_frames
-from cgid.identification.diagnosis import ChannelAnswers, Hint
+from cgid.identification.diagnosis import ChannelAnswers, Condition, Diagnosis, Hint
 from cgid.identification.model import Model
 from cgid.identification.prediction_settings import PredictionSettings
 from cgid.identification.rows import DEFAULT_VIBRATION_FEATURES
@@ -95,7 +95,7 @@ def hint_of(
     hints = Hints(model, rate, "my file.csv", options)
     for step in identify_blocks([samples[None]], rate, model, ("1",), PredictionSettings(**fields)):
         hints.add(step.answers, step.upside_down)
-    return hints.hint()
+    return next(iter(hints.hints()), None)
 
 
 def cause_of(samples: np.ndarray, rate: float, model: Model) -> str | None:
@@ -157,7 +157,7 @@ def test_a_wrong_sampling_rate_is_told_by_the_true_one() -> None:
     for step in identify_blocks([samples[None]], 2 * BEAM_RATE, model, ("1",), PredictionSettings()):
         # Only those outside of the training: at this rate about half of them are.
         hints.add([answer for answer in step.answers if answer.novelty > 1])
-    hint = hints.hint()
+    (hint,) = hints.hints()
     assert hint is not None
     assert hint.cause == "sampling_rate"
     assert "at 25600 Hz they would be inside" in hint.lines[0]
@@ -219,13 +219,13 @@ def answers_of(share: float, noise: float | None) -> list[Answer]:
 
 def change_of(answers: list[Answer], model: Model = BEAM) -> Hint | None:
     """The hint for answers that come every second; it must not come before there are enough."""
-    hints = Hints(model, BEAM_RATE, "my file.csv", ("--unit", "g"))
+    hints = Hints(model, BEAM_RATE, "my file.csv", ("--unit", "g"), live=True)
     for number, answer in enumerate(answers):
         hints.add([replace(answer, time=float(number))])
-        if hints.is_clear:
+        if any(change.condition == Condition.BEAM for change in hints.changes(float(number))):
             assert number >= 29
-            break
-    return hints.hint()
+            return next(iter(hints.hints()), None)
+    return None
 
 
 def cause_of_change(answers: list[Answer], model: Model = BEAM) -> str | None:
@@ -435,11 +435,11 @@ def own_answers(model: str, factor: float) -> tuple[Answer, ...]:
     return tuple(found)
 
 
-def level_of(model: str, answers: tuple[Answer, ...], *, live: bool = False) -> str | None:
+def level_of(model: str, answers: tuple[Answer, ...]) -> str | None:
     shipped = Model.load(ROOT / "models" / f"{model}.npz")
     hints = Hints(shipped, shipped.sampling_rates[0], "x")
     hints.add(answers)
-    return hints.level_warning(live=live)
+    return next((hints.level_warning(factor) for factor in hints.wrong_scales().values()), None)
 
 
 SHIPPED = ["default", "default-drop-height", "default-acceleration"]

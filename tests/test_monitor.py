@@ -82,7 +82,7 @@ def test_a_gap_costs_one_warning_and_no_other_channel(
 
 
 @pytest.mark.parametrize("command", ["predict", "monitor"])
-def test_a_channel_that_stays_unreadable_is_given_up(
+def test_a_channel_is_taken_again_and_the_end_comes_only_where_none_is_readable(
     command: str, force: np.ndarray, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     samples = np.stack([force, force], axis=1).astype("<f4")
@@ -98,14 +98,14 @@ def test_a_channel_that_stays_unreadable_is_given_up(
 
     first = round(0.3 * RATE)
     samples[first:, 1] = np.nan
-    samples[-100:, 1] = 0.0
-    code, impacts, said, _ = answered("--give-up", "0.1")
-    assert code == 0
-    assert sum("given up at 0.4 s" in message for message in said) == 1
-    assert sum(row["channel"] == "1" for row in impacts) == 28
-    assert sum(row["channel"] == "2" for row in impacts) == 15
-    assert not any("given up" in message for message in answered()[2])
-    samples[first:, 0] = 1e20
+    samples[round(0.45 * RATE) :, 1] = force[round(0.45 * RATE) :]
+    for options in (("--give-up", "0.1"), ()):
+        code, impacts, said, _ = answered(*options)
+        assert code == 0
+        assert len([message for message in said if "no reading" in message]) == (1 if command == "predict" else 2)
+        assert sum(row["channel"] == "1" for row in impacts) == 28
+        assert sum(row["channel"] == "2" for row in impacts) == 15 + 6
+    samples[first:] = 1e20
     code, impacts, said, err = answered("--give-up", "0.1")
     assert code == 65
     assert len(impacts) == 30

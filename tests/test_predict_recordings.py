@@ -16,8 +16,8 @@ from cgid.errors import BadData, InvalidValue
 from cgid.identification.answers import Answer, identify
 from cgid.identification.model import Model
 from cgid.identification.prediction_settings import PredictionSettings
-from cgid.identification.share import CavingWatch, Share, Switch
 from cgid.identification.stream import identify_blocks, identify_recording, independence
+from cgid.identification.support import CavingWatch
 from cgid.identification.windows import RunningVote, measure_windows
 from cgid.recordings import open_recording, read_recording
 from tests.streams_of_pulses import RATE, ROOT, stream, window_model
@@ -218,8 +218,8 @@ def test_watch_tells_the_same_however_answers_come(default_model: Model) -> None
 
     whole = told(400)
     assert told(1) == whole
-    shares = [one for one in whole if isinstance(one, Share)]
-    turns = [one for one in whole if isinstance(one, Switch)]
+    shares = [one.state.share for one in whole if one.kind == "share"]
+    turns = [one.switch for one in whole if one.switch is not None]
     assert [share.time for share in shares] == pytest.approx(np.arange(2.0, 31.0, 2.0))
     assert [turn.shut for turn in turns] == [True]
     first_over = next(share for share in shares if share.above >= 0.95)
@@ -233,7 +233,7 @@ def test_predict_tells_impacts_shares_and_a_summary(two_channels: Path, capsys: 
     how = ["--rate", str(RATE), "--unit", "N", "--window", "0.16", "--dilution-cost", "2"]
     assert run(["predict", str(two_channels), "--json", *how]) == 0
     rows = lines_of(capsys)
-    assert {row["version"] for row in rows} == {4}
+    assert {row["version"] for row in rows} == {5}
     impacts = of_kind(rows, "impact")
     assert [row["time_s"] for row in impacts] == sorted(row["time_s"] for row in impacts)
     assert [row["impact"] for row in impacts if row["channel"] == "2"] == list(range(1, 17))
@@ -257,7 +257,7 @@ def test_predict_tells_impacts_shares_and_a_summary(two_channels: Path, capsys: 
     )
     assert sum(row["channel"] == "1" for row in table) == 16
     text = err.splitlines()
-    assert sum(line.startswith(f"{two_channels} channel 1: gangue share ") for line in text) == 4
+    assert sum(line.startswith(f"{two_channels} channel 1: gangue fraction ") for line in text) == 4
     assert text[-1].startswith(f"{two_channels}: 32 impacts: ")
 
 

@@ -11,17 +11,20 @@ import pytest
 from scipy import stats
 from scipy.integrate import quad
 
+from cgid.identification.answers import Answer
 from cgid.identification.confusion import Confusion, StreamAnswers
 from cgid.identification.prediction_settings import PredictionSettings
 from cgid.identification.share import (
+    LAPSE,
     MIN_IMPACTS,
-    CavingWatch,
     NoConfusion,
     Share,
     ShareWindow,
     ShutDecision,
     trained_share,
 )
+from cgid.identification.support import CavingWatch, Decision, Ground, Report
+from cgid.recordings.soundness import SensorWatch
 
 #: How far the scores of coal and gangue lie apart, in their deviations: right in 77 % of the impacts.
 SEPARATION = 1.5
@@ -196,11 +199,30 @@ def test_turns_are_said_when_they_are_sure_and_the_last_one_was_held() -> None:
     assert turns[2].cost == pytest.approx(0.6 - 0.4)
 
 
-def test_few_impacts_decide_nothing() -> None:
+def test_few_or_unknown_impacts_decide_nothing() -> None:
     rule = ShutDecision(3.0)
     assert rule.watch(state(0.9, MIN_IMPACTS - 1, above=0.99)) is None
     assert rule.watch(state(float("nan"), 0, above=float("nan"))) is None
-    assert rule.watch(state(0.9, MIN_IMPACTS, above=0.99)).shut
+    assert rule.watch(replace(state(0.9, 20, above=0.99), n_unknown=21)) is None
+    assert rule.shut is None
+    switch = rule.watch(replace(state(0.9, MIN_IMPACTS, above=0.99), n_unknown=MIN_IMPACTS))
+    assert switch is not None and switch.shut
+
+
+def test_a_decision_begins_without_a_switch_and_ends_with_its_evidence() -> None:
+    rule = ShutDecision(1.0, evidence=0.9, hold=2.0)
+    # The first decision to draw opens nothing; after a SHUT, also a withdrawn one, drawing is a switch.
+    assert rule.watch(state(0.1, time=1.0, above=0.05)) is None and rule.shut is False
+    assert rule.watch(state(0.5, time=2.0, above=0.5)) is None and rule.shut is False
+    assert rule.watch(state(0.9, time=3.0, above=0.95)) is not None and rule.shut is True
+    rule.withdraw()
+    assert rule.shut is None
+    switch = rule.watch(state(0.1, time=3.5, above=0.05))
+    assert switch is not None and not switch.shut
+    assert rule.watch(state(0.5, 3, time=3.5 + LAPSE)) is None and rule.shut is False
+    assert rule.watch(state(0.5, 3, time=3.6 + LAPSE)) is None and rule.shut is None
+    again = rule.watch(state(0.9, time=200.0, above=0.95))
+    assert again is not None and again.shut
 
 
 def test_caving_window_is_shut_close_to_the_best_time() -> None:
@@ -323,19 +345,34 @@ def test_every_rock_twice_is_known_from_the_scatter() -> None:
 
 # -- a recording's shares ---------------------------------------------------------------------------------
 
-MODEL: Any = SimpleNamespace(labels=("coal", "gangue"), training={}, confusion=None, conformal=None)
+MODEL: Any = SimpleNamespace(
+    labels=("coal", "gangue"),
+    training={},
+    confusion=None,
+    conformal=None,
+    kind="pulse",
+    beam=None,
+    unexplained=0.0,
+    level_deviation=0.0,
+)
 
 
-def answer(time: float, channel: str = "1") -> Any:
-    return SimpleNamespace(time=time, channel=channel, novelty=0.5, probabilities={"coal": 0.7, "gangue": 0.3})
+def answer(time: float, channel: str = "1", gangue: float = 0.3, novelty: float = 0.5) -> Answer:
+    probabilities = {"coal": 1 - gangue, "gangue": gangue}
+    label = "unknown" if novelty > 1 else max(probabilities, key=lambda name: probabilities[name])
+    return Answer(time=time, channel=channel, novelty=novelty, probabilities=probabilities, label=label)
 
 
-def watched(answers: list[Any], untils: list[float], **settings: float) -> list[Share]:
+def reported(answers: list[Answer], untils: list[float], **settings: float) -> list[Report]:
     watch = CavingWatch(MODEL, ["1", "2"], PredictionSettings(**settings))
-    told: list[Any] = []
+    told: list[Report] = []
     for last, until in zip([-1.0, *untils], untils, strict=False):
         told += watch.feed([one for one in answers if last < one.time <= until], until)
     return told + watch.finish(untils[-1])
+
+
+def watched(answers: list[Answer], untils: list[float], **settings: float) -> list[Share]:
+    return [one.state.share for one in reported(answers, untils, **settings) if one.kind == "share"]
 
 
 def test_a_pause_is_told_once_and_all_windows_of_impacts_are() -> None:
@@ -357,3 +394,88 @@ def test_a_pause_is_told_once_and_all_windows_of_impacts_are() -> None:
     for untils in ([1000.0], [*np.sort(rng.uniform(0, 1000, 300)), 1000.0]):
         told = watched(answers, untils, **settings)
         assert [(one.time, one.channel, one.n_impacts) for one in told] == sorted(every)
+
+
+# -- the record of a support --------------------------------------------------------------------------------
+
+
+def flow(rng, first: float, last: float, gangue: float, channel: str = "1", novelty: float = 0.5) -> list[Answer]:
+    """Answers at ten a second that are sure, with this share of gangue."""
+    times = np.arange(first, last, 0.1)
+    return [answer(t, channel, 0.99 if rng.random() < gangue else 0.01, novelty) for t in times.tolist()]
+
+
+def test_nothing_is_decided_before_the_evidence_and_no_decision_outlives_its_ground() -> None:
+    rng = np.random.default_rng(4)
+    answers = flow(rng, 0, 20, 0.05) + flow(rng, 20, 40, 0.95) + flow(rng, 40, 80, 0.95, novelty=2.0)
+    reports = [one for one in reported(answers, [300.0], share_step=1.0) if one.state.share.channel == "1"]
+    record = {one.state.time: one.state for one in reports}
+    assert record[1.0].share.n_impacts >= MIN_IMPACTS
+    assert [one.state.decision for one in reports if one.kind == "shut"] == [Decision.SHUT]
+    assert {one.decision for time, one in record.items() if 5 < time < 20} == {Decision.DRAW}
+    assert record[35.0].decision == Decision.SHUT
+    # Sixty unknown ones are most of the latest at 45 s; the last minutes are forgotten after the pause.
+    unknown = [one for one in record.values() if one.ground == Ground.MOSTLY_UNKNOWN]
+    assert 44 <= unknown[0].time <= 47
+    assert {one.decision for one in unknown} == {Decision.NONE}
+    assert all(one.last_identified == pytest.approx(39.9) for one in unknown)
+
+
+def test_a_pause_withdraws_the_decision_after_a_stated_time() -> None:
+    reports = reported(flow(np.random.default_rng(1), 0, 20, 0.95), [400.0], share_step=1.0)
+    states = [one.state for one in reports if one.kind in ("state", "shut") and one.state.share.channel == "1"]
+    assert [one.decision for one in states] == [Decision.SHUT, Decision.NONE]
+    assert states[1].time == pytest.approx(20 + 10 + LAPSE, abs=2)
+    assert states[1].ground == Ground.SEEN
+
+
+@pytest.mark.parametrize("lost", ["missing", "second", "zeros", "stuck", "cable"])
+@pytest.mark.parametrize("length", [100, 999, 60_000])
+def test_a_dead_sensor_is_blind_after_five_seconds_until_its_samples_are_sound(lost: str, length: int) -> None:
+    rate, rng = 1000.0, np.random.default_rng(7)
+    samples = rng.normal(3, 1, (2, 60_000))
+    gone = slice(20_000, 40_000)
+    own = samples[0, gone]
+    if lost == "second":
+        own[::2] = np.nan
+    else:
+        own[:] = {"missing": np.nan, "zeros": 0.0, "stuck": 500.0, "cable": rng.normal(0, 0.01, own.size)}[lost]
+    sensors = SensorWatch(2, rate)
+    watch = CavingWatch(MODEL, ["1", "2"], PredictionSettings(share_step=0.5), sensors=sensors)
+    waiting = sorted(
+        flow(rng, 0, 20, 0.95) + flow(rng, 41, 60, 0.95) + flow(rng, 0, 60, 0.05, "2"), key=lambda one: one.time
+    )
+    reports: list[Report] = []
+    for first in range(0, 60_000, length):
+        sensors.feed(samples[:, first : first + length])
+        until = min(first + length, 60_000) / rate
+        reports += watch.feed([one for one in waiting if one.time <= until], until)
+        waiting = [one for one in waiting if one.time > until]
+    changes = [one for one in reports if one.kind != "share" and one.state.share.channel == "1"]
+    assert [(one.kind, one.state.ground, one.state.decision) for one in changes] == [
+        ("shut", Ground.SEEN, Decision.SHUT),
+        ("state", Ground.BLIND, Decision.NONE),
+        ("state", Ground.SEEN, Decision.NONE),
+        ("shut", Ground.SEEN, Decision.SHUT),
+    ]
+    blind, seen, again = (one.state for one in changes[1:])
+    assert (blind.time, blind.since, blind.last_sound) == (25.0, 20.0, 20.0)
+    assert seen.time == pytest.approx(40.5)
+    assert again.time <= 43
+    assert {one.state.decision for one in reports if one.state.share.channel == "2" and one.state.time > 5} == {
+        Decision.DRAW
+    }
+
+
+def test_a_quiet_pause_is_not_blind_and_a_sensor_that_never_gave_a_sample_is() -> None:
+    rng = np.random.default_rng(0)
+    samples = np.stack([rng.normal(0, 1, 40_000), np.zeros(40_000), rng.normal(0, 1, 40_000)])
+    # Flow is thirty times as loud as the pause after it; one of ten stretches is quiet.
+    samples[0, :20_000] *= np.where(np.arange(20_000) % 1000 < 900, 30.0, 1.0)
+    samples[2, 20_000:] *= 0.01
+    samples[2, 20_000::1500] = 5.0  # quiet, but hit: it is alive
+    sensors = SensorWatch(3, 1000.0)
+    watch = CavingWatch(MODEL, ["1", "2", "3"], PredictionSettings(share_step=0.5), sensors=sensors)
+    sensors.feed(samples)
+    told = [one.state for one in watch.feed([], 40.0) if one.kind == "state"]
+    assert [(one.share.channel, one.time, one.since) for one in told] == [("2", 5.0, 0.0)]

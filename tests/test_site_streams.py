@@ -13,8 +13,8 @@ from cgid.identification.confusion import MIN_SCATTER
 from cgid.identification.model import Model
 from cgid.identification.prediction_settings import PredictionSettings
 from cgid.identification.rows import BEAM_FEATURES, BEAM_GUARDS, Rows
-from cgid.identification.share import CavingWatch, Share
 from cgid.identification.stream import identify_blocks
+from cgid.identification.support import CavingWatch
 from cgid.scene import Scene, load_scene, parse_scene
 from cgid.scene.impacts import beam_modes
 from cgid.scene.stream import record
@@ -134,8 +134,9 @@ def test_training_on_streams_gives_a_share_that_covers(caving: Scene) -> None:
         steps = identify_blocks([signal.samples[None]], signal.sampling_rate, training.model, ("1",), question)
         answers = [answer for step in steps for answer in step.answers]
         unknown += [answer.label == "unknown" for answer in answers]
-        for one in CavingWatch(training.model, ("1",), question).feed(answers, 60.0):
-            if isinstance(one, Share):
+        for report in CavingWatch(training.model, ("1",), question).feed(answers, 60.0):
+            if report.kind == "share":
+                one = report.state.share
                 own = first & (truth["time"] > one.start) & (truth["time"] <= one.time)
                 truly = np.mean(truth["label"][own] == "gangue")
                 held.append(one.low <= truly <= one.high)

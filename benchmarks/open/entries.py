@@ -24,8 +24,8 @@ from cgid.identification.answers import identify_frames
 from cgid.identification.model import Model
 from cgid.identification.prediction_settings import PredictionSettings
 from cgid.identification.rows import BEAM_FEATURES, BEAM_GUARDS, Rows, measure
-from cgid.identification.share import CavingWatch, Share
 from cgid.identification.stream import identify_blocks
+from cgid.identification.support import CavingWatch
 from cgid.identification.training import train
 from cgid.scene import synthesise
 from cgid.scene.through_beam import full_beam
@@ -199,10 +199,10 @@ def _watched(model: Model, signal: NDArray[Any], rate: float) -> tuple[NDArray[n
     said = watch.feed([answer for step in steps for answer in step.answers], float(TIMES[-1]))
     share, shut = np.full(TIMES[-1] + 1, 0.5), np.zeros(TIMES[-1] + 1, bool)
     for one in said:
-        if not isinstance(one, Share):
-            shut[round(one.time) :] = one.shut
-        elif one.n_impacts:
-            share[round(one.time)] = one.share
+        if one.switch is not None:
+            shut[round(one.switch.time) :] = one.switch.shut
+        elif one.kind == "share" and one.state.share.n_impacts:
+            share[round(one.state.time)] = one.state.share.share
     return share[TIMES], shut[TIMES]
 
 

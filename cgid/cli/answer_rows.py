@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Any
 
@@ -14,16 +14,19 @@ from cgid.terminal import counted
 if TYPE_CHECKING:
     from cgid.cli.hints import Hints
     from cgid.identification.answers import Answer
-    from cgid.identification.diagnosis import Hint
+    from cgid.identification.diagnosis import Change, Hint
     from cgid.identification.model import Model
     from cgid.identification.prediction_settings import PredictionSettings
     from cgid.identification.share import Share, Switch
     from cgid.identification.stream import Step
+    from cgid.identification.support import Report as SupportReport
+    from cgid.identification.support import SupportState
+    from cgid.recordings.soundness import SensorWatch
 
 #: Version of the lines of --json: since 2 each has a kind; since 3 the source is the file alone, and the most likely
 #: label and all probabilities replace one probability; since 4 the key `striker` is `impactor`, with the unit in each
-#: name.
-ANSWERS_VERSION = 4
+#: name; since 5 `share`, `shut` and `open` hold the record of a support, and there are lines `state`.
+ANSWERS_VERSION = 5
 
 #: Columns of a table that JSON has, too.
 _IN_JSON = ("channel", "label", "novelty", "overlapping", "clipped", "cut_off", "problem")
@@ -107,37 +110,43 @@ class AnswerLines:
                 content["impactor"] = {column.title: row[column.title] for column in impactor_columns()}
             self._line(kind, source, content)
 
-    def share(self, source: str, name: str, share: Share) -> None:
+    def share(self, source: str, name: str, state: SupportState) -> None:
         """Print the gangue fraction of a window of a source, or of its channel as `name`."""
+        share = state.share
         unknown = f", {share.n_unknown} more unknown" if share.n_unknown else ""
         fraction = f"{share.share:.2f} ({share.low:.2f} to {share.high:.2f})" if share.n_impacts else "not known"
-        content = {"from_s": share.start, "to_s": share.time, **_estimate(share)}
-        content |= {"impacts": share.n_impacts, "unknown": share.n_unknown}
+        content = {"from_s": share.start, "to_s": share.time, **_record(state)}
         answers = counted(share.n_impacts, "answer") + unknown
         span = f"from {share.start:.6g} to {share.time:.6g} s"
-        self._note("share", source, f"{name}: gangue share {fraction} {span}, {answers}", content)
+        self._note("share", source, f"{name}: gangue fraction {fraction} {span}, {answers}", content)
 
-    def turn(self, source: str, name: str, turn: Switch, dilution_cost: float) -> None:
+    def state(self, source: str, name: str, state: SupportState, message: str | None) -> None:
+        """Print that the ground or the decision of a support has changed; without a message only in JSON."""
+        self._line("state", source, _record(state))
+        if message is not None:
+            warn(f"{name}: {message}")
+
+    def turn(self, source: str, name: str, state: SupportState, turn: Switch, dilution_cost: float) -> None:
         """Print that continuing costs more than shutting, or less again."""
         word, side = ("SHUT", "above") if turn.shut else ("OPEN", "below")
-        share, limit = turn.share, 1 / (1 + dilution_cost)
+        share, limit, sure = turn.share, 1 / (1 + dilution_cost), f"{turn.evidence:.1%} sure"
         costs = f"going on is expected to cost {turn.cost:.2f} coal a rock" if turn.shut else "continuing pays again"
         message = (
-            f"{word} {turn.time:.6g} s: {costs} (gangue share {share.share:.2f}, {turn.evidence:.1%} sure that it is "
-            f"{side} {limit:.2f}, the limit where a drawn gangue costs {dilution_cost:g} coal)  {name}"
+            f"{word} {turn.time:.6g} s: {costs} (gangue fraction {share.share:.2f}, {sure} that it is {side} "
+            f"{limit:.2f}, the limit where a drawn gangue costs {dilution_cost:g} coal)  {name}"
         )
-        content = {"time_s": turn.time, "cost": turn.cost, "dilution_cost": dilution_cost, "evidence": turn.evidence}
-        self._note(word.lower(), source, message, content | _estimate(share))
+        content = {"cost": turn.cost, "dilution_cost": dilution_cost, "evidence": turn.evidence}
+        self._note(word.lower(), source, message, _record(state) | content)
 
     def summary(self, source: str, tally: RecordingTally, duration: float, start_time: Any = None) -> None:
         """Print the summary of a recording."""
         content = {"duration_s": duration, **tally.content(start_time)}
         self._note("summary", source, f"{source}: {tally.text()} in {duration:.6g} s", content)
 
-    def warning(self, source: str, message: str) -> None:
-        """Print a warning about a readable recording, on stderr and in JSON."""
+    def warning(self, source: str, message: str, **more: Any) -> None:
+        """Print a warning about a readable recording, on stderr and in JSON; `more`: what programs get besides."""
         warn(message)
-        self._line("warning", source, {"message": message})
+        self._line("warning", source, {"message": message, **more})
 
     def hint(self, source: str, hint: Hint) -> None:
         """Print why most predictions are unknown and what to do, on stderr and in JSON."""
@@ -168,8 +177,8 @@ class AnswerLines:
             self._listener({"version": ANSWERS_VERSION, **finite(line | now)})
 
 
-def _estimate(share: Share) -> dict[str, Any]:
-    return {"channel": share.channel, "gangue_share": share.share, "low": share.low, "high": share.high}
+def _record(state: SupportState) -> dict[str, Any]:
+    return {"time_s": state.time, **state.content()}
 
 
 class RecordingTally:
@@ -216,13 +225,28 @@ class RecordingTally:
 _MAX_PENDING = 1000
 #: Maximum number of silent channels that are named one by one.
 _MAX_SILENT_LISTED = 3
+#: What goes on with a channel of a live stream is told again after this time [s].
+_REPEATED_AFTER = 3600.0
+#: Grounds of a support and ends of conditions in words.
+_GROUNDS = {
+    "blind": "blind",
+    "wrong_scale": "of a wrong scale",
+    "mostly_unknown": "mostly unknown",
+    "stopped": "stopped",
+}
+_OVER = {
+    "wrong_scale": "the levels are those of the training again",
+    "upside_down": "the signal points upwards again",
+    "mostly_unknown": "most impacts are identified again",
+    "beam": "the modes of the model explain the impacts again",
+}
 
 
 class RecordingRows:
     """Print the predictions of one model for the channels of one recording."""
 
-    # Unless `always`, rows wait for a measurable one, and gangue fractions for a second row. `hints` get all
-    # predictions; the hint follows the last line or, if `always`, the first clear predictions.
+    # Unless `live`, rows wait for a measurable one, gangue fractions for a second row, and hints for the end. In a live
+    # stream each channel is told what begins and what ends.
 
     def __init__(
         self,
@@ -232,12 +256,13 @@ class RecordingRows:
         settings: PredictionSettings,
         lines: AnswerLines,
         *,
+        hints: Hints,
+        sensors: SensorWatch,
         keep: bool = False,
-        always: bool = False,
-        hints: Hints | None = None,
+        live: bool = False,
     ) -> None:
-        from cgid.identification.share import CavingWatch, Switch, separates
         from cgid.identification.stream import answering_channels, independence
+        from cgid.identification.support import CavingWatch
 
         self.source, self.lines, self._model = source, lines, model
         self.kind = "window" if model.kind == "window" else "impact"
@@ -246,23 +271,31 @@ class RecordingRows:
         self.answers: list[Answer] = []
         self.shares: list[Share] = []
         self.turns: list[Switch] = []
-        self._keep, self._always, self._turn, self._settings = keep, always, Switch, settings
+        self.hints: list[Hint] = []
+        self.warnings: list[str] = []
+        self._keep, self._live, self._settings = keep, live, settings
         self._numbers: Counter[str] = Counter()
-        self._hints = hints
-        self.hint: Hint | None = None
-        self.level: str | None = None
-        self._measured = always
+        self._diagnosis = hints
+        self._measured = live
         self._silent: tuple[str, ...] = ()
         self._pending_answers: list[Answer] = []
-        self._pending_shares: list[Share | Switch] = []
-        self._watch: CavingWatch | None = None
-        self.threshold: float | None = None
-        if settings.needs_shares or separates(settings.shares.gangue, model):
-            self._watch = CavingWatch(model, self.channels, settings, independence(model, settings))
-            self.threshold = self._watch.threshold
+        self._pending_reports: list[SupportReport] = []
+        self._watch = CavingWatch(
+            model,
+            self.channels,
+            settings,
+            independence(model, settings),
+            sensors=sensors,
+            channels=channels,
+            diagnosis=hints if live else None,
+        )
+        self._grounds: dict[str, tuple[str, bool]] = {}  # last ground and whether something was decided
+        self._conditions: dict[tuple[str, str], float] = {}  # what a channel has, and when it was told [s]
+        self._later: list[Change] = []
+        self.threshold = self._watch.threshold
 
     def feed(self, step: Step) -> None:
-        """Print the next predictions, the gangue fractions of completed windows, and warnings."""
+        """Print the next predictions, the reports of completed windows, and warnings."""
         answers = step.answers
         self.tally.add(answers)
         if self._keep:
@@ -271,17 +304,18 @@ class RecordingRows:
         self._pending_answers += answers
         if self._measured or len(self._pending_answers) > _MAX_PENDING:
             self._print_answers()
-        if self._watch is not None:
-            self._print_shares(self._watch.feed(answers, step.until))
+        if not self._live:
+            self._diagnosis.add(answers, step.upside_down)
+        reports = self._watch.feed(answers, step.until)
+        self._print_changes(step.until)
+        self._print_reports(reports)
         self._silent += step.silent
         for warning in step.warnings:
             self.lines.warning(self.source, warning)
-        if self._hints is not None:
-            self._hints.add(answers, step.upside_down)
-            if self._always and self._hints.is_clear:
-                self._print_hint()
-            if self._always:
-                self._print_level(live=True)
+
+    def stopped(self, seconds: float) -> None:
+        """Print that a live stream gives no samples; the next ones take it up again."""
+        self._print_reports(self._watch.stopped(f"no samples have arrived for {seconds:.0f} s"))
 
     def finish(self, duration: float, start_time: Any = None) -> None:
         """Print pending lines at the end of a recording of this duration [s], and its silent channels."""
@@ -289,7 +323,7 @@ class RecordingRows:
 
         self.lines.begin(self.source, self._model, self._settings)  # the head of an empty table
         silent = self._silent
-        if silent and not self.tally.total and not self._always:
+        if silent and not self.tally.total and not self._live:
             raise BadData(silent[0])
         for message in silent[:_MAX_SILENT_LISTED]:
             self.lines.warning(self.source, message)
@@ -304,28 +338,63 @@ class RecordingRows:
             problem = first.problem if first else "nothing in it can be measured"
             raise BadData(f"{self.name(first.channel) if first else self.source}: {problem}{more}")
         self._print_answers()
-        if self._watch is not None:
-            self._print_shares(self._watch.finish(duration))
-        if self.tally.total > 1 or self._always:
+        reports = self._watch.finish(duration)
+        self._print_changes(duration)
+        self._print_reports(reports)
+        if self.tally.total > 1 or self._live:
             self.lines.summary(self.source, self.tally, duration, start_time)
-        self._print_hint()
-        self._print_level()
+        if not self._live:
+            self._print_hints(self._diagnosis.hints())
+            factors = self._diagnosis.wrong_scales()
+            told = {name for hint in self.hints for name in hint.channels or self.channels} | factors.keys()
+            self._print_scales(factors, "")
+            for change in self._later:  # of a part of the recording alone
+                if change.channel not in told:
+                    self._print_scales({change.channel: change.factor}, f"from {change.time:.6g} s on ")
 
-    def _print_level(self, *, live: bool = False) -> None:
-        """Print once that the level differs from that of the training, unless a hint explains it."""
-        if self._hints is None or self.hint is not None or self.level is not None:
+    def _print_changes(self, time: float) -> None:
+        """Print what has begun or ended with the channels of a live stream, and once an hour what goes on."""
+        from cgid.identification.diagnosis import Condition
+
+        changes = self._watch.take_changes()
+        if not self._live:
+            self._later += [one for one in changes if one.condition == Condition.WRONG_SCALE and one.begins]
             return
-        text = self._hints.level_warning(live=live)
-        if text is not None:
-            self.level = f"{self.source}: {text}"
-            self.lines.warning(self.source, self.level)
+        hinted = set[str]()
+        for condition in Condition:
+            found = [one for one in changes if one.condition == condition]
+            began = {one.channel: one for one in found if one.begins}
+            for name in self.channels:
+                if time >= self._conditions.get((name, condition), time) + _REPEATED_AFTER:
+                    began[name] = self._diagnosis.change(name, condition, time)
+            self._conditions |= dict.fromkeys(((name, condition) for name in began), time)
+            if condition == Condition.WRONG_SCALE:
+                self._print_scales({name: one.factor for name, one in began.items()}, "")
+            else:
+                hinted |= began.keys()
+            for name in (one.channel for one in found if not one.begins):
+                self._conditions.pop((name, condition), None)
+                message = f"{self.name(name)}: {_OVER[condition]}"
+                self._warn(message, channel=name, condition=str(condition), active=False)
+        if hinted:
+            self._print_hints(self._diagnosis.hints(hinted))
 
-    def _print_hint(self) -> None:
-        """Print the hint once, if there is one."""
-        if self._hints is not None and self.hint is None:
-            self.hint = self._hints.hint()
-            if self.hint is not None:
-                self.lines.hint(self.source, self.hint)
+    def _print_scales(self, factors: Mapping[str, float], when: str) -> None:
+        """Print which channels have levels that are not those of the training."""
+        for name, factor in factors.items():
+            text = self._diagnosis.level_warning(factor)
+            self._warn(
+                f"{self.name(name)}: {when}{text}", channel=name, condition="wrong_scale", active=True, factor=factor
+            )
+
+    def _warn(self, message: str, **more: Any) -> None:
+        self.warnings += [message] * self._keep
+        self.lines.warning(self.source, message, **more)
+
+    def _print_hints(self, hints: Iterable[Hint]) -> None:
+        for hint in hints:
+            self.hints += [hint] * self._keep
+            self.lines.hint(self.source, hint)
 
     def name(self, channel: str) -> str:
         """Return source and channel in one word."""
@@ -339,17 +408,37 @@ class RecordingRows:
             self.lines.answer(self.source, answer, self.kind, **{self.kind: self._numbers[answer.channel]})
         self._pending_answers = []
 
-    def _print_shares(self, more: Iterable[Share | Switch]) -> None:
-        """Print gangue fractions and switches; a recording of one impact has none unless an option requests them."""
-        self._pending_shares += more
-        if not (self._always or self._settings.needs_shares or self.tally.total > 1):
+    def _print_reports(self, more: Iterable[SupportReport]) -> None:
+        """Print the records of supports; a recording of one impact has none unless an option requests them."""
+        self._pending_reports += more
+        if not (self._live or self._settings.needs_shares or self.tally.total > 1):
             return
-        for one in self._pending_shares:
-            if isinstance(one, self._turn):
-                self.turns += [one] * self._keep
-                self.lines.turn(self.source, self.name(one.share.channel), one, self._settings.shares.dilution_cost)
-                continue
-            self.shares += [one] * self._keep
-            if one.n_impacts or self._always or (one.n_unknown and self.lines.as_json):
-                self.lines.share(self.source, self.name(one.channel), one)
-        self._pending_shares = []
+        for one in self._pending_reports:
+            state, share = one.state, one.state.share
+            name = self.name(share.channel)
+            if one.kind == "share":
+                self.shares += [share] * self._keep
+                if share.n_impacts or self._live or (share.n_unknown and self.lines.as_json):
+                    self.lines.share(self.source, name, state)
+            elif one.switch is not None:
+                self.turns += [one.switch] * self._keep
+                self.lines.turn(self.source, name, state, one.switch, self._settings.shares.dilution_cost)
+            else:
+                message = self._state_message(state)
+                self.warnings += [f"{name}: {message}"] * (self._keep and message is not None)
+                self.lines.state(self.source, name, state, message)
+            if one.kind != "share":
+                self._grounds[share.channel] = state.ground, state.decision != "none"
+        self._pending_reports = []
+
+    def _state_message(self, state: SupportState) -> str | None:
+        """Return in words that a ground is lost or won, or that a decision is withdrawn; None for a first decision."""
+        ground, decided = self._grounds.get(state.share.channel, ("seen", False))
+        withdrawn = ", so the decision is withdrawn" if decided else ""
+        if state.ground != ground and state.ground != "seen":
+            return f"{_GROUNDS[state.ground]} since {state.since:.6g} s ({state.reason}){withdrawn}"
+        if state.ground != ground:
+            return f"seen again at {state.time:.6g} s"
+        if decided and state.decision == "none":
+            return f"too few identified impacts until {state.time:.6g} s{withdrawn}"
+        return None

@@ -18,7 +18,7 @@ _OPTIONS = {
     "--variable --format --index --invert --keep-baseline --dead-time --give-up --from --to --events --kind",
     "Model": "--model --mass --drop-height --sensor --family --by --hop --level-free --features --class-weights",
     "Decision": "--miss-cost --coverage --class-conditional --vote",
-    "Gangue share": "--window --gangue --dilution-cost --evidence --hold",
+    "Gangue fraction": "--window --gangue --dilution-cost --evidence --hold --blind-after",
     "What struck": "--impactor --masses",
     "Signals": "--signals --seed --laws --dtype "
     "--quantities --learner --shuffle-labels --test-share --calibration-share",

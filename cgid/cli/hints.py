@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from itertools import chain, count, pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -42,18 +42,23 @@ class Hints(Diagnosis):
         *,
         channels: Sequence[str] = (),
         labelled: bool = False,
+        live: bool = False,
     ) -> None:
-        super().__init__(model)
+        super().__init__(model, live=live)
         self._rate, self._source = sampling_rate, source
         self._options, self._answering = tuple(options), tuple(answering)
         self._labelled, self._all_channels = labelled, tuple(channels)
         self._kind = "signal" if labelled else "window" if model.kind == "window" else "impact"
 
-    def hint(self) -> Hint | None:
-        """Return the hint; None where no channel is upside down or mostly unknown, and no beam changed."""
-        finding = self.finding()
-        if finding is None:
-            return None
+    def hints(self, names: Iterable[str] | None = None) -> list[Hint]:
+        """Return a hint for each cause, by default of all channels; none where none has a finding."""
+        return [self._hint(finding) for finding in self.findings(names)]
+
+    def level_warning(self, factor: float) -> str:
+        """Return one line on levels that differ from those of the training by a factor."""
+        return scale_warning(factor, self.model)
+
+    def _hint(self, finding: Finding) -> Hint:
         commands, instead = self._steps(finding)
         reason, advice = self._words(finding, bool(commands or instead))
         where = (
@@ -69,11 +74,6 @@ class Hints(Diagnosis):
             n_unknown=finding.n_unknown,
             n_answers=finding.n_answers,
         )
-
-    def level_warning(self, *, live: bool = False) -> str | None:
-        """Return one line if the levels differ from those of the training and no hint explains it, else None."""
-        factors = self.wrong_scales(live=live)
-        return scale_warning(factors, self.model, name_channels=len(self.channels) > 1) if factors else None
 
     # -- texts ----------------------------------------------------------------------------------------
 

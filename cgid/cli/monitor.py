@@ -6,7 +6,7 @@ import os
 import sys
 import time
 from collections import deque
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
 from pathlib import Path
 from threading import Condition, Thread
@@ -83,6 +83,8 @@ class Inbox:
         self._begun = time.monotonic()
         self.n_taken = 0
         self.is_held_up = False
+        #: A time [s], and a function that is called once with the time without samples when they pause for so long.
+        self.on_pause: tuple[float, Callable[[float], object]] | None = None
 
     def __iter__(self) -> Iterator[NDArray[Any]]:
         """Yield all waiting blocks, joined, as soon as there are some; may be called once."""
@@ -123,10 +125,8 @@ class Inbox:
 
     def _next(self) -> NDArray[Any] | None:
         """Return the waiting blocks as one, None at the end."""
+        self._wait()
         with self._changed:
-            # Waits have a timeout, so that an interruption is noticed.
-            while not self._changed.wait_for(lambda: self._waiting or self._ended, 1.0):
-                pass
             self._changed.wait_for(lambda: self._ended or self._n_waiting >= MIN_INTERVAL * self._rate, _TIMEOUT)
             blocks, size = [], 0
             while self._waiting and size < MAX_READ:
@@ -138,6 +138,18 @@ class Inbox:
         if not blocks:
             return None
         return blocks[0] if len(blocks) == 1 else np.concatenate(blocks, axis=1)
+
+    def _wait(self) -> None:
+        """Wait for the next block or the end."""
+        since, is_told = time.monotonic(), self.on_pause is None
+        while True:
+            with self._changed:  # with a timeout, so that an interruption is noticed
+                if self._changed.wait_for(lambda: self._waiting or self._ended, 0.5):
+                    return
+            paused = time.monotonic() - since
+            if self.on_pause is not None and not is_told and paused >= self.on_pause[0]:
+                is_told = True
+                self.on_pause[1](paused)
 
 
 #: A gangue fraction is printed this many times per window.
@@ -226,6 +238,7 @@ def _follow(
     from cgid.identification.stream import factors_for, identify_blocks
     from cgid.recordings.chain import scaled
     from cgid.recordings.gaps import Gaps
+    from cgid.recordings.soundness import SensorWatch
 
     def warned(text: str) -> None:
         lines.warning(live.source, f"{live.source}: {text}")
@@ -234,16 +247,18 @@ def _follow(
     factors = factors_for(model, live.channels, settings, live.source)
     names = [channel.name for channel in live.channels]
     inbox, delay = Inbox(live, live.sampling_rate), DelayReport(live.source, lines)
+    sensors = SensorWatch(live.n_channels, live.sampling_rate)
     gaps = Gaps(
         live.channels, live.sampling_rate, warned, give_up=settings.give_up, joint=model.together > 1, at_once=True
     )
-    blocks: Iterable[NDArray[Any]] = scaled(gaps.marked(inbox), factors)
+    blocks: Iterable[NDArray[Any]] = sensors.watching(scaled(gaps.marked(inbox), factors))
     if outputs is not None:
         blocks = outputs.monitored_blocks(blocks, live.sampling_rate)
     steps = identify_blocks(blocks, live.sampling_rate, model, names, settings, live.source)
     # The stream is over when the next command runs: it is for a recording of it.
-    hints = Hints(model, live.sampling_rate, "RECORDING", given_options()[0], channels=names)
-    rows = RecordingRows(live.source, model, names, settings, lines, always=True, hints=hints)
+    hints = Hints(model, live.sampling_rate, "RECORDING", given_options()[0], channels=names, live=True)
+    rows = RecordingRows(live.source, model, names, settings, lines, hints=hints, sensors=sensors, live=True)
+    inbox.on_pause = settings.blinded_after, rows.stopped
     if outputs is not None:
         outputs.begin(
             source=live.source,
@@ -252,6 +267,7 @@ def _follow(
             unit=model.unit,
             threshold=rows.threshold,
             behind=lambda: inbox.behind,
+            blind_after=settings.blinded_after,
         )
     warn_of_model(live.source, live.source, live.sampling_rate, model, settings)
     try:

@@ -369,7 +369,12 @@ answering_options = _options(
         "--hold", type=float, help="Hold SHUT or OPEN for at least this time [s], by default the length of the window."
     ),
     click.option(
-        "--give-up", type=float, help="Give up a channel that is unreadable for this long [s], by default 10."
+        "--blind-after",
+        type=float,
+        help="Call a support blind, and withdraw its decision, after so long without sound samples [s], by default 5.",
+    ),
+    click.option(
+        "--give-up", type=float, help="End when no channel has been readable for this long [s]; by default go on."
     ),
 )
 

@@ -63,9 +63,9 @@ def _report(
         shares=rows.shares,
         turns=rows.turns,
         threshold=rows.threshold,
-        warnings=(*recording.warnings, *([rows.level] if rows.level else ())),
+        warnings=(*recording.warnings, *rows.warnings),
         unit_of_decision=rows.kind,
-        hint=rows.hint,
+        hints=rows.hints,
     )
 
 
@@ -105,6 +105,7 @@ class _Prediction:
         from cgid.cli.hints import Hints
         from cgid.identification.stream import factors_for, identify_blocks
         from cgid.recordings.chain import scaled
+        from cgid.recordings.soundness import SensorWatch
 
         settings, source, rate = self.settings, recording.source, recording.sampling_rate
         channels = [recording.channels[number] for number in numbers]
@@ -122,11 +123,14 @@ class _Prediction:
             channels = channels[:MAX_CHANNELS]
             pictures = OverviewStream(rate, len(channels))
             blocks = pictures.watching(blocks)
-        steps = identify_blocks(scaled(blocks, factors), rate, model, names, settings, source)
+        sensors = SensorWatch(len(names), rate)
+        steps = identify_blocks(sensors.watching(scaled(blocks, factors)), rate, model, names, settings, source)
         # The next command cannot read a pipe again.
         file = "RECORDING" if source == "stdin" else source
         hints = Hints(model, rate, file, *given_options(), channels=[channel.name for channel in recording.channels])
-        rows = RecordingRows(source, model, names, settings, self.lines, keep=pictures is not None, hints=hints)
+        rows = RecordingRows(
+            source, model, names, settings, self.lines, hints=hints, sensors=sensors, keep=pictures is not None
+        )
         warn_of_model(source, rows.name(rows.channels[0]), rate, model, settings)
         with progress_bar(recording.n_samples, "samples", "predicting") as progress:
             seen = 0
@@ -179,10 +183,10 @@ class _Prediction:
                 progress(len(batch))
         if tally.measured:
             say(f"{path}: {tally.summary(len(dataset))}", err=True)
-        if (hint := hints.hint()) is not None:
+        for hint in hints.hints():
             self.lines.hint(path, hint)
-        elif (level := hints.level_warning()) is not None:
-            self.lines.warning(path, f"{path}: {level}")
+        for factor in hints.wrong_scales().values():
+            self.lines.warning(path, f"{path}: {hints.level_warning(factor)}")
 
     def dataset_signal(self, path: str, index: int, signal: Signal) -> None:
         """Print the prediction for one signal of a dataset."""

@@ -10,7 +10,9 @@ from __future__ import annotations
 from collections import Counter, deque
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any
+from enum import StrEnum
+from itertools import islice
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,16 +35,20 @@ _SCALES, _MAX_DISTANCE = 10.0 ** np.arange(-4.0, 4.25, 0.25), 3.0
 _BOTH_WAYS = 0.4
 #: Standard deviations of the training to either side that make the range of a quantity in messages.
 _N_DEVIATIONS = 3.0
-#: A live stream gets its hint when a channel has this many answers, and this fraction of them is unknown.
-_MIN_ANSWERS, _MOSTLY = 20, 0.8
+#: A live stream is judged by the latest predictions of each channel, at most so many and so old [s]. Most are unknown
+#: from this fraction of at least so many on, until it falls below the second fraction.
+_RECENT, _OLDEST = 60, 300.0
+_MIN_ANSWERS, _MOSTLY, _NO_LONGER = 20, 0.8, 0.5
 #: Above this fraction, assume a different beam.
 _ANOTHER_BEAM = 0.95
 #: The beam has changed where the median of the latest impacts, so many, leaves more than this fraction of the energy
 #: unexplained [%], beyond so many standard deviations of a median, and so many times that of the training.
 _LATEST, CHANGED, _N_SIGMA, _OVER_TRAINING = (30, 100, 300), 0.5, 4.0, 3.0
-#: Impacts from which on their levels are compared with those of the training, times as many to the next test of a live
-#: stream, and the latest levels kept of a channel.
-_MIN_LEVELS, _NEXT_TEST, _MAX_LEVELS = 10, 3, 10_000
+#: Impacts from which on their levels are compared with those of the training, and the latest levels kept of a channel.
+_MIN_LEVELS, _MAX_LEVELS = 10, 10_000
+#: A live stream is tested at these numbers of levels, and then whenever so many more have come, by so many latest ones.
+#: Such tests go on for days, so the chance that one of them errs must be this many times smaller, in variances.
+_TESTS, _EVERY, _LATEST_LEVELS, _ENDLESS = (10, 30, 90, 270, 810), 5, (20, 200), 3.0
 #: Levels count up to so many standard deviations from their median; the upper end of n levels, their mean and standard
 #: deviation together, is about this one in the training. In standard deviations of the training.
 _CLIPPED, _UPPER = 2.0, 0.85
@@ -182,53 +188,84 @@ def _clearness(frames: NDArray[np.floating], sampling_rate: float, pre_trigger: 
     return np.asarray(ratio.reshape(len(frames), -1).max(axis=1))
 
 
+class _Counted(NamedTuple):
+    """A prediction, the cause if it is unknown, whether a mark is that cause, and whether it could be trained on."""
+
+    answer: Answer
+    cause: str
+    marked: bool
+    usable: bool
+
+
 @dataclass
 class ChannelAnswers:
-    """The unknown predictions of a channel: their number by cause, and examples of the causes of unmarked ones."""
+    """The unknown predictions of a channel: their number by cause, and examples of the causes of unmarked ones.
 
+    In a `live` stream only the latest predictions count.
+    """
+
+    live: bool = False
     n_answers: int = 0
     n_unmarked: int = 0
     n_unknown: int = 0
     n_usable: int = 0
     marks: Counter[str] = field(default_factory=Counter)
     unmarked: Counter[str] = field(default_factory=Counter)
-    examples: dict[str, list[Answer]] = field(default_factory=dict)
+    examples: dict[str, deque[Answer]] = field(default_factory=dict)
     latest: float = -np.inf
     problems: Counter[str] = field(default_factory=Counter)
     unexplained: deque[float] = field(default_factory=lambda: deque(maxlen=_LATEST[-1]))
     levels: deque[float] = field(default_factory=lambda: deque(maxlen=_MAX_LEVELS))
     n_levels: int = 0
+    recent: deque[_Counted] = field(default_factory=deque)
 
     def add(self, answer: Answer, *, is_vibration: bool) -> None:
         """Count one more answer."""
         after, self.latest = answer.time - self.latest, answer.time
-        self.n_answers += 1
         is_soon = 0 < after < EVENT_TIME
         crowded = is_vibration and is_soon
         disturbed = answer.overlapping or answer.clipped or answer.cut
         name, marked = _cause_of(answer, crowded)
-        self.n_unmarked += not marked
         # Training excludes impacts that begin within the previous event.
-        self.n_usable += bool(answer.probabilities) and not is_soon and not disturbed
+        counted = _Counted(answer, name, marked, bool(answer.probabilities) and not is_soon and not disturbed)
         if np.isfinite(answer.unexplained) and not (crowded or disturbed):
             self.unexplained.append(answer.unexplained)
         if np.isfinite(answer.level):
             self.levels.append(answer.level)
             self.n_levels += 1
+        self._count(counted, 1)
+        if self.live:
+            self.recent.append(counted)
+            if len(self.recent) > _RECENT:
+                self._count(self.recent.popleft(), -1)
+
+    def forget(self, time: float) -> None:
+        """Forget the predictions of a live stream that are too old at a time [s]."""
+        while self.recent and self.recent[0].answer.time < time - _OLDEST:
+            self._count(self.recent.popleft(), -1)
+
+    def _count(self, counted: _Counted, by: int) -> None:
+        """Count a prediction (by 1), or no longer (by -1)."""
+        answer, name = counted.answer, counted.cause
+        self.n_answers += by
+        self.n_unmarked += by * (not counted.marked)
+        self.n_usable += by * counted.usable
         if answer.label != UNKNOWN:
             return
-        self.n_unknown += 1
-        (self.marks if marked else self.unmarked)[name] += 1
+        self.n_unknown += by
+        (self.marks if counted.marked else self.unmarked)[name] += by
         if answer.problem in self.problems or len(self.problems) < _MAX_EXAMPLES:
-            self.problems[answer.problem] += 1
-        examples = self.examples.setdefault(name, [])
-        if len(examples) < _MAX_EXAMPLES:
+            self.problems[answer.problem] += by
+        examples = self.examples.setdefault(name, deque())
+        if by < 0 and examples and examples[0] is answer:
+            examples.popleft()
+        elif by > 0 and len(examples) < _MAX_EXAMPLES:
             examples.append(answer)
 
     @property
     def decisive(self) -> Counter[str]:
         """The relevant causes: only those of unmarked predictions if these are many."""
-        few_marks = self.unmarked and self.n_unmarked >= _UNMARKED * self.n_answers
+        few_marks = self.unmarked.total() and self.n_unmarked >= _UNMARKED * self.n_answers
         return self.unmarked if few_marks else self.marks + self.unmarked
 
     def median_unexplained(self) -> tuple[float, list[float]]:
@@ -239,6 +276,25 @@ class ChannelAnswers:
             # The rank of a sample that is below the median with probability 1 - 2e-5 (binomial).
             bounds.append((sorted(latest)[int(len(latest) / 2 - _N_SIGMA / 2 * np.sqrt(len(latest))) - 1], latest))
         return max(bounds[1:] or bounds, key=lambda one: one[0])
+
+
+class Condition(StrEnum):
+    """What is wrong with a channel of a live stream, from its latest predictions."""
+
+    WRONG_SCALE = "wrong_scale"
+    UPSIDE_DOWN = "upside_down"
+    MOSTLY_UNKNOWN = "mostly_unknown"
+    BEAM = "beam"
+
+
+class Change(NamedTuple):
+    """A condition of a channel that begins or ends at a time [s]; the likely factor of a wrong scale."""
+
+    channel: str
+    condition: Condition
+    begins: bool
+    time: float
+    factor: float = float("nan")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -286,57 +342,110 @@ class Hint:
 
 
 class Diagnosis:
-    """Count the predictions of a recording, and determine the cause if most are unknown."""
+    """Count the predictions of a recording, and determine the causes if most of a channel are unknown.
 
-    def __init__(self, model: Model) -> None:
-        self.model = model
+    In a `live` stream each channel is judged by its latest predictions alone, however long the stream runs, and
+    `changes` says what begins and what ends.
+    """
+
+    def __init__(self, model: Model, *, live: bool = False) -> None:
+        self.model, self._live = model, live
         self.channels: dict[str, ChannelAnswers] = {}
         self.upside_down: set[str] = set()
-        self._next_test = _MIN_LEVELS
+        self._scales: dict[str, _Scale] = {}
+        self._conditions: dict[str, set[Condition]] = {}
 
-    def add(self, answers: Iterable[Answer], upside_down: Iterable[str] = ()) -> None:
-        """Count more predictions, and channels that are upside down."""
-        self.upside_down.update(upside_down)
+    def add(self, answers: Iterable[Answer], upside_down: Iterable[str] | None = None) -> None:
+        """Count more predictions, and set the channels that are upside down, where this is known."""
+        if upside_down is not None:
+            self.upside_down = set(upside_down)
         for answer in answers:
-            channel = self.channels.setdefault(answer.channel, ChannelAnswers())
+            if answer.channel not in self.channels:
+                self.channels[answer.channel] = ChannelAnswers(self._live)
+                self._scales[answer.channel] = _Scale(self.model)
+            channel = self.channels[answer.channel]
             channel.add(answer, is_vibration=self.model.kind == "vibration")
+            if np.isfinite(answer.level):
+                self._scales[answer.channel].test(channel)
+
+    def conditions(self, channel: str) -> set[Condition]:
+        """Return what is wrong with a channel, as of the last `changes`."""
+        return self._conditions.get(channel, set())
+
+    def changes(self, time: float) -> list[Change]:
+        """Return what has begun or ended in a live stream up to a time [s]."""
+        found = []
+        changed = self._changed()
+        for name in sorted(self.channels.keys() | self.upside_down):
+            channel, before = self.channels.get(name, ChannelAnswers()), self.conditions(name)
+            channel.forget(time)
+            now = set[Condition]()
+            least = _NO_LONGER if Condition.MOSTLY_UNKNOWN in before else _MOSTLY
+            enough = channel.n_answers >= _MIN_ANSWERS or (Condition.MOSTLY_UNKNOWN in before and channel.n_answers)
+            if enough and channel.n_unknown >= least * channel.n_answers:
+                now.add(Condition.MOSTLY_UNKNOWN)
+            if name in self.upside_down:
+                now.add(Condition.UPSIDE_DOWN)
+            if name in changed or (Condition.BEAM in before and self._is_changed(channel)):
+                now.add(Condition.BEAM)
+            scale = self._scales.get(name)
+            # Levels of impacts that the model does not know mean nothing.
+            if scale is not None and scale.factor != 1 and (Condition.WRONG_SCALE in before or not now):
+                now.add(Condition.WRONG_SCALE)
+            self._conditions[name] = now
+            found += [self.change(name, one, time) for one in Condition if (one in now) != (one in before)]
+        return found
+
+    def change(self, channel: str, condition: Condition, time: float) -> Change:
+        """Return a condition of a channel as it is now."""
+        factor = self._scales[channel].factor if channel in self._scales else float("nan")
+        return Change(channel, condition, condition in self.conditions(channel), time, factor)
 
     @property
-    def is_clear(self) -> bool:
-        """Whether a live stream has enough predictions for its hint."""
-        enough = _MIN_ANSWERS if self.model.beam is None else _LATEST[0]  # by then a change of the beam is visible
-        unknown = any(c.n_answers >= enough and c.n_unknown >= _MOSTLY * c.n_answers for c in self.channels.values())
-        return unknown or bool(self._changed())
+    def _limit(self) -> float:
+        return max(CHANGED, _OVER_TRAINING * self.model.unexplained)
 
     def _changed(self) -> dict[str, list[float]]:
         """Return the channels whose beam has changed, with what their latest impacts leave unexplained [%]."""
         if self.model.beam is None:
             return {}
-        limit = max(CHANGED, _OVER_TRAINING * self.model.unexplained)
         unexplained = {name: channel.median_unexplained() for name, channel in self.channels.items()}
-        return {name: latest for name, (median, latest) in unexplained.items() if median > limit}
+        return {name: latest for name, (median, latest) in unexplained.items() if median > self._limit}
 
-    def finding(self) -> Finding | None:
-        """Return the cause; None where no channel is upside down or mostly unknown, and no beam changed."""
-        # The rebounds of inverted pulses may be identified, but on the wrong side.
-        turned = {name: self.channels[name] for name in sorted(self.upside_down & self.channels.keys())}
-        unknown = {name: c for name, c in self.channels.items() if 2 * c.n_unknown > c.n_answers}
-        affected = turned or unknown
-        if not affected:
-            return self._change()
-        counts = sum((channel.decisive for channel in affected.values()), Counter[str]())
-        cause = "upside_down" if turned else counts.most_common(1)[0][0]
-        another = all(channel.n_unknown >= _ANOTHER_BEAM * channel.n_answers for channel in affected.values())
-        if cause == "shape" and not another and affected.keys() & self._changed().keys():
-            return self._change()
-        examples = [one.cause for channel in affected.values() for one in channel.examples.get(cause, ()) if one.cause]
-        problem = sum((channel.problems for channel in affected.values()), Counter[str]()).most_common(1)
+    def _is_changed(self, channel: ChannelAnswers) -> bool:
+        """Return whether a beam that had changed still leaves more of the latest impacts unexplained."""
+        return float(np.median(list(channel.unexplained)[-_LATEST[0] :])) > self._limit
+
+    def findings(self, names: Iterable[str] | None = None) -> list[Finding]:
+        """Return the causes, with the channels of each that are upside down, mostly unknown, or of a changed beam."""
+        changed, causes = self._changed(), dict[str, list[str]]()
+        for name in self.channels if names is None else sorted(self.channels.keys() & set(names)):
+            channel = self.channels[name]
+            # The rebounds of inverted pulses may be identified, but on the wrong side.
+            if name in self.upside_down:
+                causes.setdefault("upside_down", []).append(name)
+            elif 2 * channel.n_unknown > channel.n_answers:
+                cause = channel.decisive.most_common(1)[0][0]
+                another = channel.n_unknown >= _ANOTHER_BEAM * channel.n_answers
+                cause = "beam" if cause == "shape" and not another and name in changed else cause
+                causes.setdefault(cause, []).append(name)
+            elif name in changed:
+                causes.setdefault("beam", []).append(name)
+        return [
+            self._change({name: changed[name] for name in names}) if cause == "beam" else self._finding(cause, names)
+            for cause, names in causes.items()
+        ]
+
+    def _finding(self, cause: str, names: Sequence[str]) -> Finding:
+        affected = [self.channels[name] for name in names]
+        examples = [one.cause for channel in affected for one in channel.examples.get(cause, ()) if one.cause]
+        problem = sum((channel.problems for channel in affected), Counter[str]()).most_common(1)
         name = Counter(one.name for one in examples).most_common(1)[0][0] if examples else ""
         if cause == "features":  # of several inputs, the one that is most often the cause
             examples = [one for one in examples if one.name == name]
         return Finding(
             cause=cause,
-            **self._counts(affected),
+            **self._counts(names),
             value=float(np.median([one.value for one in examples])) if examples else float("nan"),
             name=name,
             low=examples[0].low if examples else float("nan"),
@@ -344,11 +453,8 @@ class Diagnosis:
             problem=problem[0][0] if problem else "",
         )
 
-    def _change(self) -> Finding | None:
-        """Return the finding of a beam that is no longer that of the model; None otherwise."""
-        changed = self._changed()
-        if not changed:
-            return None
+    def _change(self, changed: Mapping[str, list[float]]) -> Finding:
+        """Return the finding of channels whose beam is no longer that of the model."""
         latest = np.concatenate(list(changed.values()))
         counts = self._counts(changed)
         return Finding(cause="beam", **counts, value=float(np.median(latest)), n_latest=len(latest))
@@ -361,21 +467,54 @@ class Diagnosis:
             "n_answers": sum(self.channels[name].n_answers for name in names),
         }
 
-    def wrong_scales(self, *, live: bool = False) -> dict[str, float]:
-        """Return the likely factor of each channel whose levels are not those of the training."""
-        # A live stream is tested when it has three times as many impacts as at the last test: each test may err by
-        # chance.
-        if live:
-            if max((channel.n_levels for channel in self.channels.values()), default=0) < self._next_test:
-                return {}
-            self._next_test *= _NEXT_TEST
-        factors = {name: _factor_of(channel.levels, self.model) for name, channel in self.channels.items()}
-        factors = {name: factor for name, factor in factors.items() if factor != 1}
-        return {} if factors and self.finding() is not None else factors
+    def wrong_scales(self) -> dict[str, float]:
+        """Return the likely factor of each channel whose levels are not those of the training, and nothing else."""
+        explained: set[str] = set()
+        for finding in self.findings():
+            explained |= set(finding.channels or self.channels)
+        factors = {
+            name: _factor_of(channel.levels, self.model)
+            for name, channel in self.channels.items()
+            if name not in explained
+        }
+        return {name: factor for name, factor in factors.items() if factor != 1}
 
 
-def _factor_of(levels: Sequence[float], model: Model) -> float:
-    """Return the likely factor of a signal with these levels; 1 if they are as in recordings like the training's."""
+class _Scale:
+    """The likely factor of one channel of a live stream, from its latest levels; 1 if they are as in the training."""
+
+    def __init__(self, model: Model) -> None:
+        self._model, self.factor = model, 1.0
+        self._n, self._next = 0, 0  # levels by which a wrong scale was found, and after which it is tested again
+
+    def test(self, channel: ChannelAnswers) -> None:
+        """Test after one more level; the result does not depend on when others look."""
+        n = channel.n_levels
+        if self.factor != 1:
+            if n >= self._next:
+                self._set(self._of_latest(channel, self._n), self._n, n)
+            return
+        if n in _TESTS:
+            self._set(self._of_latest(channel, n), n, n)
+        if n % _EVERY == 0:
+            for latest in _LATEST_LEVELS:
+                if self.factor == 1 and n > latest:
+                    self._set(self._of_latest(channel, latest, _ENDLESS), latest, n)
+
+    def _of_latest(self, channel: ChannelAnswers, n: int, looks: float = 1.0) -> float:
+        latest = list(islice(reversed(channel.levels), n))
+        return _factor_of(latest, self._model, looks)
+
+    def _set(self, factor: float, n: int, n_levels: int) -> None:
+        self.factor, self._n = factor, max(n, _LATEST_LEVELS[0])
+        self._next = n_levels + self._n
+
+
+def _factor_of(levels: Sequence[float], model: Model, looks: float = 1.0) -> float:
+    """Return the likely factor of a signal with these levels; 1 if they are as in recordings like the training's.
+
+    `looks` multiplies the variance that chance may have, where many tests are made.
+    """
     n, deviation = len(levels), model.level_deviation
     if n < _MIN_LEVELS or not deviation:
         return 1.0
@@ -385,23 +524,20 @@ def _factor_of(levels: Sequence[float], model: Model) -> float:
     excess = float(scaled.mean() + scaled.std()) - _UPPER
     chance, spread = _SPREAD[model.beam is not None][0 if excess > 0 else 1]
     # Includes the uncertainty of the training for few impacts.
-    limit = np.sqrt(chance / n + chance / model.training.get("n_train", np.inf) + spread)
+    limit = np.sqrt(looks * chance / n + chance / model.training.get("n_train", np.inf) + spread)
     return float(np.exp(excess * deviation)) if abs(excess) > limit else 1.0
 
 
-def scale_warning(factors: Mapping[str, float], model: Model, *, name_channels: bool) -> str | None:
-    """Return one line with both explanations of levels that are not those of the training; None without such."""
-    texts = []
-    for name, factor in factors.items():
-        size = max(factor, 1 / factor)
-        is_like_g = model.quantity == "acceleration" and _LIKE_G[0] < size < _LIKE_G[1]
-        as_g = " (g taken for m/s^2 or the other way round is a factor of 9.81)" if is_like_g else ""
-        texts.append(
-            f"channel {name}: " * name_channels + f"the forces are about {size:.2g} times as "
-            f"{'large' if factor > 1 else 'small'} as in the training: the scale of the samples is wrong{as_g}, or the "
-            "rocks are of other sizes, drop heights or mixture; check unit, sensitivity, gain and full scale"
-        )
-    return "; ".join(texts) or None
+def scale_warning(factor: float, model: Model) -> str:
+    """Return one line with both explanations of levels that are not those of the training."""
+    size = max(factor, 1 / factor)
+    is_like_g = model.quantity == "acceleration" and _LIKE_G[0] < size < _LIKE_G[1]
+    as_g = " (g taken for m/s^2 or the other way round is a factor of 9.81)" if is_like_g else ""
+    return (
+        f"the forces are about {size:.2g} times as {'large' if factor > 1 else 'small'} as in the training: the scale "
+        f"of the samples is wrong{as_g}, or the rocks are of other sizes, drop heights or mixture; check unit, "
+        "sensitivity, gain and full scale"
+    )
 
 
 def _cause_of(answer: Answer, crowded: bool) -> tuple[str, bool]:

@@ -166,9 +166,9 @@ def predict(
             warnings.warn(text, stacklevel=2)
     gaps.require(first.source)
     diagnosis.add(answers)
-    name_channels = len(diagnosis.channels) > 1
-    if (wrong := scale_warning(diagnosis.wrong_scales(), loaded, name_channels=name_channels)) is not None:
-        warnings.warn(wrong, stacklevel=2)
+    for name, factor in diagnosis.wrong_scales().items():
+        where = f"channel {name}: " if len(diagnosis.channels) > 1 else ""
+        warnings.warn(f"{first.source}: {where}{scale_warning(factor, loaded)}", stacklevel=2)
     return _table(answers, loaded, applied)
 
 

@@ -25,6 +25,8 @@ BATCH = 256
 SHARE_TIME = 10.0
 #: Minimum window of a gangue fraction [s]: a shorter one contains too few impacts, and an hour would have millions.
 MIN_SHARE_TIME = 0.05
+#: A support is blind after this time without sound samples [s].
+BLIND_TIME = 5.0
 #: The rules of settings that are numbers, unless None.
 RULES = {
     "coverage": Rule(),
@@ -34,6 +36,7 @@ RULES = {
     "dilution_cost": Rule(0, without="lowest"),
     "evidence": Rule(0.5, 1, without="highest"),
     "hold": Rule(0, unit="s"),
+    "blind_after": Rule(0.5, unit="s"),
     "give_up": Rule(0, without="lowest", unit="s"),
 }
 
@@ -108,8 +111,10 @@ class PredictionSettings:
         Probability required for SHUT or OPEN, from .5 to below 1; None: .95.
     hold : float, optional [s]
         Least time between SHUT and OPEN; None: a window.
+    blind_after : float, optional [s]
+        Time without sound samples after which a support is blind; None: `BLIND_TIME`.
     give_up : float, optional [s]
-        A channel that is unreadable for this long is given up; None: `cgid.recordings.gaps.GIVE_UP`.
+        The recording ends where no channel has a sample that a sensor can give for this long; None: it goes on.
     impactors : ExtraColumns, optional
         Estimates the impactor, such as `cgid.impactor.ImpactorColumns`.
     """
@@ -130,6 +135,7 @@ class PredictionSettings:
     dilution_cost: float | None = None
     evidence: float | None = None
     hold: float | None = None
+    blind_after: float | None = None
     give_up: float | None = None
     impactors: ExtraColumns | None = None
 
@@ -218,6 +224,11 @@ class PredictionSettings:
             evidence=0.95 if self.evidence is None else self.evidence,
             hold=window if self.hold is None else self.hold,
         )
+
+    @property
+    def blinded_after(self) -> float:
+        """Time without sound samples after which a support is blind [s]."""
+        return BLIND_TIME if self.blind_after is None else self.blind_after
 
     @property
     def needs_shares(self) -> bool:

@@ -19,14 +19,16 @@ dumped. Per rock, continuing costs
     dilution_cost * q - (1 - q)
 
 more than shutting. Its sign changes at q = 1 / (1 + dilution_cost), the threshold. SHUT is issued when the fraction is
-above the threshold with a probability of at least `evidence`, OPEN where it is below with this probability; in between
-nothing changes, and after a turn nothing does for a least time (`hold`).
+above the threshold with a probability of at least `evidence`, OPEN where it is below with this probability after a
+SHUT; in between nothing changes, and after a switch nothing does for a least time (`hold`). Nothing is decided until at
+least five impacts of a window, and half of them, are identified; after two minutes without such a window the decision
+is withdrawn.
 """
 
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from functools import cache
 from typing import ClassVar
@@ -35,16 +37,17 @@ import numpy as np
 
 from cgid import validation
 from cgid.errors import InvalidValue
-from cgid.identification.answers import Answer
 from cgid.identification.confusion import SUREST, Confusion, logit
 from cgid.identification.model import Model
-from cgid.identification.prediction_settings import RULES, PredictionSettings
+from cgid.identification.prediction_settings import RULES
 from cgid.validation import Floats
 
-__all__ = ["CavingWatch", "Share"]
+__all__ = ["Share"]
 
 #: Coverage of the interval of the fraction.
 LEVEL = 0.95
+#: A decision is withdrawn after this time without a window of enough identified impacts [s].
+LAPSE = 120.0
 #: Nodes of the density, evenly spaced in the angle of share = sin^2(angle): finer towards 0 and 1.
 _NODES = 401
 
@@ -238,8 +241,8 @@ def _blur(scatter: float) -> Floats | None:
     return np.asarray(matrix / matrix.sum(axis=0))
 
 
-#: Minimum number of impacts for a decision; with fewer, the uniform prior would decide.
-MIN_IMPACTS = 10
+#: Minimum number of identified impacts for a decision; twice as many where the uniform prior alone would decide.
+MIN_IMPACTS = 5
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -254,7 +257,7 @@ class Switch:
 
 
 class ShutDecision:
-    """Report when continuing costs more than shutting the window, or pays again; initially it pays.
+    """Decide for shutting the window or for continuing to draw, once the evidence for one of them suffices.
 
     >>> round(ShutDecision(3.0).threshold, 3)
     0.25
@@ -265,113 +268,45 @@ class ShutDecision:
         rule = {name: validation.number(name, value, rule=RULES[name]) for name, value in given.items()}
         self.dilution_cost, self.evidence, self.hold = rule.values()
         self.threshold = 1.0 / (1.0 + self.dilution_cost)
-        self._shut, self._since = False, -np.inf
+        self._least = MIN_IMPACTS * (2 if max(self.threshold, 1.0 - self.threshold) >= self.evidence else 1)
+        #: Whether to shut; None where nothing is decided.
+        self.shut: bool | None = None
+        self._since = self._supported = -np.inf
+        self._said_shut = False
 
     def cost(self, share: Share) -> float:
         """Return the expected cost of continuing minus shutting [lost coal rocks per rock]; nan without any impact."""
         return self.dilution_cost * share.mean - (1.0 - share.mean)
 
     def watch(self, share: Share) -> Switch | None:
-        """Return the switch at this window; None without one. The share's `above` must be that of `threshold`."""
-        evidence = 1.0 - share.above if self._shut else share.above
-        if share.n_impacts < MIN_IMPACTS or share.time < self._since + self.hold or not evidence >= self.evidence:
+        """Return the switch at this window; None without one. The share's `above` must be that of `threshold`.
+
+        The first decision to draw is no switch, since nothing was shut.
+        """
+        if share.n_impacts < max(self._least, share.n_unknown):
+            if share.time > self._supported + LAPSE:
+                self.withdraw()
             return None
-        self._shut, self._since = not self._shut, share.time
-        return Switch(time=share.time, shut=self._shut, cost=self.cost(share), evidence=evidence, share=share)
+        self._supported = share.time
+        shut = share.above >= self.evidence
+        is_sure = shut or 1.0 - share.above >= self.evidence
+        if shut == self.shut or not is_sure or share.time < self._since + self.hold:
+            return None
+        self.shut = shut
+        if not shut and not self._said_shut:
+            return None
+        self._said_shut, self._since = shut, share.time
+        evidence = share.above if shut else 1.0 - share.above
+        return Switch(time=share.time, shut=shut, cost=self.cost(share), evidence=evidence, share=share)
+
+    def withdraw(self) -> None:
+        """Decide nothing, because the ground of the decision is gone."""
+        self.shut, self._since = None, -np.inf
 
 
 def separates(gangue: Collection[str], model: Model) -> bool:
     """Return whether a model separates these labels from others."""
     return 0 < len(set(gangue) & set(model.labels)) < len(model.labels)
-
-
-class CavingWatch:
-    """Follow the predictions of a recording by channel: a channel is a support with its own window.
-
-    Parameters
-    ----------
-    model : Model
-    channels : sequence of str
-        Names of the channels.
-    settings : PredictionSettings
-        Contains the window of the fraction, its step, the labels and the cost of gangue.
-    weight : float, in (0, 1]
-        Weight of one prediction, since overlapping windows are not independent: 1 end to end, 0.5 for half overlap.
-    """
-
-    def __init__(
-        self, model: Model, channels: Sequence[str], settings: PredictionSettings, weight: float = 1.0
-    ) -> None:
-        shares = settings.shares
-        for label in shares.gangue:
-            validation.choice("gangue label", label, model.labels)
-        if not separates(shares.gangue, model):
-            raise InvalidValue(
-                "gangue labels must leave another one, got all of the model's: "
-                f"{', '.join(shares.gangue)}; leave one out"
-            )
-        self._gangue, self._step = shares.gangue, shares.step
-        self._rules = {name: ShutDecision(shares.dilution_cost, shares.evidence, shares.hold) for name in channels}
-        #: Fraction above which continuing costs more than shutting.
-        self.threshold = 1 / (1 + shares.dilution_cost)
-        answers = answers_of(model, shares.gangue)
-        self._windows = {
-            name: ShareWindow(shares.window, answers=answers, weight=weight, channel=name, threshold=self.threshold)
-            for name in channels
-        }
-        self._waiting: deque[Answer] = deque()
-        self._steps = 0
-        # Channels whose last returned window was empty.
-        self._silent: set[str] = set()
-
-    def feed(self, answers: Iterable[Answer], until: float) -> list[Share | Switch]:
-        """Add the next predictions, in order of time, and return the fractions of completed windows and their switches.
-
-        All predictions before `until` [s] have arrived. Only the first of several empty windows is returned, so a pause
-        of any length costs nothing.
-        """
-        self._waiting.extend(answers)
-        reports: list[Share | Switch] = []
-        self._pass_silence(until)
-        while (end := (self._steps + 1) * self._step) <= until:
-            self._steps += 1
-            reports += self._at(end)
-            self._pass_silence(until)
-        return reports
-
-    def finish(self, duration: float) -> list[Share | Switch]:
-        """Return the remaining fractions and switches at the end of a recording of this duration [s]."""
-        shares_found = self.feed((), duration)
-        return shares_found + list(self._at(duration)) if self._waiting or not self._steps else shares_found
-
-    def _pass_silence(self, until: float) -> None:
-        """If all channels are silent, skip to the window of the next impact, or to the last completed one."""
-        if len(self._silent) == len(self._windows):
-            due = min(until, self._waiting[0].time) if self._waiting else until
-            self._steps = max(self._steps, int(due / self._step) - 1)
-
-    def _at(self, end: float) -> Iterator[Share | Switch]:
-        while self._waiting and self._waiting[0].time <= end:
-            answer = self._waiting.popleft()
-            self._windows[answer.channel].add(answer.time, self._probability(answer))
-        for name, window in self._windows.items():
-            share = window.at(end)
-            if share.n_impacts + share.n_unknown:
-                self._silent.discard(name)
-            elif name in self._silent:
-                continue
-            else:
-                self._silent.add(name)
-            yield share
-            switch = self._rules[name].watch(share)
-            if switch is not None:
-                yield switch
-
-    def _probability(self, answer: Answer) -> float:
-        """Return the probability of gangue; nan outside of the training range."""
-        if not answer.novelty <= 1:
-            return float("nan")
-        return sum(answer.probabilities[label] for label in self._gangue)
 
 
 #: The 97.5 % quantile of the normal distribution.

@@ -44,10 +44,13 @@ _QUIET_WINDOW, _QUIET_STRETCH = 0.02, 500
 #: Where the noise is reached between impacts, the power at the second of these quantiles is at most this many times
 #: that at the first: 2 in `caving` with 8 and 16 rocks a second, 6 with 40, where four of ten impacts are missed.
 _QUIET_SHARES, _QUIET_RATIO = (0.01, 0.2), 4.0
+#: A channel is quiet again after so many stretches that are.
+_N_QUIET = 3
 _NEVER_QUIET = (
     "there is no quiet moment in 10 s, so many impacts are missed and the gangue fraction is that of the others; move "
     "the sensor to a quieter point, or train a model of windows (cgid train MANIFEST --by window)"
 )
+_QUIET_AGAIN = "there are quiet moments again"
 
 
 @dataclass(frozen=True)
@@ -57,8 +60,8 @@ class Step:
     answers: list[Answer]  # in order of time
     until: float  # all predictions before this time have arrived [s]
     silent: tuple[str, ...] = ()  # at the end, one reason for each channel without predictions
-    warnings: tuple[str, ...] = ()  # at the end, or once for a channel that is never quiet
-    upside_down: tuple[str, ...] = ()  # at the end, the channels whose pulses seem to point downwards
+    warnings: tuple[str, ...] = ()  # at the end, or where a channel begins or ceases to be never quiet
+    upside_down: tuple[str, ...] | None = None  # at the end, the channels whose pulses seem to point downwards
 
 
 @renamed_arguments(question="settings")
@@ -166,9 +169,11 @@ def _impacts(
             events = detector.finish() if block is None else detector.feed(block)
             silent -= set(range(len(channels))) if joint and events else {event.channel for event in events}
             waiting += (replace(event, channel=0) for event in events) if joint else events
-            loud = set() if quiet is None or block is None else quiet.loud(block) - silent - warned
-            warned |= loud
-            if not (ended or loud or not waiting or len(waiting) >= settings.batch):
+            loud = warned if quiet is None or block is None else quiet.loud(block) - silent
+            heard = [f"{named(row)}: {_NEVER_QUIET}" for row in sorted(loud - warned)]
+            heard += [f"{named(row)}: {_QUIET_AGAIN}" for row in sorted(warned - loud)]
+            warned = loud
+            if not (ended or heard or not waiting or len(waiting) >= settings.batch):
                 continue
             yield Step(
                 identify_events(waiting, model, settings, channels=names, beam=beam),
@@ -176,8 +181,10 @@ def _impacts(
                 silent=tuple(
                     f"{named(row)}: {detector.why_silent(row, model.unit)}" for row in sorted(silent) if ended
                 ),
-                warnings=tuple(f"{named(row)}: {_NEVER_QUIET}" for row in sorted(loud)),
-                upside_down=tuple(one for row, one in enumerate(channels) if ended and detector.is_upside_down(row)),
+                warnings=tuple(heard),
+                upside_down=tuple(one for row, one in enumerate(channels) if detector.is_upside_down(row))
+                if ended
+                else None,
             )
             waiting.clear()
 
@@ -189,10 +196,10 @@ class _Quiet:
         self._length = max(round(_QUIET_WINDOW * sampling_rate), 2)
         self._remaining: Floats = np.empty((n_channels, 0))
         self._powers: Floats = np.empty((n_channels, 0))
-        self._loud: set[int] = set()
+        self._n_quiet = np.full(n_channels, _N_QUIET)
 
     def loud(self, block: NDArray[Any]) -> set[int]:
-        """Take a block (n_channels, n) and return the channels that were never quiet so far."""
+        """Take a block (n_channels, n) and return the channels that were not quiet in one of the last stretches."""
         samples = np.concatenate([self._remaining, block], axis=1) if self._remaining.size else block
         count = samples.shape[1] // self._length
         windows = samples[:, : count * self._length].reshape(len(samples), count, self._length)
@@ -201,8 +208,8 @@ class _Quiet:
         while self._powers.shape[1] >= _QUIET_STRETCH:
             stretch, self._powers = np.split(self._powers, [_QUIET_STRETCH], axis=1)
             floor, low = np.quantile(stretch, _QUIET_SHARES, axis=1)
-            self._loud |= set(np.flatnonzero((floor > 0) & (low > _QUIET_RATIO * floor)).tolist())
-        return self._loud
+            self._n_quiet = np.where((floor > 0) & (low > _QUIET_RATIO * floor), 0, self._n_quiet + 1)
+        return set(np.flatnonzero(self._n_quiet < _N_QUIET).tolist())
 
 
 def answering_channels(model: Model, channels: Sequence[str]) -> tuple[str, ...]:

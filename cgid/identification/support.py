@@ -6,13 +6,25 @@ Prometheus, commands, and the report.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections import deque
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from enum import StrEnum
-from typing import Any
+from typing import Any, Literal, NamedTuple
 
-from cgid.identification.share import Share
+import numpy as np
 
-__all__ = ["Decision", "Ground", "SupportState"]
+from cgid import validation
+from cgid.errors import InvalidValue
+from cgid.identification.answers import Answer
+from cgid.identification.diagnosis import Change, Condition, Diagnosis
+from cgid.identification.model import Model
+from cgid.identification.prediction_settings import PredictionSettings
+from cgid.identification.share import Share, ShareWindow, ShutDecision, Switch, answers_of, separates
+from cgid.recordings.soundness import SensorWatch
+from cgid.validation import UNKNOWN
+
+__all__ = ["CavingWatch", "Decision", "Ground", "SupportState"]
 
 
 class Decision(StrEnum):
@@ -81,3 +93,207 @@ class SupportState:
             "last_sound_s": self.last_sound,
             "last_identified_s": self.last_identified,
         }
+
+
+class Report(NamedTuple):
+    """A record and why it is told: a regular `share`, a `state` that has changed, or a switch (`shut`, `open`)."""
+
+    kind: Literal["share", "state", "shut", "open"]
+    state: SupportState
+    switch: Switch | None = None
+
+
+class CavingWatch:
+    """Follow the samples and predictions of a recording by support: its gangue fraction, ground and decision.
+
+    Parameters
+    ----------
+    model : Model
+    supports : sequence of str
+        Names of the channels of the predictions; channels that are used together have one name.
+    settings : PredictionSettings
+        Contains the window of the fraction, its step, the labels and the cost of gangue.
+    weight : float, in (0, 1]
+        Weight of one prediction, since overlapping windows are not independent: 1 end to end, 0.5 for half overlap.
+    sensors : SensorWatch, optional
+        Watches the samples; without it no support is blind.
+    channels : sequence of str, optional
+        Names of the channels of `sensors`; by default the supports.
+    diagnosis : Diagnosis, optional
+        Gets the predictions in order of time; by default one of its own.
+    """
+
+    def __init__(
+        self,
+        model: Model,
+        supports: Sequence[str],
+        settings: PredictionSettings,
+        weight: float = 1.0,
+        *,
+        sensors: SensorWatch | None = None,
+        channels: Sequence[str] | None = None,
+        diagnosis: Diagnosis | None = None,
+    ) -> None:
+        shares = settings.shares
+        self._gangue, self._step, self._blind_after = shares.gangue, shares.step, settings.blinded_after
+        self.diagnosis = Diagnosis(model, live=True) if diagnosis is None else diagnosis
+        #: Fraction above which continuing costs more than shutting; None for a model without gangue or another label.
+        self.threshold: float | None = None
+        rules: list[ShutDecision | None] = [None] * len(supports)
+        if settings.needs_shares:
+            for label in shares.gangue:
+                validation.choice("gangue label", label, model.labels)
+        if separates(shares.gangue, model):
+            self.threshold = 1 / (1 + shares.dilution_cost)
+            rules = [ShutDecision(shares.dilution_cost, shares.evidence, shares.hold) for _ in supports]
+        elif settings.needs_shares:
+            raise InvalidValue(
+                "at least one label must remain besides gangue, got all of the model's: "
+                f"{', '.join(shares.gangue)}; leave one out"
+            )
+        answers = answers_of(model, shares.gangue)
+        self._sensors, self._channels = sensors, list(supports if channels is None else channels)
+        self._supports = {
+            name: _Support(
+                window=ShareWindow(
+                    shares.window,
+                    answers=answers,
+                    weight=weight,
+                    channel=name,
+                    threshold=0.5 if self.threshold is None else self.threshold,
+                ),
+                rule=rule,
+                rows=_rows_of(name, self._channels),
+            )
+            for name, rule in zip(supports, rules, strict=True)
+        }
+        self._waiting: deque[Answer] = deque()
+        self._steps = 0
+        self._changes: list[Change] = []
+
+    def feed(self, answers: Iterable[Answer], until: float) -> list[Report]:
+        """Add the next predictions, in order of time, and return the reports of completed windows.
+
+        All predictions before `until` [s] have arrived. Only the first of several empty windows is reported.
+        """
+        self._waiting.extend(answers)
+        reports: list[Report] = []
+        while (end := (self._steps + 1) * self._step) <= until:
+            self._steps += 1
+            reports += self._at(end)
+        return reports
+
+    def finish(self, duration: float) -> list[Report]:
+        """Return the remaining reports at the end of a recording of this duration [s]."""
+        found = self.feed((), duration)
+        return found + list(self._at(duration)) if self._waiting or not self._steps else found
+
+    def stopped(self, reason: str) -> list[Report]:
+        """Return the reports of a stream whose samples have stopped; the next `feed` takes them up again."""
+        time = self._steps * self._step
+        return [
+            report
+            for one in self._supports.values()
+            for report in one.at(one.window.at(time), Ground.STOPPED, time, reason)
+            if report.kind == "state"
+        ]
+
+    def take_changes(self) -> list[Change]:
+        """Return what has begun or ended with the predictions of the channels since the last call."""
+        changes, self._changes = self._changes, []
+        return changes
+
+    def states(self) -> list[SupportState]:
+        """Return the latest record of each support."""
+        return [one.state for one in self._supports.values() if one.state is not None]
+
+    def _at(self, end: float) -> Iterator[Report]:
+        while self._waiting and self._waiting[0].time <= end:
+            answer = self._waiting.popleft()
+            self.diagnosis.add((answer,))
+            support = self._supports[answer.channel]
+            support.window.add(answer.time, self._probability(answer))
+            if answer.label != UNKNOWN:
+                support.last_identified = answer.time
+        if self._sensors is not None:
+            self._sensors.advance(end)
+            if self.diagnosis.model.kind == "pulse":
+                turned = (name for name, one in self._supports.items() if self._sensors.turned[one.rows].any())
+                self.diagnosis.add((), turned)
+        self._changes += self.diagnosis.changes(end)
+        for name, support in self._supports.items():
+            yield from support.at(support.window.at(end), *self._ground(name, support, end))
+
+    def _ground(self, name: str, support: _Support, end: float) -> tuple[Ground, float, str]:
+        """Return the ground of a support, its begin if it is new [s], and the reason."""
+        if self._sensors is not None:
+            # A prediction needs sound samples, too, in stretches that are not whole.
+            support.last_sound = float(np.fmax.reduce(self._sensors.last_sound[support.rows], initial=np.nan))
+            seen = np.fmax(np.nan_to_num(support.last_sound), np.nan_to_num(support.last_identified))
+            if end - seen >= self._blind_after:
+                return Ground.BLIND, float(seen), self._sensors.why_blind(support.rows, self._channels)
+        conditions = self.diagnosis.conditions(name)
+        if Condition.WRONG_SCALE in conditions:
+            return Ground.WRONG_SCALE, end, "the levels of its impacts are not those of the training"
+        if Condition.MOSTLY_UNKNOWN in conditions:
+            return Ground.MOSTLY_UNKNOWN, end, "most of its latest impacts are unknown"
+        return Ground.SEEN, end, ""
+
+    def _probability(self, answer: Answer) -> float:
+        """Return the probability of gangue; nan outside of the training range."""
+        if self.threshold is None or not answer.novelty <= 1:
+            return float("nan")
+        return sum(answer.probabilities[label] for label in self._gangue)
+
+
+@dataclass
+class _Support:
+    """The window, the rule and the latest record of one support; `rows` are its channels."""
+
+    window: ShareWindow
+    rule: ShutDecision | None
+    rows: list[int]
+    state: SupportState | None = None
+    last_sound: float = float("nan")
+    last_identified: float = float("nan")
+    is_silent: bool = False
+
+    def at(self, share: Share, ground: Ground, since: float, reason: str) -> Iterator[Report]:
+        """Yield the reports of the window that ends now."""
+        before, switch = self.state, None
+        if self.rule is not None and ground == Ground.SEEN:
+            switch = self.rule.watch(share)
+        elif self.rule is not None:
+            self.rule.withdraw()
+        shut = None if self.rule is None else self.rule.shut
+        state = SupportState(
+            time=share.time,
+            share=share,
+            decision=Decision.NONE if shut is None else Decision.SHUT if shut else Decision.DRAW,
+            ground=ground,
+            since=before.since if before is not None and before.ground == ground else since,
+            reason=reason,
+            last_sound=self.last_sound,
+            last_identified=self.last_identified,
+        )
+        if before is None and ground == Ground.SEEN:
+            state = replace(state, since=0.0)
+        self.state = state
+        was_silent, self.is_silent = self.is_silent, not share.n_impacts + share.n_unknown
+        if self.rule is not None and not (was_silent and self.is_silent):
+            yield Report("share", state)
+        if switch is not None:
+            yield Report("shut" if switch.shut else "open", state, switch)
+        elif (state.decision, ground) != (
+            (Decision.NONE, Ground.SEEN) if before is None else (before.decision, before.ground)
+        ):
+            yield Report("state", state)
+
+
+def _rows_of(support: str, channels: Sequence[str]) -> list[int]:
+    """Return the numbers of the channels of a support: of itself, or of the names that are joined by +."""
+    if support in channels:
+        return [channels.index(support)]
+    if support == "+".join(channels):
+        return [*range(len(channels))]
+    return [channels.index(name) for name in support.split("+")]

@@ -86,6 +86,7 @@ class PlantOutputs:
         unit: str,
         threshold: float | None,
         behind: Callable[[], float],
+        blind_after: float = 5.0,
     ) -> None:
         """Set the supports (`channels`), the rows of the blocks, and a function for the delay [s]."""
         decision = next((kind for kind, command in self._commands.items() if command is not None), None)

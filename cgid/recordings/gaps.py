@@ -21,14 +21,18 @@ from cgid.units import LARGEST, UNITS, quantity_of
 if TYPE_CHECKING:
     from cgid.recordings.recording import Channel
 
-#: A channel is given up after being unreadable for this long [s].
-GIVE_UP = 10.0
 #: Maximum number of channels that are named.
 _MAX_NAMED = 5
+#: In a live stream, the gaps of a channel are over after this time without any [s].
+_OVER = 60.0
 
 
 class Gaps:
-    """Replace impossible samples by nan and count them; give up channels with none other for `give_up` [s]."""
+    """Replace impossible samples by nan and count them.
+
+    With `give_up` the blocks end when no channel (if `joint`: not every channel) has given a sample for this time [s].
+    In a live stream (`at_once`) a line says for each channel when its gaps begin, and another when they are over.
+    """
 
     def __init__(
         self,
@@ -40,102 +44,130 @@ class Gaps:
         joint: bool = False,
         at_once: bool = False,
     ) -> None:
-        time = GIVE_UP if give_up is None else validation.number("give_up", give_up, "s", validation.positive)
+        time = math.inf if give_up is None else validation.number("give_up", give_up, "s", validation.positive)
         self._channels, self._rate, self._say, self._at_once = channels, sampling_rate, say, at_once
-        self._give_up_after, self._longest = time, max(math.ceil(min(time * sampling_rate, 2.0**60)), 1)
+        self._longest = max(math.ceil(min(time * sampling_rate, 2.0**60)), 1)
         self._limits = np.array([largest(channel.unit) for channel in channels])
         n_channels = len(channels)
         self.n_seen = 0  # samples of each channel so far
-        self._running = np.zeros(n_channels, np.int64)  # missing samples up to the end so far
-        self._given_up = np.zeros(n_channels, bool)
-        self._end = np.zeros(n_channels, np.int64)  # sample at which each channel was given up
-        # Of the channels given up, for an end.
-        self._enough, self._last = (np.any, np.min) if joint else (np.all, np.max)
+        self._joint = joint
+        # Missing samples up to the end so far: of each channel if joint, else of all at once.
+        self._running = np.zeros(n_channels if joint else 1, np.int64)
+        self._goes_on = np.zeros(n_channels, bool)  # whether the last sample so far is missing
+        self._end: int | None = None  # sample at which all was given up
         self.n_samples, self.n_gaps = np.zeros((2, n_channels), np.int64)
-        self._first: tuple[int, int, float] | None = None  # sample, channel, value
-        self._n_reported = 0
+        self._n_told = np.zeros((2, n_channels), np.int64)  # of these
+        self._latest = np.zeros(n_channels, np.int64)  # the sample after the latest gap
+        self._first: dict[int, tuple[int, float]] = {}  # by channel: sample and value of its first gap
 
     def marked(self, blocks: Iterable[NDArray[Any]]) -> Iterator[NDArray[Any]]:
         """Yield blocks (n_channels, n_samples), float32 or float64, in the units of the channels with nan in gaps."""
         for block in blocks:
             yield self._marked(block)
-            if self._enough(self._given_up):
+            if self._end is not None:
                 break
         self.finish()
 
     def finish(self) -> None:
         """Warn of what is missing, once."""
-        total = int(self.n_samples.sum())
-        if total == self._n_reported or self._first is None:
-            return
-        self._n_reported = total
-        sample, channel, value = self._first
-        missing = np.flatnonzero(self.n_samples)
-        named = ", ".join(self._channels[row].name for row in missing[:_MAX_NAMED])
-        more = f" and {missing.size - _MAX_NAMED} more" if missing.size > _MAX_NAMED else ""
-        unit = self._channels[channel].unit or ""
-        limit = f"; no sensor gives more than {self._limits[channel]:.3g} {unit}".rstrip()
-        self._say(
-            f"{counted(total, 'sample')} in {counted(int(self.n_gaps.sum()), 'gap')} of channel {named}{more} "
-            f"{'is' if total == 1 else 'are'} no reading and left out, the first at {sample / self._rate:.6g} s "
-            f"({value:.3g}{limit if math.isfinite(value) else ''}); check sensor, cable and sample format"
-        )
+        self._say_missing(sorted(self._first))
 
     def require(self, source: str) -> None:
         """Raise `BadData` if the blocks ended because channels were given up, or contained no valid sample."""
-        if self.n_seen and self._enough(self._given_up | (self.n_samples == self.n_seen)):
-            # The number of samples seen depends on the length of the blocks where a channel was given up.
-            end = float(self._last(np.where(self._given_up, self._end, self.n_seen))) / self._rate
+        lost = self.n_samples == self.n_seen
+        if self.n_seen and (self._end is not None or (lost.any() if self._joint else lost.all())):
+            end = (self.n_seen if self._end is None else self._end) / self._rate
             raise BadData(
                 f"{source}: samples must be finite and what a sensor can give, none is in the "
-                f"{min(self._give_up_after, end):.6g} s before {end:.6g} s; check sensor, cable and sample format"
+                f"{min(self._longest / self._rate, end):.6g} s before {end:.6g} s; check sensor, cable and sample "
+                "format"
             )
 
+    def _say_missing(self, rows: Sequence[int]) -> None:
+        """Say what is missing in some channels, and forget it."""
+        if not rows:
+            return
+        channel = min(rows, key=lambda row: self._first[row])
+        sample, value = self._first[channel]
+        counts = np.stack([self.n_samples, self.n_gaps])
+        total, n_gaps = (counts - self._n_told)[:, rows].sum(axis=1).tolist()
+        self._n_told[:, rows] = counts[:, rows]
+        limit = f"; no sensor gives more than {self._limits[channel]:.3g} {self._channels[channel].unit or ''}".rstrip()
+        self._say(
+            f"{counted(total, 'sample')} in {counted(n_gaps, 'gap')} of channel "
+            f"{self._named(rows)} {'is' if total == 1 else 'are'} no reading and left out, the first at "
+            f"{sample / self._rate:.6g} s ({value:.3g}{limit if math.isfinite(value) else ''}); check sensor, cable "
+            "and sample format"
+        )
+        for row in rows:
+            del self._first[row]
+
+    def _named(self, rows: Sequence[int]) -> str:
+        more = f" and {len(rows) - _MAX_NAMED} more" if len(rows) > _MAX_NAMED else ""
+        return ", ".join(self._channels[row].name for row in rows[:_MAX_NAMED]) + more
+
     def _marked(self, block: NDArray[Any]) -> NDArray[Any]:
-        limits = self._limits[:, None]
         first = self.n_seen
-        self.n_seen += block.shape[1]
         low, high = block.min(axis=1, initial=0.0), block.max(axis=1, initial=0.0)
         # False for nan.
-        sound = (-self._limits <= low) & (high <= self._limits) & ~self._given_up
-        self._running[sound] = 0 if block.shape[1] else self._running[sound]
+        sound = (-self._limits <= low) & (high <= self._limits)
+        known = set(self._first)
         if sound.all():
-            return block
-        missing = ~(np.abs(block) <= limits)
-        for row in np.flatnonzero(~sound).tolist():
-            missing[row] |= self._given_up[row]
-            if not self._given_up[row]:
+            if block.shape[1]:
+                self._running[:], self._goes_on[:] = 0, False
+        else:
+            missing = ~(np.abs(block) <= self._limits[:, None])
+            self._end = self._given_up(missing, first)
+            if self._end is not None:
+                missing, block = missing[:, : self._end - first], block[:, : self._end - first]
+            for row in np.flatnonzero(missing.any(axis=1)).tolist():
                 self._count(row, missing[row], block[row], first)
-        if self._at_once and not self._n_reported:
-            self.finish()
-        return np.where(missing, block.dtype.type(np.nan), block)
+            self._goes_on = missing[:, -1].copy()
+            block = np.where(missing, block.dtype.type(np.nan), block)
+        self.n_seen += block.shape[1]
+        if self._at_once:
+            self._say_changes([row for row in self._first if row not in known])
+        return block
+
+    def _given_up(self, missing: NDArray[np.bool_], first: int) -> int | None:
+        """Return the sample at which nothing has been readable for too long; None without."""
+        ends = []
+        masks = missing if self._joint else np.all(missing, axis=0)[np.newaxis]
+        for number, mask in enumerate(masks):
+            starts, stops = _runs(mask)
+            lengths = stops - starts
+            if mask[0]:
+                lengths[0] += self._running[number]
+            self._running[number] = lengths[-1] if mask[-1] else 0
+            over = np.flatnonzero(lengths >= self._longest)
+            ends += [first + int(stops[k] - lengths[k]) + self._longest for k in over[:1]]
+        return min(ends, default=None)
+
+    def _say_changes(self, began: Sequence[int]) -> None:
+        """Say of which channels gaps have begun in a live stream, and of which they are over."""
+        if began:
+            row = min(began, key=lambda row: self._first[row])
+            sample, value = self._first[row]
+            self._say(
+                f"samples of channel {self._named(began)} are no reading and left out, the first at "
+                f"{sample / self._rate:.6g} s ({value:.3g}); check sensor, cable and sample format"
+            )
+        over = self.n_seen - _OVER * self._rate
+        self._say_missing([row for row in sorted(self._first) if self._latest[row] < over])
 
     def _count(self, row: int, missing: NDArray[np.bool_], samples: NDArray[Any], first: int) -> None:
-        """Count the gaps of a channel in a block, and give it up where one is too long."""
-        edges = np.flatnonzero(np.diff(missing, prepend=False, append=False))
-        starts, stops = edges[::2], edges[1::2]
-        lengths = stops - starts
-        goes_on = bool(self._running[row] and missing[0])
-        if goes_on:
-            lengths[0] += self._running[row]
-        over = np.flatnonzero(lengths >= self._longest)
-        if over.size:
-            given_up = int(stops[over[0]] - lengths[over[0]]) + self._longest
-            missing[given_up:] = True
-            self._given_up[row], self._end[row] = True, first + given_up
-            starts, stops = starts[: over[0] + 1], np.append(stops[: over[0]], given_up)
-            self._give_up(row, first + given_up, samples[max(given_up - 1, 0)])
-        self._running[row] = lengths[-1] if lengths.size and missing[-1] else 0
+        """Count the gaps of a channel in a block."""
+        starts, stops = _runs(missing)
         self.n_samples[row] += int(np.sum(stops - starts))
-        self.n_gaps[row] += starts.size - goes_on
-        if starts.size and (self._first is None or first + int(starts[0]) < self._first[0]):
-            self._first = first + int(starts[0]), row, float(samples[starts[0]])
+        self.n_gaps[row] += starts.size - (bool(self._goes_on[row] and missing[0]) and row in self._first)
+        self._latest[row] = first + int(stops[-1])
+        self._first.setdefault(row, (first + int(starts[0]), float(samples[starts[0]])))
 
-    def _give_up(self, row: int, sample: int, value: float) -> None:
-        self._say(
-            f"channel {self._channels[row].name} is given up at {sample / self._rate:.6g} s: unreadable for "
-            f"{self._give_up_after:g} s ({value:.3g}); check sensor and cable, --give-up sets the time"
-        )
+
+def _runs(missing: NDArray[np.bool_]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Return the first sample of each run of missing samples, and the one after it."""
+    edges = np.flatnonzero(np.diff(missing, prepend=False, append=False))
+    return edges[::2], edges[1::2]
 
 
 def largest(unit: str | None) -> float:

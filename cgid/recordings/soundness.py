@@ -1,0 +1,125 @@
+"""Whether the sensor of each channel is alive: when it last gave a sound sample, and why none since.
+
+A sensor is dead where its samples are missing, constant, or far below the channel's own earlier noise. Samples are
+judged in stretches that count from the first one, so the result does not depend on the blocks.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterable, Iterator, Sequence
+from enum import IntEnum
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cgid.validation import Floats
+
+#: Duration of a stretch [s], and how many of its samples show its noise.
+_STRETCH, _N_SAMPLES = 0.1, 256
+#: Noise is far below that of the quietest earlier stretch at this fraction of it: 30 dB.
+FAR_BELOW = 10**-1.5
+#: The quietest stretch is sought in so many periods of so many sound stretches: ten minutes.
+_PERIODS, _PERIOD = 10, 600
+#: A signal is upside down where in the last stretches, so many times so many, it falls this many times as far below its
+#: middle as it rises above it, and clear of the noise.
+_TURNED_PERIODS, _TURNED_PERIOD, _UPSIDE_DOWN, _CLEAR = 6, 100, 3.0, 10.0
+
+
+class Lack(IntEnum):
+    """What a stretch lacks to be sound."""
+
+    NOTHING = 0
+    SAMPLES = 1
+    CHANGE = 2
+    NOISE = 3
+
+
+class _Stretch(NamedTuple):
+    """The end of a stretch [s]; by channel what it lacks, its middle value, and whether it points downwards."""
+
+    end: float
+    lack: NDArray[np.int8]
+    middle: Floats
+    turned: NDArray[np.bool_]
+
+
+class SensorWatch:
+    """Watch the samples of a recording; `advance` follows at the time of the predictions."""
+
+    def __init__(self, n_channels: int, sampling_rate: float) -> None:
+        self._rate, self._length = sampling_rate, max(round(_STRETCH * sampling_rate), 2)
+        self._step = -(-self._length // _N_SAMPLES)
+        self._remaining: NDArray[Any] = np.empty((n_channels, 0))
+        self._n_taken = 0
+        self._waiting: deque[_Stretch] = deque()
+        # Of each channel: the noise of its quietest sound stretch in each period; dead stretches change nothing.
+        self._floors = np.full((n_channels, _PERIODS), np.inf)
+        self._n_sound = np.zeros(n_channels, np.int64)
+        # How far each channel falls and rises in each of the last periods.
+        self._swings = np.zeros((2, n_channels, _TURNED_PERIODS))
+        self.last_sound = np.full(n_channels, np.nan)
+        self.turned = np.zeros(n_channels, bool)
+        self.lack = np.zeros(n_channels, np.int8)
+        self.middle = np.zeros(n_channels)
+
+    def watching(self, blocks: Iterable[NDArray[Any]]) -> Iterator[NDArray[Any]]:
+        """Yield the blocks (n_channels, n_samples), nan where samples are missing, and watch them."""
+        for block in blocks:
+            self.feed(block)
+            yield block
+
+    def feed(self, block: NDArray[Any]) -> None:
+        """Take the next samples (n_channels, n_samples)."""
+        samples = np.concatenate([self._remaining, block], axis=1) if self._remaining.size else block
+        count = samples.shape[1] // self._length
+        self._remaining = samples[:, count * self._length :].copy()
+        stretches = samples[:, : count * self._length].reshape(len(samples), count, self._length)
+        for stretch in np.moveaxis(stretches, 1, 0):
+            self._n_taken += self._length
+            self._waiting.append(self._judged(stretch, self._n_taken / self._rate))
+
+    def _judged(self, samples: NDArray[Any], end: float) -> _Stretch:
+        low, high = samples.min(axis=1), samples.max(axis=1)  # nan where a sample is missing
+        part = samples[:, :: self._step].astype(np.float64)
+        middle = np.median(part, axis=1)
+        noise = np.median(np.abs(part - middle[:, None]), axis=1)
+        floor = self._floors.min(axis=1)
+        # An impact in it shows that the sensor is alive, however quiet it is besides.
+        faint = (noise < FAR_BELOW * floor) & (high - low < floor) & np.isfinite(floor)
+        lack = np.select(
+            [np.isnan(low), ~(low < high), faint], [Lack.SAMPLES, Lack.CHANGE, Lack.NOISE], Lack.NOTHING
+        ).astype(np.int8)
+        sound = np.flatnonzero(lack == Lack.NOTHING)
+        period = self._n_sound[sound] // _PERIOD % _PERIODS
+        begins = self._n_sound[sound] % _PERIOD == 0
+        before = np.where(begins, np.inf, self._floors[sound, period])
+        self._floors[sound, period] = np.minimum(before, noise[sound])
+        self._n_sound[sound] += 1
+        slot, first = divmod(round(self._n_taken / self._length) - 1, _TURNED_PERIOD)
+        slot %= _TURNED_PERIODS
+        swings = np.nan_to_num(np.stack([middle - low, high - middle]), nan=0.0)
+        self._swings[:, :, slot] = np.maximum(swings, self._swings[:, :, slot]) if first else swings
+        falls, rises = self._swings.max(axis=2)
+        turned = (falls > _UPSIDE_DOWN * rises) & (falls > _CLEAR * np.where(np.isfinite(floor), floor, np.inf))
+        return _Stretch(end, lack, middle, turned)
+
+    def advance(self, time: float) -> None:
+        """Take into account all stretches up to a time [s]."""
+        while self._waiting and self._waiting[0].end <= time:
+            stretch = self._waiting.popleft()
+            self.lack, self.middle, self.turned = stretch.lack, stretch.middle, stretch.turned
+            self.last_sound[stretch.lack == Lack.NOTHING] = stretch.end
+
+    def why_blind(self, rows: Sequence[int], channels: Sequence[str]) -> str:
+        """Return in words what the latest stretch of some channels lacks."""
+        reasons = {
+            Lack.NOTHING: "has just given a sample again",
+            Lack.SAMPLES: "gives no samples",
+            Lack.CHANGE: "is constant at {:.4g}",
+            Lack.NOISE: "is far below its earlier noise",
+        }
+        return "; ".join(
+            f"channel {channels[row]} {reasons[Lack(int(self.lack[row]))].format(self.middle[row])}" for row in rows
+        )
