@@ -86,7 +86,7 @@ class World:
             for first in range(0, len(part) - size + 1, size):
                 diagnosis = Diagnosis(self.model)
                 diagnosis.add(part[first : first + size])
-                found.setdefault(name, []).append((bool(diagnosis.wrong_scales()), diagnosis.finding() is not None))
+                found.setdefault(name, []).append((bool(diagnosis.wrong_scales()), bool(diagnosis.findings())))
         return found
 
 

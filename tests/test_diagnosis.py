@@ -20,7 +20,7 @@ from scipy.stats import binom
 from cgid.cli.hints import Hints
 from cgid.cli.main import run
 from cgid.identification.answers import Answer, identify_frames
-from cgid.identification.diagnosis import ChannelAnswers, Condition, Diagnosis, Hint
+from cgid.identification.diagnosis import ChannelAnswers, Condition, Hint
 from cgid.identification.model import Model
 from cgid.identification.prediction_settings import PredictionSettings
 from cgid.identification.rows import DEFAULT_VIBRATION_FEATURES

@@ -17,11 +17,13 @@ from cgid.identification.answers import Answer
 from cgid.identification.diagnosis import Diagnosis, scale_warning
 from cgid.identification.model import Model
 from cgid.identification.prediction_settings import PredictionSettings
-from cgid.identification.stream import factors_for, identify_blocks
+from cgid.identification.stream import answering_channels, factors_for, identify_blocks
+from cgid.identification.support import CavingWatch, Ground, Report
 from cgid.recordings import read_recording
 from cgid.recordings.chain import Chain, Statement, scaled
 from cgid.recordings.gaps import Gaps
 from cgid.recordings.recording import Blocks, Channel, require_one_rate
+from cgid.recordings.soundness import SensorWatch
 from cgid.recordings.variables import full_scale_of
 from cgid.shipped import model_path
 from cgid.signals import Signal
@@ -106,7 +108,8 @@ def predict(
     Warns
     -----
     UserWarning
-        A channel has no impact, for the reason given, or samples that no sensor can give are left out.
+        A channel has no impact, for the reason given, gives no sound samples for five seconds, has a wrong scale, or
+        samples that no sensor can give are left out.
 
     Raises
     ------
@@ -159,12 +162,19 @@ def predict(
     blocks = scaled(gaps.marked([np.stack([signal.samples for signal in signals])]), factors)
     names = [signal.channel for signal in signals]
     answers: list[Answer] = []
-    diagnosis = Diagnosis(loaded)
-    for step in identify_blocks(blocks, first.sampling_rate, loaded, names, applied, first.source):
+    reports: list[Report] = []
+    diagnosis, sensors = Diagnosis(loaded), SensorWatch(len(names), first.sampling_rate)
+    watch = CavingWatch(loaded, answering_channels(loaded, names), applied, sensors=sensors, channels=names)
+    for step in identify_blocks(sensors.watching(blocks), first.sampling_rate, loaded, names, applied, first.source):
         answers += step.answers
+        reports += watch.feed(step.answers, step.until)
         for text in (*step.silent, *step.warnings):
             warnings.warn(text, stacklevel=2)
     gaps.require(first.source)
+    for report in (*reports, *watch.finish(len(first.samples) / first.sampling_rate)):
+        state = report.state
+        if report.kind == "state" and state.ground == Ground.BLIND:
+            warnings.warn(f"{first.source}: blind since {state.since:.6g} s: {state.reason}", stacklevel=2)
     diagnosis.add(answers)
     for name, factor in diagnosis.wrong_scales().items():
         where = f"channel {name}: " if len(diagnosis.channels) > 1 else ""
