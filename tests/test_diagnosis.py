@@ -20,7 +20,7 @@ from scipy.stats import binom
 from cgid.cli.hints import Hints
 from cgid.cli.main import run
 from cgid.identification.answers import Answer, identify_frames
-from cgid.identification.diagnosis import ChannelAnswers, Condition, Hint
+from cgid.identification.diagnosis import Cause, ChannelAnswers, Condition, Diagnosis, Hint
 from cgid.identification.model import Model
 from cgid.identification.prediction_settings import PredictionSettings
 from cgid.identification.rows import DEFAULT_VIBRATION_FEATURES
@@ -451,6 +451,90 @@ def test_a_factor_adds_its_logarithm_to_the_levels(model: str) -> None:
     assert np.isfinite(own).all()
     # A fit may end elsewhere.
     assert np.median(np.abs(np.subtract(scaled, own) - np.log(9.81))) < 1e-6
+
+
+def conditions_of(parts: list[tuple[str, tuple[Answer, ...]]], model: str) -> list[tuple[int, str, str, bool]]:
+    """Return when what begins and ends in a live stream: number of the impact, channel, condition."""
+    shipped = Model.load(ROOT / "models" / f"{model}.npz")
+    diagnosis, number, found = Diagnosis(shipped, live=True), 0, []
+    for channel, answers in parts:
+        for answer in answers:
+            number += 1
+            diagnosis.add([replace(answer, channel=channel, time=number / 8)])
+            changes = diagnosis.changes(number / 8)
+            found += [(number, one.channel, str(one.condition), one.begins) for one in changes]
+    return found
+
+
+@pytest.mark.parametrize("gain", [9.81, 0.102])
+@pytest.mark.parametrize("model", SHIPPED)
+def test_a_gain_that_changes_is_told_within_thirty_impacts_and_when_it_is_back(model: str, gain: float) -> None:
+    own, wrong = own_answers(model, 1.0), own_answers(model, gain)
+    n, before = 60, 8 * (len(own) // 60) * 60
+    found = conditions_of([("1", own[: len(own) // 60 * 60] * 8), ("1", wrong[:n]), ("1", own)], model)
+    assert not [one for one in found if one[0] <= before]
+    begun = [number - before for number, _, condition, begins in found if begins]
+    assert 1 <= begun[0] <= 30
+    told = dict.fromkeys((condition for _, _, condition, begins in found if begins))
+    assert "wrong_scale" in told
+    ended = [number - before - n for number, _, condition, begins in found if not begins]
+    assert ended and max(ended) <= 120
+
+
+def test_each_channel_is_told_whatever_is_wrong_with_another() -> None:
+    own, wrong = own_answers("default", 1.0)[:200], own_answers("default", 9.81)[:200]
+    unknown = tuple(replace(one, label="unknown", novelty=3.0) for one in own)
+    parts = [
+        part
+        for k in range(0, 200, 2)
+        for part in (("1", unknown[k : k + 2]), ("2", wrong[k : k + 2]), ("3", own[k : k + 2]))
+    ]
+    found = conditions_of(parts, "default")
+    assert {(channel, condition) for _, channel, condition, _ in found} == {
+        ("1", "mostly_unknown"),
+        ("2", "wrong_scale"),
+    }
+    # In a recording as a whole, too.
+    hints = Hints(Model.load(ROOT / "models" / "default.npz"), RATE, "x")
+    for channel, answers in parts:
+        hints.add([replace(one, channel=channel) for one in answers])
+    assert [hint.channels for hint in hints.hints()] == [("1",)]
+    assert hints.wrong_scales().keys() == {"2"}
+
+
+def test_only_the_latest_answers_of_a_live_stream_count() -> None:
+    """Counts that forget equal those of the last sixty answers alone, causes and examples included."""
+    rng = np.random.default_rng(3)
+    causes = [None, Cause("noise", 1.0), Cause("amplitude", 9.0), Cause("peak_misfit", 2.0)]
+    answers = []
+    for number in range(500):
+        cause = causes[rng.integers(4)]
+        answers.append(
+            Answer(
+                time=number * 2.0,
+                label="coal" if cause is None else "unknown",
+                probabilities={"coal": 0.9} if rng.random() < 0.8 else {},
+                novelty=0.5 if cause is None else 2.0,
+                cause=cause,
+                clipped=bool(rng.random() < 0.2),
+                problem="" if cause is None else cause.name,
+            )
+        )
+    live = ChannelAnswers(live=True)
+    for answer in answers:
+        live.add(answer, is_vibration=False)
+    last = ChannelAnswers()
+    for answer in answers[-60:]:
+        last.add(answer, is_vibration=False)
+    for name in ("n_answers", "n_unmarked", "n_unknown", "n_usable"):
+        assert getattr(live, name) == getattr(last, name)
+    for name in ("marks", "unmarked", "problems"):
+        assert +getattr(live, name) == +getattr(last, name)
+    assert {name: list(one) for name, one in live.examples.items() if one} == {
+        name: list(one) for name, one in last.examples.items()
+    }
+    live.forget(answers[-1].time + 301)
+    assert (live.n_answers, live.n_unknown, live.marks.total() + live.unmarked.total()) == (0, 0, 0)
 
 
 @pytest.mark.parametrize("model", SHIPPED)

@@ -204,6 +204,26 @@ def test_interruption_ends_with_a_summary(force: np.ndarray, number: signal.Sign
     assert b"Fatal" not in err
 
 
+def test_a_stream_that_stalls_is_stopped_and_taken_up_again(force: np.ndarray) -> None:
+    options = ["--window", "0.24", "--blind-after", "0.6"]
+    command = [sys.executable, "-u", "-m", "cgid", "monitor", "-", "--json", *RAW, *options]
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+    with subprocess.Popen(command, cwd=ROOT, **pipes) as process:
+        assert process.stdin is not None and process.stdout is not None and process.stderr is not None
+        process.stdin.write(force.astype("<f4").tobytes())
+        process.stdin.flush()
+        states = (row for row in map(json.loads, process.stdout) if "ground" in row)
+        stopped = next(row for row in states if row["ground"] != "seen")
+        assert (stopped["kind"], stopped["ground"], stopped["decision"]) == ("state", "stopped", "none")
+        process.stdin.write(force.astype("<f4").tobytes())
+        process.stdin.flush()
+        assert next(row for row in states if row["ground"] == "seen")["kind"] in ("share", "state")
+        process.stdin.close()
+        assert "stopped" not in [row["ground"] for row in states]
+        assert b"stopped since" in process.stderr.read()
+        assert process.wait(60) == 0
+
+
 # -- nothing is dropped -----------------------------------------------------------------------------------
 
 

@@ -493,6 +493,9 @@ class _Scale:
         if self.factor != 1:
             if n >= self._next:
                 self._set(self._of_latest(channel, self._n), self._n, n)
+                if self.factor == 1:  # the levels before were of another scale
+                    channel.levels.clear()
+                    channel.n_levels = 0
             return
         if n in _TESTS:
             self._set(self._of_latest(channel, n), n, n)

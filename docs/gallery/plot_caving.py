@@ -3,8 +3,8 @@ A stream of caving
 ==================
 
 Ten seconds of the shipped scene ``caving``: rocks arrive at random, bounce down the sloping beam, and overlap; pumps
-hum and the conveyor rumbles. The truth of every impact is known. The gangue fraction rises from 5 to 90 % within the ten
-seconds here, to have it all in one picture.
+hum and the conveyor rumbles. The truth of every impact is known. The gangue fraction rises from 5 to 90 % within the
+ten seconds here, to have it all in one picture.
 """
 
 import io
