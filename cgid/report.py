@@ -24,6 +24,7 @@ from cgid.identification.answers import Answer
 from cgid.identification.diagnosis import Hint
 from cgid.identification.model import Model
 from cgid.identification.share import MIN_IMPACTS, Share, Switch
+from cgid.identification.support import SupportState
 from cgid.measure.overview import Overview
 from cgid.plots import picture, share_figure
 from cgid.plots.answers import drawn_figure
@@ -49,6 +50,7 @@ class Report:
     answers: Sequence[Answer]  # in order of time
     shares: Sequence[Share] = ()  # gangue shares over sliding windows
     turns: Sequence[Switch] = ()  # when the window should be shut or opened
+    states: Sequence[SupportState] = ()  # the last record of each support
     threshold: float | None = None  # share of gangue above which further caving costs more than it brings
     warnings: Sequence[str] = field(default_factory=tuple)  # what is damaged or doubtful
     unit_of_decision: str = "impact"  # subject of an answer, or "window"
@@ -76,6 +78,9 @@ class Report:
             where = f", channel {channel}" if len(last) > 1 else ""
             interval = f"{share.low:.0%} to {share.high:.0%}" if share.n_impacts else "not known"
             yield f"{share.share:.0%}" if share.n_impacts else "-", f"gangue at the end ({interval}{where})"
+        for state in self.states if self.threshold is not None else ():
+            where = f", channel {state.share.channel}" if len(self.states) > 1 else ""
+            yield str(state.decision), f"decision at the end ({str(state.ground).replace('_', ' ')}{where})"
 
     has_course = renamed_attribute("has_course", "has_time_history")
 

@@ -71,11 +71,12 @@ class AnswerLines:
         table: TableOutput | None = None,
         *,
         datasets: bool = False,
+        live: bool = False,
         clock: bool = False,
         listener: Callable[[dict[str, Any]], None] | None = None,
     ) -> None:
         self.as_json = as_json
-        self._clock, self._listener = clock, listener
+        self._live, self._clock, self._listener = live, clock, listener
         self._table, self._datasets = table or TableOutput(), datasets
 
     def begin(self, source: str, model: Model, settings: PredictionSettings) -> None:
@@ -172,7 +173,9 @@ class AnswerLines:
         line = {"kind": kind, "source": source, **content}
         now = {"wall_time": datetime.now(UTC).isoformat(timespec="milliseconds")}
         if self.as_json:
-            print_json(line | now if self._clock else line, version=ANSWERS_VERSION)
+            # Whoever reads the record of a live support must see how old it is.
+            is_record = self._live and "ground" in line
+            print_json(line | now if self._clock or is_record else line, version=ANSWERS_VERSION)
         if self._listener is not None:
             self._listener({"version": ANSWERS_VERSION, **finite(line | now)})
 
@@ -395,6 +398,11 @@ class RecordingRows:
         for hint in hints:
             self.hints += [hint] * self._keep
             self.lines.hint(self.source, hint)
+
+    @property
+    def states(self) -> list[SupportState]:
+        """The latest record of each support."""
+        return self._watch.states()
 
     def name(self, channel: str) -> str:
         """Return source and channel in one word."""

@@ -217,7 +217,7 @@ def monitor(
             chain=stated,
         )
         with TableOutput() as table:
-            lines = AnswerLines(as_json, table, clock=clock, listener=listener)
+            lines = AnswerLines(as_json, table, live=True, clock=clock, listener=listener)
             _follow(live, models, settings, lines, listener)
 
 

@@ -62,6 +62,7 @@ def _report(
         answers=rows.answers,
         shares=rows.shares,
         turns=rows.turns,
+        states=rows.states,
         threshold=rows.threshold,
         warnings=(*recording.warnings, *rows.warnings),
         unit_of_decision=rows.kind,
