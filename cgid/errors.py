@@ -5,8 +5,12 @@ Every message gives the object, the rule, the value with its unit, and a hint.
 
 from __future__ import annotations
 
+import signal
 from importlib import import_module
 from typing import Any
+
+#: Signals that ask to end: Ctrl-C, a service manager, and a terminal that was closed (Windows lacks the last).
+INTERRUPTIONS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
 
 
 class CgidError(Exception):

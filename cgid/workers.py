@@ -21,7 +21,7 @@ from importlib.metadata import version
 from typing import Any, TypeVar
 
 from cgid import validation
-from cgid.errors import ClusterFailed, InvalidValue, optional
+from cgid.errors import INTERRUPTIONS, ClusterFailed, InvalidValue, optional
 
 #: The scheduler must answer and have a worker within this time [s].
 TIMEOUT = 10.0
@@ -288,9 +288,10 @@ def _do(task: list[Any]) -> Any:
     versions, function, common, part = task
     if versions is not None:
         _require_same_versions(versions, _versions(), platform.node())
-    # Ctrl-C reaches every process of the group; only the parent handles it.
+    # Ctrl-C and a closed terminal reach every process of the group; only the parent handles them.
     if threading.current_thread() is threading.main_thread():
-        signal.signal(signal.SIGINT, signal.SIG_IGN)
+        for number in {*INTERRUPTIONS} - {signal.SIGTERM}:
+            signal.signal(number, signal.SIG_IGN)
     with joblib.parallel_config(backend="sequential"):  # a part is not itself spread over the cluster
         return function(common, part)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import os
 import signal
 import subprocess
 import sys
@@ -17,6 +18,7 @@ from scipy.io import wavfile
 
 from cgid.cli.main import run
 from cgid.cli.monitor import Inbox
+from cgid.errors import INTERRUPTIONS
 from tests.streams_of_pulses import RATE, ROOT, stream, window_model
 
 LABELS = ["coal"] * 14 + ["gangue"] * 14
@@ -184,7 +186,7 @@ def test_events_leave_before_the_stream_goes_on(force: np.ndarray) -> None:
         process.stdout.close()
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", INTERRUPTIONS)
 def test_interruption_ends_with_a_summary(force: np.ndarray, number: signal.Signals) -> None:
     command = [sys.executable, "-u", "-m", "cgid", "monitor", "-", "--json", *RAW]
     pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
@@ -222,6 +224,30 @@ def test_a_stream_that_stalls_is_stopped_and_taken_up_again(force: np.ndarray) -
         assert "stopped" not in [row["ground"] for row in states]
         assert b"stopped since" in process.stderr.read()
         assert process.wait(60) == 0
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGHUP"), reason="this system has no SIGHUP")
+@pytest.mark.parametrize("program", ["", "nohup"])
+def test_terminal_that_closes_ends_the_watch_unless_nohup(program: str, force: np.ndarray) -> None:
+    import pty
+
+    master, slave = pty.openpty()
+    command = [*program.split(), sys.executable, "-u", "-m", "cgid", "monitor", "-", *RAW]
+    # nohup would redirect a terminal to a file.
+    out = subprocess.PIPE if program else slave
+    process = subprocess.Popen(command, cwd=ROOT, stdin=subprocess.PIPE, stdout=out, stderr=out, bufsize=0)
+    os.close(slave)
+    assert process.stdin is not None
+    try:
+        process.stdin.write(force.astype("<f4").tobytes())
+        assert os.read(master if process.stdout is None else process.stdout.fileno(), 10)
+        os.close(master)
+        process.send_signal(signal.SIGHUP)
+        process.communicate(timeout=300)
+    finally:
+        process.kill()
+        process.wait()
+    assert process.returncode == (0 if program else 129)
 
 
 # -- nothing is dropped -----------------------------------------------------------------------------------

@@ -24,7 +24,16 @@ from cgid.cli.generate import generate
 from cgid.cli.help import Group
 from cgid.cli.info import info
 from cgid.cli.monitor import monitor
-from cgid.cli.output import drop, exit_code_of_interruption, interruptions_noted, open_missing, say, say_error, warn
+from cgid.cli.output import (
+    drop,
+    exit_code_of_interruption,
+    interruptions_noted,
+    is_interrupted,
+    open_missing,
+    say,
+    say_error,
+    warn,
+)
 from cgid.cli.plot import plot
 from cgid.cli.predict import predict
 from cgid.cli.tap import tap
@@ -102,8 +111,7 @@ def run(arguments: list[str] | None = None) -> int:
         say_error(error)
         return error.exit_code
     except (click.Abort, KeyboardInterrupt):
-        say("cgid: interrupted; no partial files remain", err=True)
-        return exit_code_of_interruption()
+        return _report_interruption()
     except (BrokenPipeError, SystemExit):
         # The reader of our output has closed it; click turns that into SystemExit.
         drop(sys.stdout)
@@ -114,7 +122,9 @@ def run(arguments: list[str] | None = None) -> int:
         if _folder_is_gone():
             say("cgid: error: the current folder must exist, it has been removed; change to another one", err=True)
             return _NO_INPUT
-        # Our own files raise a CgidError, so this is the standard output.
+        # Our own files raise a CgidError, so this is the standard output, which a closed terminal takes with it.
+        if is_interrupted():
+            return _report_interruption()
         with contextlib.suppress(OSError, AttributeError):
             sys.stdout.flush()
         drop(sys.stdout)
@@ -149,6 +159,15 @@ def _memory_is_short(error: BaseException | None) -> bool:
             return True
         error = error.__cause__ or error.__context__
     return False
+
+
+def _report_interruption() -> int:
+    try:
+        sys.stdout.flush()
+    except (AttributeError, OSError):  # Python would fail again at its end
+        drop(sys.stdout)
+    say("cgid: interrupted; no partial files remain", err=True)
+    return exit_code_of_interruption()
 
 
 def _report_memory(error: BaseException) -> int:

@@ -17,7 +17,7 @@ from typing import Any, TextIO
 
 import click
 
-from cgid.errors import CannotCreate, CgidError, InvalidValue, WriteFailed
+from cgid.errors import INTERRUPTIONS, CannotCreate, CgidError, InvalidValue, WriteFailed
 from cgid.terminal import printable
 
 #: Version of the lines of --json.
@@ -130,8 +130,10 @@ def interruptions_noted() -> Iterator[None]:
         yield
         return
     _noted.clear()
-    # Python ends at once by SIGTERM, and would not stop its workers.
-    before = {number: signal.signal(number, _note) for number in (signal.SIGINT, signal.SIGTERM)}
+    # Python ends at once by SIGTERM and SIGHUP, and would not stop its workers. A SIGHUP that nohup ignores stays ignored.
+    always = signal.SIGINT, signal.SIGTERM
+    noted = [one for one in INTERRUPTIONS if one in always or signal.getsignal(one) is not signal.SIG_IGN]
+    before = {number: signal.signal(number, _note) for number in noted}
     hook = sys.unraisablehook
     sys.unraisablehook = lambda found: None if found.exc_type is KeyboardInterrupt else hook(found)
     try:
@@ -140,6 +142,11 @@ def interruptions_noted() -> Iterator[None]:
         for number, handler in before.items():
             signal.signal(number, handler)
         sys.unraisablehook = hook
+
+
+def is_interrupted() -> bool:
+    """Return whether the command that runs, or ran last, was interrupted."""
+    return bool(_noted)
 
 
 def exit_code_of_interruption() -> int:

@@ -15,6 +15,8 @@ from typing import Any
 
 import h5py
 
+from cgid.errors import INTERRUPTIONS
+
 #: Oldest and newest version of the HDF5 file format that is written.
 VERSIONS = ("v110", "v110")
 
@@ -138,8 +140,8 @@ def hdf5_on_disk(path: Path) -> Iterator[Hdf5OnDisk]:
 
 @contextmanager
 def undisturbed() -> Iterator[None]:
-    """Delay Ctrl-C and SIGTERM until this context ends: an exception within a callback of HDF5 breaks its file."""
-    handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    """Delay interruptions until this context ends: an exception within a callback of HDF5 breaks its file."""
+    handlers = {number: signal.getsignal(number) for number in INTERRUPTIONS}
     handlers = {number: handler for number, handler in handlers.items() if callable(handler)}
     if threading.current_thread() is not threading.main_thread() or not handlers:
         yield
