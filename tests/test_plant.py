@@ -15,6 +15,7 @@ import time
 import urllib.error
 import urllib.request
 from collections.abc import Callable, Iterator
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +25,7 @@ import pytest
 from cgid.cli.main import run
 from cgid.errors import BadData, CannotCreate, InvalidValue, NoInput
 from cgid.plant import PlantOutputs, command, mqtt
-from cgid.plant.modbus import HEAD, MAX_SUPPORTS, WIDTH
+from cgid.plant.modbus import HEAD, MAX_SUPPORTS, WIDTH, registers
 from cgid.plant.output import MAX_CLIENTS, Output
 from cgid.plant.state import BIN_TIME, Waveform
 from cgid.plant.web import page
@@ -52,15 +53,44 @@ def impact(number: int, label: str = "coal", channel: str = "1") -> dict[str, An
     return {"kind": "impact", "channel": channel, "label": label, "time_s": float(number), "impact": number}
 
 
-def share(to: float, value: float | None, channel: str = "1", impacts: int = 20, unknown: int = 3) -> dict[str, Any]:
+def state(
+    at: float, decision: str = "none", ground: str = "seen", value: float | None = None, channel: str = "1", **more: Any
+) -> dict[str, Any]:
+    """Return a line with the record of a support."""
     ends = (0.0, 1.0) if value is None else (value - 0.1, value + 0.1)
-    content = {"gangue_share": value, "low": ends[0], "high": ends[1], "impacts": impacts, "unknown": unknown}
-    return {"kind": "share", "channel": channel, "from_s": to - 1, "to_s": to, **content}
+    return {
+        "kind": "state",
+        "time_s": at,
+        "channel": channel,
+        "decision": decision,
+        "ground": ground,
+        "ground_since_s": 0.0,
+        "reason": "" if ground == "seen" else "the cable",
+        "gangue_share": value,
+        "low": ends[0],
+        "high": ends[1],
+        "impacts": 20,
+        "unknown": 3,
+        "last_sound_s": at,
+        "last_identified_s": at,
+        **more,
+    }
 
 
-def turn(kind: str, at: float, value: float = 0.6, channel: str = "1") -> dict[str, Any]:
-    content = {"gangue_share": value, "low": value - 0.1, "high": value + 0.1, "cost": 0.2}
-    return {"kind": kind, "channel": channel, "time_s": at, **content}
+def share(to: float, value: float | None, channel: str = "1", impacts: int = 20, **more: Any) -> dict[str, Any]:
+    kind = {"kind": "share", "from_s": to - 1, "to_s": to, "impacts": impacts}
+    return state(to, value=value, channel=channel, **kind | more)
+
+
+def turn(kind: str, at: float, value: float = 0.6, channel: str = "1", **more: Any) -> dict[str, Any]:
+    decision = "shut" if kind == "shut" else "draw"
+    return state(at, decision, value=value, channel=channel, kind=kind, cost=0.2, **more)
+
+
+def feed(own: PlantOutputs, *blocks: np.ndarray) -> None:
+    """Pass blocks at 1 kHz through the outputs, after which the stream goes on."""
+    list(own.monitored_blocks(blocks, 1000.0))
+    own.plant.ended = False
 
 
 @pytest.fixture
@@ -72,11 +102,12 @@ def said() -> list[str]:
 def outputs(said: list[str]) -> Iterator[Callable[..., PlantOutputs]]:
     made: list[PlantOutputs] = []
 
-    def make(channels: tuple[str, ...] = ("1",), **given: str) -> PlantOutputs:
+    def make(channels: tuple[str, ...] = ("1",), blind_after: float = 1000.0, **given: str) -> PlantOutputs:
         own = PlantOutputs(**given, warn=said.append)
         own.__enter__()
         made.append(own)
-        own.begin(source="s", channels=channels, rows=channels, unit="N", threshold=0.5, behind=lambda: 0.25)
+        more = {"threshold": 0.5, "behind": lambda: 0.25, "blind_after": blind_after}
+        own.begin(source="s", channels=channels, rows=channels, unit="N", **more)
         return own
 
     yield make
@@ -173,21 +204,58 @@ def test_each_line_is_a_message_and_the_state_is_retained(outputs, broker, said)
         assert found.numbers() == list(range(1, 501))
         assert json.loads(found.of("plant/s7/shut/a%2Fb%23")[0])["message"] == 502
         with Subscriber(port) as late:  # sees only what is retained
-            wait_for(lambda: len(late.messages) >= 3)
+            wait_for(lambda: len(late.messages) >= 4)
             assert {name for name, _, _ in late.messages} == {
                 "plant/s7/status",
+                "plant/s7/wall_time",
                 "plant/s7/state/1",
                 "plant/s7/state/a%2Fb%23",
             }
             assert all(retained for _, _, retained in late.messages)
-            state = json.loads(late.of("plant/s7/state/a%2Fb%23")[0])
-            assert (state["state"], state["gangue_share"], state["unknown"]) == ("shut", 0.7, 3)
-            assert json.loads(late.of("plant/s7/state/1")[0])["state"] == "unknown"
+            record = json.loads(late.of("plant/s7/state/a%2Fb%23")[0])
+            assert (record["decision"], record["gangue_share"], record["unknown"]) == ("shut", 0.7, 3)
+            wanted = {"kind", "cost"} ^ {*turn("shut", 10.0), "wall_time"}
+            assert {*record} == wanted
+            none = json.loads(late.of("plant/s7/state/1")[0])
+            assert (none["decision"], none["ground"], none["gangue_share"]) == ("none", "seen", None)
         own.__exit__(None, None, None)
         wait_for(lambda: len(found.of("plant/s7/status")) == 2)
+        for channel in ("1", "a%2Fb%23"):
+            record = json.loads(found.of(f"plant/s7/state/{channel}")[-1])
+            assert (record["decision"], record["ground"]) == ("none", "stopped")
         assert found.of("plant/s7/status") == ["online", "offline"]
     assert said == []
     assert own.plant.outputs[0].passed == 503
+
+
+def test_retained_records_are_written_again_and_a_decision_goes_with_its_stream(outputs, broker, monkeypatch) -> None:
+    monkeypatch.setattr(mqtt, "_EVERY", 0.5)
+    port = broker().port
+    with Subscriber(port) as found:
+        own = outputs(mqtt=f"mqtt://127.0.0.1:{port}/plant", blind_after=3.0)
+        feed(own, np.zeros((1, 10_000)))
+        own(turn("open", 9.0, last_identified_s=8.0))
+
+        def records() -> list[dict[str, Any]]:
+            return [json.loads(text) for text in found.of("plant/state/1")]
+
+        wait_for(lambda: len([one for one in records() if one["decision"] == "draw"]) >= 3)
+        wait_for(lambda: records()[-1]["ground"] == "stopped")  # no line, only no block
+        assert records()[-1]["decision"] == "none"
+        times = [(datetime.fromisoformat(one["wall_time"]).timestamp(), one["time_s"]) for one in records()]
+        assert times == sorted(times)
+        assert len(set(times)) == len(times)
+        # The time in the stream goes on with the clock: a reader subtracts, and knows how old everything is.
+        (first, began), (last, ended) = times[-3], times[-1]
+        assert abs((ended - began) - (last - first)) < 0.2 * (last - first)
+        assert abs(datetime.fromisoformat(found.of("plant/wall_time")[-1]).timestamp() - time.time()) < 60
+        feed(own, np.zeros((1, 1000)))
+        own(turn("open", 11.0))
+        wait_for(lambda: records()[-1]["decision"] == "draw")
+        own(state(11.0, ground="blind", reason="the cable"))
+        wait_for(lambda: records()[-1]["ground"] == "blind")
+        assert records()[-1]["reason"] == "the cable"
+        assert own.plant.outputs[0]._number == 2  # a record alone is no further message
 
 
 def test_broker_that_dies_and_comes_back(outputs, broker, said, monkeypatch) -> None:
@@ -209,7 +277,7 @@ def test_broker_that_dies_and_comes_back(outputs, broker, said, monkeypatch) -> 
     with Subscriber(daemon.port) as found:
         wait_for(lambda: found.of("plant/s7/shut/1"))
         assert found.numbers() == list(range(53, 102))  # the newest
-        assert json.loads(found.of("plant/s7/state/1")[-1])["state"] == "shut"
+        wait_for(lambda: json.loads(found.of("plant/s7/state/1")[-1])["decision"] == "shut")
     assert queue.dropped == 51
     assert len(said) >= 2
     assert "is gone" in said[0]
@@ -283,32 +351,101 @@ def test_registers_are_what_a_client_reads(outputs) -> None:
         own(impact(number, "unknown" if number % 7 == 0 else "gangue"))
     own(share(10.0, 0.7))
     own(turn("shut", 10.0, 0.7))
-    own(share(10.0, None, channel="2", impacts=0))
-    list(own.monitored_blocks([np.zeros((2, 50))] * 3, 1000.0))
+    own(share(10.0, None, channel="2", impacts=0, last_identified_s=None))
+    feed(own, *[np.zeros((2, 50))] * 3)
     client = client_of.ModbusTcpClient("127.0.0.1", port=port)
     wait_for(client.connect)
     try:
         head = client.read_input_registers(0, count=HEAD, device_id=7).registers
-        assert head[:2] == [1, 3]
+        assert head[:2] == [2, 3]
         assert head[2] <= 20
         assert head[3:6] == [2, 2, 0]
         one = client.read_input_registers(HEAD, count=WIDTH).registers
         assert one[:8] == [2, 7000, 6000, 8000, 20, 3, 70_000 >> 16, 70_000 & 0xFFFF]
         assert one[8:10] == [0, 10_000]
         assert max(one[10:12]) <= 20
-        assert one[12] == 1
-        assert one == client.read_holding_registers(HEAD, count=WIDTH).registers  # for those that know function 3 alone
-        two = client.read_input_registers(HEAD + WIDTH, count=12).registers
-        assert two == [0, 65535, 0, 10_000, 0, 3, 0, 0, 0, 0, two[10], 65535]
+        assert one[12:14] == [1, 1]
+        assert 100 <= one[14] <= 120
+        assert one[15] <= 20
+        again = client.read_holding_registers(HEAD, count=WIDTH).registers  # for those that know function 3 alone
+        assert again[:10] == one[:10]
+        two = client.read_input_registers(HEAD + WIDTH, count=14).registers
+        assert two == [0, 65535, 0, 10_000, 0, 3, 0, 0, 0, 0, 65535, 65535, 0, 1]
         assert client.read_input_registers(HEAD + 2 * WIDTH, count=WIDTH).registers == [0] * WIDTH  # nobody there
         assert client.write_register(HEAD, 1).isError()
         assert client.read_input_registers(60_000, count=4).isError()
         assert client.read_input_registers(HEAD, count=1).registers == [2]
         for beat in range(4, 7):
-            list(own.monitored_blocks([np.zeros((2, 50))], 1000.0))
+            feed(own, np.zeros((2, 50)))
             assert client.read_input_registers(1, count=1).registers == [beat]
     finally:
         client.close()
+
+
+GROUNDS = ["seen", "blind", "wrong_scale", "mostly_unknown", "stopped"]
+
+
+def test_each_ground_has_its_register_and_only_a_seen_support_a_decision(outputs) -> None:
+    own = outputs(channels=tuple(GROUNDS), modbus=f"127.0.0.1:{free_port()}")
+    feed(own, np.zeros((5, 100_000)))
+    times = {"ground_since_s": 60.0, "last_sound_s": 70.0, "last_identified_s": 20.0}
+    for decision, number in (("draw", 1), ("shut", 2), ("none", 0)):
+        for ground in GROUNDS:
+            own(turn("shut" if decision == "shut" else "open", 90.0, 0.25, channel=ground))
+            own(state(99.0, decision, ground, 0.25, channel=ground, **times))
+        known = own.plant.read(lambda supports: registers(own.plant, supports))
+        by_ground = [known[HEAD + WIDTH * k : HEAD + WIDTH * (k + 1)] for k in range(5)]
+        assert [one[0] for one in by_ground] == [number, 0, 0, 0, 0]
+        assert [one[13] for one in by_ground] == [1, 2, 3, 4, 5]
+        for ground, one in zip(GROUNDS, by_ground, strict=True):
+            assert one[1:6] == [2500, 1500, 3500, 20, 3]
+            for register, age in ((10, 800), (11, 100), (14, 400), (15, 300)):
+                assert age <= one[register] < age + 150, (ground, register)
+
+
+@pytest.mark.parametrize("how", ["no block ever", "no block any more", "the end"])
+def test_decision_does_not_outlive_its_stream(how: str, outputs) -> None:
+    own = outputs(modbus=f"127.0.0.1:{free_port()}", blind_after=1000.0 if how == "the end" else 1.0)
+
+    def one() -> list[int]:
+        return own.plant.read(lambda supports: registers(own.plant, supports))[HEAD:]
+
+    if how != "no block ever":
+        feed(own, np.zeros((1, 20_000)))
+    own(turn("shut", 10.0))
+    if how == "the end":
+        assert [one()[0], one()[13]] == [2, 1]
+        list(own.monitored_blocks([np.zeros((1, 10))], 1000.0))  # the stream has no more
+    wait_for(lambda: one()[13] == 5)
+    assert one()[0] == 0
+    assert one()[12] == 1
+    (before,) = own.plant.page()["supports"]
+    assert (before["decision"], before["ground"]) == ("none", "stopped")
+    if how == "the end":
+        own(turn("shut", 20.0))  # a last line changes nothing
+        assert [one()[0], one()[13]] == [0, 5]
+        return
+    # All ages go on with the clock.
+    ages = wait_for(lambda: (found := one())[14] > 20 and found)
+    later = wait_for(lambda: (found := one())[14] > ages[14] + 5 and found)
+    steps = [late - early for early, late in zip(ages, later, strict=True)]
+    assert [steps[k] for k in range(16) if k not in (10, 11, 14, 15)] == [0] * 12
+    assert max(steps[k] for k in (10, 11, 14, 15)) - min(steps[k] for k in (10, 11, 14, 15)) <= 1
+    feed(own, np.zeros((1, 1)))
+    assert [one()[0], one()[13]] == [2, 1]  # the stream goes on, and its last line holds until the next
+
+
+def test_pause_is_no_blindness(outputs) -> None:
+    """Without impacts there is no line; the samples are sound as long as none says otherwise."""
+    own = outputs(modbus=f"127.0.0.1:{free_port()}", blind_after=5.0)
+    feed(own, np.zeros((1, 10_000)))
+    own(share(10.0, 0.5))
+    feed(own, np.zeros((1, 90_000)))
+    one = own.plant.read(lambda supports: registers(own.plant, supports))[HEAD:]
+    assert 900 <= one[10] < 950
+    assert 50 <= one[15] < 100
+    own(state(100.0, ground="blind", last_sound_s=30.0))
+    assert own.plant.read(lambda supports: registers(own.plant, supports))[HEAD + 15] >= 700
 
 
 def asked(port: int, *frames: bytes) -> list[bytes]:
@@ -331,7 +468,7 @@ def test_only_reads_of_registers_are_answered(outputs) -> None:
     requests = [bytes([function, 0, 0, 0, 1]) for function in range(256)]
     answers = asked(port, *map(modbus_frame, requests))
     for function, answer in enumerate(answers):
-        body = bytes([function, 2, 0, 1]) if function in (3, 4) else bytes([function | 0x80, 1])
+        body = bytes([function, 2, 0, 2]) if function in (3, 4) else bytes([function | 0x80, 1])
         assert answer == modbus_frame(body), function
     refused = {
         b"\4\0\0\0\0": 3,
@@ -360,7 +497,7 @@ def two_servers(outputs) -> tuple[int, int]:
 
 def honest_reads(ports: tuple[int, int]) -> None:
     (answer,) = asked(ports[0], modbus_frame(b"\4\0\0\0\1"))
-    assert answer == modbus_frame(b"\4\2\0\1")
+    assert answer == modbus_frame(b"\4\2\0\2")
     assert json.loads(get(ports[1], "/state.json")[1])["source"] == "s"
 
 
@@ -393,11 +530,13 @@ def test_silent_clients_leave_room(two_servers, said, capfd) -> None:
             for _ in range(2 * MAX_CLIENTS):
                 silent.append(socket.create_connection(("127.0.0.1", two_servers[0])))
                 steady.sendall(modbus_frame(b"\4\0\0\0\1"))
-                assert steady.recv(300) == modbus_frame(b"\4\2\0\1")
+                assert steady.recv(300) == modbus_frame(b"\4\2\0\2")
+        wait_for(lambda: len(said) == 2)  # a line for each server, however many are displaced
+        assert all("disconnected since the start, each for a newer one" in line for line in said)
+        assert {line.split(":")[0].split()[0] for line in said} == {"modbus", "live"}
     finally:
         for client in silent:
             client.close()
-    assert said == []
     assert capfd.readouterr() == ("", "")
 
 
@@ -441,6 +580,31 @@ def test_loopback_server_answers_loopback_names_only(outputs) -> None:
     assert status(everywhere, "recorder.plant")[0] == 200
 
 
+def test_pages_of_errors_have_the_policy_of_the_others(outputs) -> None:
+    port = free_port()
+    outputs(live=f"127.0.0.1:{port}")
+    requests = {
+        404: b"GET /none HTTP/1.0\r\n\r\n",
+        421: b"GET / HTTP/1.0\r\nHost: evil.example\r\n\r\n",
+        400: b"GET / nonsense\r\n\r\n",
+        414: b"GET /" + b"a" * 70_000 + b" HTTP/1.0\r\n\r\n",
+        431: b"GET / HTTP/1.0\r\n" + b"a: b\r\n" * 200 + b"\r\n",
+        501: b"DELETE / HTTP/1.0\r\n\r\n",
+        505: b"GET / HTTP/9.0\r\n\r\n",
+    }
+    for code, request in requests.items():
+        with socket.create_connection(("127.0.0.1", port), timeout=5) as client:
+            client.sendall(request)
+            head = client.recv(65536).decode().partition("\r\n\r\n")[0]
+        assert head.split()[1] == str(code)
+        for header in (
+            "Content-Security-Policy: default-src 'none'",
+            "X-Content-Type-Options: nosniff",
+            "Cache-Control: no-store",
+        ):
+            assert head.count(header) == 1, (code, header)
+
+
 def get(port: int, path: str) -> tuple[Any, str]:
     with urllib.request.urlopen(f"http://127.0.0.1:{port}{path}", timeout=5) as answer:
         return answer.headers, answer.read().decode()
@@ -464,16 +628,24 @@ def test_scrape_and_page_share_a_port(outputs, tmp_path) -> None:
     assert samples[("cgid_gangue_share", "1")] == 0.25
     assert np.isnan(samples[("cgid_gangue_share", 'a"b')])
     assert (samples[("cgid_gangue_share_low", "1")], samples[("cgid_gangue_share_high", "1")]) == (0.15, 0.35)
-    assert (samples[("cgid_shut", "1")], samples[("cgid_shut", 'a"b')]) == (1, 0)
+    assert samples[("cgid_shut", "1")] == 1
+    assert np.isnan(samples[("cgid_shut", 'a"b')])
+    assert [samples["cgid_decision", *sorted(("1", kind))] for kind in ("none", "draw", "shut")] == [0, 0, 1]
+    assert [samples["cgid_decision", *sorted(('a"b', kind))] for kind in ("none", "draw", "shut")] == [1, 0, 0]
+    assert samples[("cgid_ground", "1", "seen")] == 1
+    assert samples[("cgid_ground", "1", "blind")] == 0
+    assert samples[("cgid_last_sound_age_seconds", "1")] < 60
+    assert np.isnan(samples[("cgid_last_identified_age_seconds", 'a"b')])
     assert samples[("cgid_answers_total", "1", "gangue")] == 1
     assert samples[("cgid_turns_total", "1", "shut")] == 1
     assert samples[("cgid_behind_seconds",)] == 0.25
     assert samples[("cgid_last_block_age_seconds",)] == np.inf
     assert samples[("cgid_outlet_up", "--on-shut")] == 1
-    list(own.monitored_blocks([np.arange(20.0).reshape(2, 10)], 1000.0))
+    feed(own, np.arange(20.0).reshape(2, 10))
     _, text = get(port, "/state.json")
     data = json.loads(text)
-    assert [one["state"] for one in data["supports"]] == ["shut", "unknown"]
+    assert [one["decision"] for one in data["supports"]] == ["shut", "none"]
+    assert abs(data["written"] - time.time()) < 60
     wave = data["waveform"]["channels"][1]
     assert wave["name"] == 'a"b'
     np.testing.assert_allclose(np.multiply([wave["low"], wave["high"]], wave["scale"]), [[10, 15], [14, 19]], rtol=1e-4)
@@ -504,6 +676,92 @@ def test_file_of_the_page_replaces_none_but_its_own(outputs, tmp_path) -> None:
     assert sorted(path.name for path in tmp_path.iterdir()) == [planted.name, "mine.html", "p.html"]
 
 
+NOW = 1_000_000.0
+
+
+def page_functions(script: str) -> Any:
+    """Return what an expression of the page's own functions is worth, by node."""
+    node = shutil.which("node")
+    if node is None:
+        pytest.skip("node is not installed")
+    functions = page().split("// Pure functions")[1].split("// The page.")[0].partition("\n")[2]
+    program = f"const LATE = 3; {functions}; console.log(JSON.stringify({script}))"
+    return json.loads(subprocess.run([node, "-e", program], capture_output=True, text=True, check=True).stdout)
+
+
+def content(outputs: Callable[..., PlantOutputs], *records: dict[str, Any], **more: Any) -> str:
+    """Return the data of a page as a reader gets them, written at `NOW`."""
+    own = outputs(channels=tuple(GROUNDS))
+    feed(own, np.zeros((5, 10_000)))
+    for record in records:
+        own(record)
+    return json.dumps(own.plant.page() | {"written": NOW, "age": 0.1, **more})
+
+
+@pytest.mark.parametrize("decision", ["none", "draw", "shut", "constructor"])
+def test_page_shows_a_decision_only_of_what_is_seen(decision: str, outputs) -> None:
+    data = content(outputs, *(state(10.0, ground=ground, value=0.5, channel=ground) for ground in GROUNDS))
+    cases = f"({data}).supports.map(one => (one.decision = '{decision}', one))"
+    shown = page_functions(f"{cases}.map(one => [decisionOf(one, false), stateText(one, false)])")
+    words = {"draw": "GO ON", "shut": "SHUT"}
+    known = decision if decision in words else "none"
+    assert shown == [[known, words.get(decision, "NO DECISION YET")], *[["none", "NO DECISION"]] * 4]
+    void = page_functions(f"{cases}.map(one => [decisionOf(one, true), stateText(one, true)])")
+    assert void == [["none", "NO DECISION"]] * 5
+
+
+def test_page_names_the_ground_its_reason_and_its_age(outputs) -> None:
+    data = content(outputs, *(state(10.0, ground=ground, value=0.5, channel=ground) for ground in GROUNDS))
+    texts = page_functions(f"({data}).supports.map(one => groundText(one, 600))")
+    names = ("seen for", "BLIND for", "WRONG SCALE for", "MOSTLY UNKNOWN for", "STREAM STOPPED for")
+    for text, name in zip(texts, names, strict=True):
+        assert text.startswith(f"{name} 10 min")
+        assert ("the cable" in text) is (name != "seen for")
+        assert "last sound sample 10 min ago" in text
+        assert "last identified impact 10 min ago" in text
+
+
+# Time of day of the browser less that of writing, time since new data (of a served page), what the alarm says.
+AGES = [
+    (0.0, 0.1, ""),
+    (2.9, 2.9, ""),
+    (-2.9, 0.1, ""),
+    (2.9, None, ""),
+    (3.1, 3.1, "NO DECISION: no data from monitor for 3 s"),
+    (7000.0, 7000.0, "NO DECISION: no data from monitor for 2 h"),
+    (0.5, 3.5, "NO DECISION: no data from monitor for 4 s"),  # a slow clock hides nothing
+    (3.1, None, "NO DECISION: no data from monitor for 3 s (or the clock"),
+    (50.0, 0.1, "NO DECISION: the clock of this machine is 50 s ahead"),
+    (-50.0, 0.1, "NO DECISION: the clock of this machine is 50 s behind"),
+    (-50.0, None, "NO DECISION: the clock of this machine is 50 s behind"),
+]
+
+
+@pytest.mark.parametrize(("old", "waited", "alarm"), AGES)
+def test_page_judges_the_age_of_its_data_by_the_clock_of_its_reader(old, waited, alarm, outputs) -> None:
+    arguments = f"{content(outputs, behind=0.0)}, {NOW + old}, {json.dumps(waited)}"
+    void, said = page_functions(f"[voidText({arguments}), alarmText({arguments})]")
+    assert bool(void) is bool(alarm)
+    assert said.startswith(alarm)
+    assert bool(said) is bool(alarm)
+
+
+def test_page_tells_the_end_and_what_is_no_ground_to_hide_a_decision(outputs) -> None:
+    ended = f"{content(outputs, ended=True)}, {NOW + 600}, null"
+    assert page_functions(f"[voidText({ended}), alarmText({ended})]") == [
+        "monitor has ended 10 min ago",
+        "NO DECISION: monitor has ended 10 min ago",
+    ]
+    assert page_functions("[voidText(null, 1, null), alarmText(null, 1, null)]") == ["no connection to monitor"] * 2
+    for more, alarm in (
+        ({"age": None}, "no samples yet"),
+        ({"age": 4.2}, "no samples for 4 s"),
+        ({"behind": 1.5}, "1.5 s behind"),
+    ):
+        arguments = f"{content(outputs, **{'behind': 0.0} | more)}, {NOW}, 0.1"
+        assert page_functions(f"[voidText({arguments}), alarmText({arguments})]") == ["", alarm]
+
+
 def test_waveform_is_the_least_and_largest_of_each_bin() -> None:
     rng = np.random.default_rng(1)
     samples = rng.normal(size=(3, 20_000))
@@ -528,7 +786,7 @@ def test_command_gets_the_turn(outputs, said, tmp_path) -> None:
     program = "import os, sys; print(sys.stdin.read(), os.environ['CGID_SHARE'], os.environ['CGID_CHANNEL'], "
     program += f"sep='|', file=open(r'{tmp_path / 'log'}', 'a'))"
     own = outputs(on_shut=f'"{sys.executable}" -c "{program}"')
-    for one in (impact(1), turn("open", 1.0), turn("shut", 2.0, 0.625)):
+    for one in (impact(1), share(1.0, 0.5), turn("shut", 2.0, 0.625)):
         own(one)
     own.__exit__(None, None, None)  # waits for it
     line, share_text, channel = (tmp_path / "log").read_text().strip().split("|")
@@ -541,11 +799,142 @@ def test_command_that_fails_or_hangs_is_one_line(outputs, said, monkeypatch) -> 
     monkeypatch.setattr(command, "MAX_RUN_TIME", 0.3)
     own = outputs(on_shut=f'"{sys.executable}" -c "raise SystemExit(3)"', on_open="sleep 60")
     own(turn("shut", 1.0))
-    own(turn("open", 2.0))
+    own(turn("open", 2.0, channel="2"))
     wait_for(lambda: len(said) == 2)
     first, second = sorted(said)
-    assert "--on-open: the command took longer than 0.3 s and was ended (channel 1, 2 s)" in first
+    assert "--on-open: the command took longer than 0.3 s and was ended (channel 2, 2 s)" in first
     assert "--on-shut: the command failed with exit code 3 (channel 1, 1 s)" in second
+
+
+def waiting_script(folder: Path, word: str) -> str:
+    """Return a command that writes its start, waits for the file "go-CHANNEL", and writes its end."""
+    program = (
+        "import os, sys, time; from pathlib import Path\n"
+        "word, channel, folder = sys.argv[1], os.environ['CGID_CHANNEL'], Path(sys.argv[2])\n"
+        "def note(text):\n"
+        "    with open(folder / ('log-' + channel), 'a') as file: file.write(text + ' ')\n"
+        "note('<' + word)\n"
+        "while not (folder / ('go-' + channel)).exists(): time.sleep(0.01)\n"
+        "note(word + '>')\n"
+    )
+    (folder / "waiting.py").write_text(program)
+    return f'"{sys.executable}" "{folder / "waiting.py"}" {word} "{folder}"'
+
+
+def test_supports_run_side_by_side_and_the_newest_decision_last(outputs, said, tmp_path) -> None:
+    commands = {f"on_{word}": waiting_script(tmp_path, word) for word in ("shut", "open", "blind")}
+    channels = tuple("123456789")
+    own = outputs(channels=channels, **commands)
+    for channel in channels:
+        own(turn("shut", 1.0, channel=channel))
+
+    def log(channel: str) -> list[str]:
+        path = tmp_path / f"log-{channel}"
+        return path.read_text().split() if path.exists() else []
+
+    wait_for(lambda: all(log(channel) == ["<shut"] for channel in channels), 60)  # all run at once
+    for channel in "123":  # nothing of these runs before the first ends
+        for number, kind in enumerate(["open", "shut", "open"]):
+            own(turn(kind, 2.0 + number, channel=channel))
+    own(state(6.0, ground="blind", channel="2"))
+    own(turn("shut", 6.0, channel="3"))
+    wait_for(lambda: sum("waits for the command before it" in line for line in said) == 3)
+    assert all(log(channel) == ["<shut"] for channel in channels)
+    names = [(one["name"], one["waiting"], one["dropped"]) for one in own.plant.page()["outlets"]]
+    assert names == [("--on-shut", 1, 3), ("--on-open", 1, 5), ("--on-blind", 1, 0)]
+    assert "--on-open: not run: replaced by BLIND before it could start (channel 2, 4 s)" in said
+    for channel in channels:
+        (tmp_path / f"go-{channel}").touch()
+    wait_for(lambda: [len(log(channel)) for channel in channels] == [4] * 3 + [2] * 6, 60)
+    for channel, last in zip("123", ("open", "blind", "shut"), strict=True):
+        assert log(channel) == ["<shut", "shut>", f"<{last}", f"{last}>"]
+    assert len(said) == 11  # eight replaced, three late
+
+
+def test_command_of_blindness_runs_when_a_support_is_lost(outputs, said, tmp_path) -> None:
+    program = (
+        "import os, sys, json; line = json.loads(sys.stdin.read()); print(*(os.environ['CGID_' + name] for name in "
+    )
+    program += "('TURN', 'CHANNEL', 'GROUND', 'SHARE')), line['reason'] != '', line['decision'], "
+    program += f"sep=',', file=open(r'{tmp_path / 'log'}', 'a'))"
+    (tmp_path / "note.py").write_text(program)
+    own = outputs(channels=("1", "2"), on_blind=f'"{sys.executable}" "{tmp_path / "note.py"}"', blind_after=2.0)
+
+    def log() -> list[str]:
+        return sorted((tmp_path / "log").read_text().split()) if (tmp_path / "log").exists() else []
+
+    feed(own, np.zeros((2, 100)))
+    own(state(1.0, ground="wrong_scale", value=0.5))  # it is seen, though wrongly
+    own(state(2.0, ground="blind", value=0.5))
+    own(share(3.0, 0.5, ground="blind", reason="the cable"))  # still the same
+    blind = "blind,1,blind,0.5000,True,none"
+    wait_for(lambda: log() == [blind])
+    wait_for(lambda: len(log()) == 2)  # nothing is fed any more; channel 1 was blind before
+    assert log() == [blind, "blind,2,stopped,nan,True,none"]
+    feed(own, np.zeros((2, 100)))
+    own(state(4.0))
+    own.plant.ended = True  # no loss, but the end
+    own(state(5.0, ground="stopped"))
+    own.__exit__(None, None, None)
+    assert len(log()) == 2
+    assert said == []
+
+
+def test_pending_open_is_no_longer_run_when_its_ground_is_gone(outputs, said, tmp_path) -> None:
+    own = outputs(on_shut=waiting_script(tmp_path, "shut"), on_open=waiting_script(tmp_path, "open"))
+    own(turn("shut", 1.0))
+    wait_for(lambda: (tmp_path / "log-1").exists())
+    own(turn("open", 2.0))
+    own(state(3.0, ground="blind"))
+    own(turn("shut", 4.0))
+    own(state(5.0, ground="blind"))  # this SHUT is the safe side, and runs
+    (tmp_path / "go-1").touch()
+    own.__exit__(None, None, None)
+    wait_for(lambda: (tmp_path / "log-1").read_text().split() == ["<shut", "shut>", "<shut", "shut>"])
+    assert any("--on-open: not run: replaced by BLIND" in line for line in said)
+
+
+def test_commands_run_without_descriptors(tmp_path) -> None:
+    """Many at once, each with the descriptors in reserve; in a process of its own, whose limit is low."""
+    script = f"""
+import os, resource, sys, time
+sys.path.insert(0, {str(ROOT)!r})
+from tests.test_plant import turn
+from cgid.plant import PlantOutputs
+names = [str(k) for k in range(20)]
+own = PlantOutputs(on_shut={f"sh -c 'sleep 1; cat > {tmp_path}/$CGID_CHANNEL'"!r}, warn=print)
+own.__enter__()
+own.begin(source="s", channels=names, rows=names, unit="N", threshold=0.5, behind=lambda: 0.0)
+while not own.plant.outputs[0].reserved:
+    time.sleep(0.01)
+resource.setrlimit(resource.RLIMIT_NOFILE, (64, 64))
+taken = []
+try:
+    while True:
+        taken.append(os.open(os.devnull, os.O_RDONLY))
+except OSError:
+    pass
+for name in names:
+    own(turn("shut", 1.0, channel=name))
+while own.plant.outputs[0].statuses()[0]["passed"] < 20:
+    time.sleep(0.05)
+"""
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, cwd=ROOT, timeout=300)
+    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
+    assert sorted(int(path.name) for path in tmp_path.iterdir()) == list(range(20))
+    assert all(json.loads(path.read_text())["channel"] == path.name for path in tmp_path.iterdir())
+
+
+def test_equal_line_is_repeated_after_an_hour(outputs, said, monkeypatch) -> None:
+    own = outputs(modbus=f"127.0.0.1:{free_port()}")
+    (service,) = own._services
+    for _ in range(3):
+        service.report("gone")
+    assert len(said) == 1
+    service._reported_at -= 3601.0
+    for _ in range(3):
+        service.report("gone")
+    assert len(said) == 2
 
 
 # -- what is refused --------------------------------------------------------------------------------------
@@ -591,7 +980,8 @@ def test_table_is_the_same_with_outlets(raw, tmp_path, capsys) -> None:
     data = json.loads((tmp_path / "p.html").read_text().split("EMBEDDED = ")[1].split(";\n")[0])
     (support,) = data["supports"]
     assert support["labels"] == {"coal": 14, "gangue": 14}
-    assert support["state"] == "shut"
+    assert (support["decision"], support["ground"]) == ("none", "stopped")
+    assert support["turns"][-1][1] == "shut"
     assert data["ended"]
     assert data["outlets"][0]["passed"] == 1
     wave = data["waveform"]["channels"][0]

@@ -26,7 +26,7 @@ _OPTIONS = {
     "Tap test": "--hammer --band --max-order --contact --taps",
     "Output": "--output --mirror --report --plot --plots --overwrite --resume --compression --shard-signals --json "
     "--clock --strict",
-    "Plant outputs": "--mqtt --modbus --prometheus --live --on-shut --on-open",
+    "Plant outputs": "--mqtt --modbus --prometheus --live --on-shut --on-open --on-blind",
     "Speed": "--jobs --scheduler",
     _OTHERS: "--help --version",
 }

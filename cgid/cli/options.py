@@ -309,6 +309,11 @@ plant_options = _bundle(
             "--on-shut", metavar="COMMAND", help="Run this command at each SHUT; it gets the line on stdin."
         ),
         "on_open": click.option("--on-open", metavar="COMMAND", help="Run this command at each OPEN."),
+        "on_blind": click.option(
+            "--on-blind",
+            metavar="COMMAND",
+            help="Run this command when a support is blind, or the stream stops without its end.",
+        ),
     },
 )
 #: Options for the model and its settings, as arguments of `settings_of`.

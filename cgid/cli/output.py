@@ -130,7 +130,7 @@ def interruptions_noted() -> Iterator[None]:
         yield
         return
     _noted.clear()
-    # Python ends at once by SIGTERM and SIGHUP, and would not stop its workers. A SIGHUP that nohup ignores stays ignored.
+    # Python ends at once by SIGTERM and SIGHUP, and would not stop its workers. nohup has SIGHUP ignored.
     always = signal.SIGINT, signal.SIGTERM
     noted = [one for one in INTERRUPTIONS if one in always or signal.getsignal(one) is not signal.SIG_IGN]
     before = {number: signal.signal(number, _note) for number in noted}

@@ -29,10 +29,12 @@ class PlantOutputs:
         live: str | None = None,
         on_shut: str | None = None,
         on_open: str | None = None,
+        on_blind: str | None = None,
         warn: Callable[[str], None],
     ) -> None:
         self.plant = plant = PlantState()
-        self._commands = {"shut": on_shut, "open": on_open}
+        given = {"shut": on_shut, "open": on_open, "blind": on_blind}
+        self._commands = {kind: line for kind, line in given.items() if line is not None}
         self._services: list[Service] = []
         self._waveform: Waveform | None = None
         try:  # ports are bound here
@@ -40,11 +42,10 @@ class PlantOutputs:
                 from cgid.plant.mqtt import Mqtt
 
                 self._services.append(Mqtt(mqtt, plant, warn))
-            for kind, command in self._commands.items():
-                if command is not None:
-                    from cgid.plant.command import Command
+            if self._commands:
+                from cgid.plant.command import Commands
 
-                    self._services.append(Command(f"--on-{kind}", command, kind, warn))
+                self._services.append(Commands(self._commands, plant, warn))
             plant.outputs = self._queues = [one for one in self._services if isinstance(one, Output)]
             if prometheus is not None or live is not None:
                 from cgid.plant.web import web_services
@@ -88,21 +89,27 @@ class PlantOutputs:
         behind: Callable[[], float],
         blind_after: float = 5.0,
     ) -> None:
-        """Set the supports (`channels`), the rows of the blocks, and a function for the delay [s]."""
-        decision = next((kind for kind, command in self._commands.items() if command is not None), None)
+        """Set the supports (`channels`), the rows of the blocks, and a function for the delay [s].
+
+        A stream without a block for longer than `blind_after` [s] has stopped.
+        """
+        decision = next((kind for kind in self._commands if kind != "blind"), None)
         if decision is not None and threshold is None:
             raise InvalidValue(
                 f"--on-{decision} needs a model with gangue among its labels; name the labels of gangue with --gangue"
             )
-        self.plant.begin(source, channels, rows, unit, threshold, behind)
+        self.plant.begin(source, channels, rows, unit, threshold, behind, blind_after)
 
     def monitored_blocks(self, blocks: Iterable[NDArray[Any]], sampling_rate: float) -> Iterator[NDArray[Any]]:
         """Yield the blocks (n_channels, n_samples); each is a heartbeat, and a part of the waveform."""
-        for block in blocks:
-            if self._waveform is not None:
-                self._waveform.add(block, sampling_rate)
-            self.plant.beat(block.shape[1] / sampling_rate)
-            yield block
+        try:
+            for block in blocks:
+                if self._waveform is not None:
+                    self._waveform.add(block, sampling_rate)
+                self.plant.beat(block.shape[1] / sampling_rate)
+                yield block
+        finally:
+            self.plant.ended = True
 
     def __call__(self, record: dict[str, Any]) -> None:
         """Queue one line of JSON; returns at once."""

@@ -6,22 +6,24 @@ in 1/10000, ages in 0.1 s; 65535 means "not known". The table is in docs/how-to/
 
 from __future__ import annotations
 
-import math
 import socketserver
 import struct
 from collections.abc import Callable
 from typing import Any
 
-from cgid.plant.output import Address, Server, since
-from cgid.plant.state import PlantState, Support
+from cgid.identification.support import Decision, Ground
+from cgid.plant.output import Address, Server
+from cgid.plant.state import PlantState, Record, Support, age
 from cgid.validation import UNKNOWN
 
 #: Version of the registers.
-VERSION = 1
+VERSION = 2
 #: Registers of the head and of each support; maximum number of supports.
 HEAD, WIDTH, MAX_SUPPORTS = 16, 16, 256
 _SIZE = HEAD + WIDTH * MAX_SUPPORTS
 _NOT_KNOWN = 0xFFFF
+_DECISIONS = {Decision.NONE: 0, Decision.DRAW: 1, Decision.SHUT: 2}
+_GROUNDS = {Ground.SEEN: 1, Ground.BLIND: 2, Ground.WRONG_SCALE: 3, Ground.MOSTLY_UNKNOWN: 4, Ground.STOPPED: 5}
 #: A client without requests for this time is disconnected [s].
 TIMEOUT = 60.0
 #: Supported functions, maximum number of registers in a response, and of bytes in a frame after its length.
@@ -68,33 +70,36 @@ def answered(request: bytes, plant: PlantState) -> bytes:
     return struct.pack(f">BB{count}H", function, 2 * count, *known, *[0] * (count - len(known)))
 
 
-def registers(plant: PlantState, supports: dict[str, Support]) -> list[int]:
+def registers(plant: PlantState, supports: list[tuple[Support, Record]]) -> list[int]:
     """Return all registers: the head, then those of each support in the order of the channels."""
     head = [VERSION, plant.beats & 0xFFFF, _tenths(plant.age), _tenths(plant.behind), len(supports), int(plant.ended)]
     values = head + [0] * (HEAD - len(head))
-    for support in list(supports.values())[:MAX_SUPPORTS]:
+    for support, record in supports[:MAX_SUPPORTS]:
         total, unknown = support.labels.total(), support.labels[UNKNOWN]
         of_support = [
-            support.state,
-            *(_share(value) for value in (support.share, support.low, support.high)),
-            min(support.impacts, _NOT_KNOWN),
-            min(support.unknown, _NOT_KNOWN),
+            _DECISIONS[record["decision"]],
+            *(_share(record[name]) for name in ("gangue_share", "low", "high")),
+            min(record["impacts"], _NOT_KNOWN),
+            min(record["unknown"], _NOT_KNOWN),
             *_words(total),
             *_words(unknown),
-            _tenths(since(support.shared_at)),
-            _tenths(since(support.turned_at)),
+            _tenths(age(record, record["last_identified_s"])),
+            _tenths(age(record, support.turned)),
             support.turns["shut"] & 0xFFFF,
+            _GROUNDS[record["ground"]],
+            _tenths(age(record, record["ground_since_s"])),
+            _tenths(age(record, record["last_sound_s"])),
         ]
         values += of_support + [0] * (WIDTH - len(of_support))
     return values
 
 
-def _share(value: float) -> int:
-    return _NOT_KNOWN if math.isnan(value) else round(value * 10_000)
+def _share(value: float | None) -> int:
+    return _NOT_KNOWN if value is None else round(value * 10_000)
 
 
 def _tenths(seconds: float) -> int:
-    return _NOT_KNOWN if seconds * 10 >= _NOT_KNOWN else max(int(seconds * 10), 0)
+    return max(int(seconds * 10), 0) if seconds * 10 < _NOT_KNOWN else _NOT_KNOWN  # so is nan
 
 
 def _words(count: int) -> tuple[int, int]:

@@ -1,4 +1,4 @@
-"""MQTT: every line as a message, the state of each support retained, "offline" as last will."""
+"""MQTT: every line as a message, the record of each support retained, "offline" as last will."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from typing import Any, NamedTuple
 from urllib.parse import quote, unquote, urlsplit
 
 from cgid.errors import BadData, InvalidValue, NoInput
-from cgid.plant.output import FIRST_PAUSE, MAX_PAUSE, Output, library
-from cgid.plant.state import PlantState
+from cgid.plant.output import FIRST_PAUSE, MAX_PAUSE, Output, library, since
+from cgid.plant.state import RECORDS, PlantState, Record, stamped
 
 #: Maximum number of messages that the broker has not acknowledged.
 _MAX_IN_FLIGHT = 200
@@ -23,6 +23,9 @@ _MAX_IN_FLIGHT = 200
 _TIMEOUT, _KEEPALIVE = 10.0, 15
 #: Time for pending messages at the end [s].
 _GRACE = 2.0
+#: The retained records are written anew after this time [s], so that a reader sees how old they are.
+_EVERY = 5.0
+_HANGS = "the broker does not answer; predictions continue, messages are queued"
 _PORTS = {"mqtt": 1883, "mqtts": 8883}
 _LOOPBACK = re.compile(r"localhost|127\.|::1$")
 
@@ -61,7 +64,7 @@ class Broker(NamedTuple):
 
 
 class Mqtt(Output):
-    """Messages below one topic: KIND/CHANNEL for each line, state/CHANNEL and status retained."""
+    """Messages below one topic: KIND/CHANNEL for each line; state/CHANNEL, status and wall_time retained."""
 
     # Messages need an acknowledgement (QoS 1) and may arrive twice; their field `message` counts them.
 
@@ -75,6 +78,8 @@ class Mqtt(Output):
         self._pending: dict[int, bool] = {}
         self._early: set[int] = set()
         self._disconnected_at = time.monotonic()
+        self._written_at: float | None = None  # when the records were written
+        self._was_stopped = False
         self._client = client = paho.Client(paho.CallbackAPIVersion.VERSION2)
         client.reconnect_delay_set(FIRST_PAUSE, MAX_PAUSE)
         client.max_inflight_messages_set(2 * _MAX_IN_FLIGHT)
@@ -98,19 +103,26 @@ class Mqtt(Output):
             self.report("the password travels unencrypted; use mqtts://")
 
     def put(self, record: dict[str, Any]) -> None:
-        """Queue a message with its number."""
-        self._number += 1
-        super().put(record | {"message": self._number})
+        """Queue a message with its number; a line that is a record alone becomes the retained message."""
+        if record["kind"] != "state":
+            self._number += 1
+            record = record | {"message": self._number}
+        super().put(record)
 
     def run(self) -> None:
         """Connect and publish pending messages; at the end publish the others and "offline"."""
         self._client.connect_async(self._broker.host, self._broker.port, _KEEPALIVE)
         self._client.loop_start()
         while not self._ending:
-            if (record := self._next(self._is_ready)) is not None:
+            # All records are written by this thread, so that none follows a newer one.
+            if self._is_ready() and (
+                since(self._written_at) >= _EVERY or self._was_stopped != bool(self._plant.stopped)
+            ):
+                self._publish_records()
+            elif (record := self._next(self._is_ready)) is not None:
                 self._publish_line(record)
-            elif not self.up and time.monotonic() - self._disconnected_at > _TIMEOUT and not self._last_message:
-                self.report("the broker does not answer; predictions continue, messages are queued")
+            elif not self.up and since(self._disconnected_at) > _TIMEOUT and self._last_message in ("", _HANGS):
+                self.report(_HANGS)
         self._end()
 
     def _is_ready(self) -> bool:
@@ -128,6 +140,7 @@ class Mqtt(Output):
             if self._is_ready():
                 self._publish_line(self._waiting.popleft())
         if self.up:
+            self._publish_records()
             self._publish(self._topic("status"), "offline", retain=True)
             with self._changed:
                 self._changed.wait_for(lambda: not self.up or not self._on_the_way, until - time.monotonic())
@@ -137,16 +150,23 @@ class Mqtt(Output):
         self._client.loop_stop()
 
     def _publish_line(self, record: dict[str, Any]) -> None:
-        """Publish one line and the resulting state."""
+        """Publish one line and the resulting record."""
         channel = record.get("channel")
         kind = record["kind"]
-        self._publish(self._topic(kind, channel), json.dumps(record), ours=True)
-        if kind in ("share", "shut", "open") and channel is not None:
-            self._publish_state(channel)
+        if kind != "state":
+            self._publish(self._topic(kind, channel), json.dumps(record), ours=True)
+        if kind in RECORDS:
+            self._publish_record(self._plant.record(record["channel"]))
 
-    def _publish_state(self, channel: str) -> None:
-        content = self._plant.read(lambda supports: supports[channel].content())
-        self._publish(self._topic("state", channel), json.dumps({"channel": channel, **content}), retain=True)
+    def _publish_records(self) -> None:
+        """Publish the records of all channels, and the time of day."""
+        self._written_at, self._was_stopped = time.monotonic(), bool(self._plant.stopped)
+        for record in self._plant.records():
+            self._publish_record(record)
+        self._publish(self._topic("wall_time"), stamped({})["wall_time"], retain=True)
+
+    def _publish_record(self, record: Record) -> None:
+        self._publish(self._topic("state", record["channel"]), json.dumps(stamped(record)), retain=True)
 
     def _publish(self, topic: str, payload: str, *, retain: bool = False, ours: bool = False) -> None:
         # paho acknowledges under a lock that `publish` also takes: do not call it while holding ours.
@@ -169,10 +189,8 @@ class Mqtt(Output):
             self.report(f"the broker refuses ({reason}); predictions continue, messages are queued")
             return
         self._publish(self._topic("status"), "online", retain=True)
-        for channel in self._plant.read(list):
-            self._publish_state(channel)
         with self._changed:
-            self.up = True
+            self.up, self._written_at = True, None
             self._changed.notify_all()
         if self._last_message:
             self.report(f"connected; {self.dropped} messages were dropped so far")

@@ -13,6 +13,7 @@ from threading import Condition, Lock, Thread
 from typing import Any, NamedTuple
 
 from cgid.errors import CannotCreate, InvalidValue, optional
+from cgid.terminal import counted
 
 #: Maximum number of messages that wait for an output: a quarter of an hour at ten a second.
 MAX_WAITING = 10_000
@@ -21,6 +22,10 @@ FIRST_PAUSE, MAX_PAUSE = 1, 30
 #: Maximum number of clients of a server; after one was disconnected, the next is accepted after this time [s], so that
 #: predictions keep the processor.
 MAX_CLIENTS, _PAUSE_AFTER_EVICTION = 10, 0.01
+#: An equal line about an output is repeated after this time [s].
+_REPEAT = 3600.0
+#: Displaced clients are reported after this time, doubling up to `_REPEAT` [s], so that they cannot flood stderr.
+_FIRST_COUNT = 10.0
 
 
 class Service:
@@ -31,7 +36,7 @@ class Service:
         self._changed = Condition()
         self._ending = False
         self._thread = Thread(target=self._guarded, name=name, daemon=True)
-        self._last_message = ""
+        self._last_message, self._reported_at = "", 0.0
 
     def run(self) -> None:
         """Work until `_ending`."""
@@ -53,9 +58,9 @@ class Service:
             self._thread.join(grace)
 
     def report(self, text: str) -> None:
-        """Print a line about this output, unless it is the same as the last one."""
-        if text != self._last_message:
-            self._last_message = text
+        """Print a line about this output, unless it is the same as the last one within an hour."""
+        if text != self._last_message or since(self._reported_at) > _REPEAT:
+            self._last_message, self._reported_at = text, time.monotonic()
             with suppress(OSError, ValueError):  # stderr is gone
                 self._warn(f"{self.name}: {text}")
 
@@ -86,10 +91,10 @@ class Output(Service):
             self._waiting.append(record)
             self._changed.notify_all()
 
-    def status(self) -> dict[str, Any]:
-        """Return the name, whether it is up, and the counts."""
+    def statuses(self) -> list[dict[str, Any]]:
+        """Return the name, whether it is up, and the counts of each receiver."""
         counts = {"passed": self.passed, "dropped": self.dropped, "waiting": len(self._waiting)}
-        return {"name": self.name, "up": self.up, **counts}
+        return [{"name": self.name, "up": self.up, **counts}]
 
     def _next(self, ready: Callable[[], bool] = lambda: True, timeout: float = 0.5) -> dict[str, Any] | None:
         """Return the next message once the output is ready; None after a while or at the end."""
@@ -158,7 +163,7 @@ class Server(Service):
         warn: Callable[[str], None],
     ) -> None:
         super().__init__(f"{option.removeprefix('--')} {address}", warn)
-        self._listener = _Listener(address.bound(option), handler, timeout)
+        self._listener = _Listener(address.bound(option), handler, timeout, self.report)
 
     def run(self) -> None:
         """Serve until stopped."""
@@ -176,10 +181,16 @@ class _Listener(socketserver.ThreadingTCPServer):
     """Accepts the clients of a `Server`, and disconnects them."""
 
     def __init__(
-        self, listening: socket.socket, handler: Callable[..., socketserver.BaseRequestHandler], timeout: float
+        self,
+        listening: socket.socket,
+        handler: Callable[..., socketserver.BaseRequestHandler],
+        timeout: float,
+        report: Callable[[str], None],
     ) -> None:
         socketserver.BaseServer.__init__(self, listening.getsockname(), handler)
-        self.socket, self._timeout = listening, timeout
+        self.socket, self._timeout, self._report = listening, timeout, report
+        self._displaced = self._reported = 0
+        self._report_at, self._pause = 0.0, _FIRST_COUNT
         self._clients: dict[socket.socket, tuple[Thread, float]] = {}  # with the time of the last complete request
         self._lock = Lock()
 
@@ -204,6 +215,7 @@ class _Listener(socketserver.ThreadingTCPServer):
             before = None if oldest is None else self._clients[oldest][0]
         if oldest is not None and before is not None:
             _disconnect(oldest)
+            self._displaced += 1
             before.join(1.0)
             time.sleep(_PAUSE_AFTER_EVICTION)
         thread = Thread(target=self.process_request_thread, args=(request, client_address), daemon=True)
@@ -212,6 +224,7 @@ class _Listener(socketserver.ThreadingTCPServer):
             if not refused:
                 self._clients[request] = thread, time.monotonic()
         if refused:
+            self._displaced += 1
             self.shutdown_request(request)
         else:
             thread.start()
@@ -220,7 +233,15 @@ class _Listener(socketserver.ThreadingTCPServer):
         return len(self._clients) >= MAX_CLIENTS
 
     def service_actions(self) -> None:
-        """Disconnect clients that complete no request; called five times a second."""
+        """Disconnect clients that complete no request, and report displaced ones; called five times a second."""
+        if self._displaced > self._reported and since(self._report_at) >= 0:
+            self._reported = self._displaced
+            self._report_at, self._pause = time.monotonic() + self._pause, min(2 * self._pause, _REPEAT)
+            clients = counted(self._reported, "client")
+            self._report(
+                f"{clients} disconnected since the start, each for a newer one: at most {MAX_CLIENTS} at a time; let "
+                "some disconnect after each request, or stop those that are not needed"
+            )
         with self._lock:
             late = [one for one, (_, at) in self._clients.items() if time.monotonic() - at > self._timeout]
         for one in late:

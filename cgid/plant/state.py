@@ -1,4 +1,4 @@
-"""The current state of each support, for outputs that are polled (Modbus, Prometheus, the page)."""
+"""The record of each support at this moment, for every output: MQTT, Modbus, Prometheus, commands and the page."""
 
 from __future__ import annotations
 
@@ -7,20 +7,22 @@ import time
 from collections import Counter, deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from datetime import UTC, datetime
 from threading import Lock
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from cgid.identification.share import Share
+from cgid.identification.support import Decision, Ground, SupportState
 from cgid.plant.output import since
 
 if TYPE_CHECKING:
     from cgid.plant.output import Output
 
-#: States of a support; unknown before its first gangue fraction.
-NOTHING, OPEN, SHUT = 0, 1, 2
-STATES = ("unknown", "open", "shut")
+#: Lines that contain the record of a support.
+RECORDS = ("share", "state", "shut", "open")
 #: Numbers of gangue fractions and predictions on the page.
 _SHARES, _ANSWERS = 300, 200
 #: Length of waveforms [s], width of their bins [s], and maximum number of channels with waveforms.
@@ -28,46 +30,58 @@ SHOWN_TIME, BIN_TIME, MAX_WAVEFORMS = 5.0, 0.005, 16
 #: The largest sample of a waveform is this integer.
 _PIXELS = 10_000
 
+Result = TypeVar("Result")
+#: The record of a support for JSON: `SupportState.content()` and `time_s`.
+Record = dict[str, Any]
+
 
 @dataclass
 class Support:
-    """The last gangue fraction and decision of one support; `impacts` and `unknown` are those of its window."""
+    """The last record of one support, and its history."""
 
-    state: int = NOTHING
-    share: float = math.nan
-    low: float = math.nan
-    high: float = math.nan
-    impacts: int = 0
-    unknown: int = 0
-    shared_at: float | None = None
-    turned_at: float | None = None
+    record: Record
     labels: Counter[str] = field(default_factory=Counter)
     turns: Counter[str] = field(default_factory=Counter)
     shares: deque[list[float | None]] = field(default_factory=lambda: deque(maxlen=_SHARES))
     marks: deque[list[Any]] = field(default_factory=lambda: deque(maxlen=_SHARES))
     answers: deque[list[Any]] = field(default_factory=lambda: deque(maxlen=_ANSWERS))
 
-    def take(self, kind: str, record: dict[str, Any]) -> None:
-        """Update from a prediction, a gangue fraction or a switch."""
-        if kind in ("impact", "window"):
+    @classmethod
+    def of(cls, channel: str) -> Support:
+        """Return a support of which nothing is known."""
+        nothing = Share(time=0.0, start=0.0, share=math.nan, low=0.0, high=1.0, n_impacts=0, channel=channel)
+        content = SupportState(time=0.0, share=nothing).content()
+        unknown = {name: None for name, value in content.items() if isinstance(value, float) and math.isnan(value)}
+        return cls({"time_s": 0.0, **content, **unknown})
+
+    def take(self, record: dict[str, Any]) -> None:
+        """Update from a prediction or a line with the record."""
+        kind = record["kind"]
+        if kind not in RECORDS:
             self.labels[record["label"]] += 1
             self.answers.append([record["time_s"], record["label"]])
             return
-        self.share, self.low, self.high = (_number(record[name]) for name in ("gangue_share", "low", "high"))
+        self.record = {name: record[name] for name in self.record}
         if kind == "share":
-            self.impacts, self.unknown, self.shared_at = record["impacts"], record["unknown"], time.monotonic()
-            self.state = self.state or (OPEN if self.impacts else NOTHING)
             self.shares.append([record["to_s"], record["gangue_share"], record["low"], record["high"]])
-        else:
-            self.state, self.turned_at = (SHUT if kind == "shut" else OPEN), time.monotonic()
+        elif kind != "state":
             self.turns[kind] += 1
             self.marks.append([record["time_s"], kind])
 
-    def content(self) -> dict[str, Any]:
-        """Return the state in words, the gangue fraction and the counts, for JSON."""
-        share = {"gangue_share": self.share, "low": self.low, "high": self.high}
-        fields = {name: None if math.isnan(value) else value for name, value in share.items()}
-        return {"state": STATES[self.state], **fields, "impacts": self.impacts, "unknown": self.unknown}
+    @property
+    def turned(self) -> float | None:
+        """Time of the last SHUT or OPEN in the stream [s]; None before the first."""
+        return self.marks[-1][0] if self.marks else None
+
+
+def age(record: Record, moment: float | None) -> float:
+    """Return the time from a moment of the stream to that of the record [s]; nan if the moment is not known."""
+    return math.nan if moment is None else max(record["time_s"] - moment, 0.0)
+
+
+def stamped(record: Record) -> Record:
+    """Return a record with the time of day of its writing."""
+    return record | {"wall_time": datetime.now(UTC).isoformat(timespec="milliseconds")}
 
 
 class PlantState:
@@ -81,8 +95,9 @@ class PlantState:
         self.ended = False
         self.outputs: list[Output] = []
         self.waveform: Waveform | None = None
-        self._beaten_at: float | None = None
+        self._beaten_at = self._begun_at = time.monotonic()
         self._behind: Callable[[], float] = lambda: 0.0
+        self._blind_after, self._delay = math.inf, 0.0
         self._lock = Lock()
 
     def begin(
@@ -93,26 +108,30 @@ class PlantState:
         unit: str,
         threshold: float | None,
         behind: Callable[[], float],
+        blind_after: float,
     ) -> None:
-        """Set the monitored channels."""
+        """Set the monitored channels; a stream without a block for `blind_after` [s] has stopped."""
         with self._lock:
             self.source, self.unit, self.rows, self.threshold = source, unit, tuple(rows), threshold
-            self._behind = behind
-            self.supports = {name: Support() for name in channels}
+            self._behind, self._blind_after = behind, blind_after
+            self._beaten_at = time.monotonic()
+            self.supports = {name: Support.of(name) for name in channels}
 
     def beat(self, duration: float) -> None:
         """Record a block of this duration [s]."""
         with self._lock:
             self.beats += 1
             self.time += duration
-            self._beaten_at = time.monotonic()
+            self._beaten_at, self._delay = time.monotonic(), self._behind()
 
     def take(self, record: dict[str, Any]) -> None:
         """Update from one line of JSON."""
-        kind = record["kind"]
-        if kind in ("impact", "window", "share", "shut", "open"):
+        if record["kind"] in ("impact", "window", *RECORDS):
+            channel = record["channel"]
             with self._lock:
-                self.supports.setdefault(record["channel"], Support()).take(kind, record)
+                if channel not in self.supports:
+                    self.supports[channel] = Support.of(channel)
+                self.supports[channel].take(record)
 
     @property
     def behind(self) -> float:
@@ -122,29 +141,61 @@ class PlantState:
     @property
     def age(self) -> float:
         """Time since the last block [s]; infinite before the first."""
-        return since(self._beaten_at)
+        return since(self._beaten_at) if self.beats else math.inf
 
-    def read(self, use: Callable[[dict[str, Support]], Any]) -> Any:
-        """Return the result of a function of the supports, under the lock."""
+    @property
+    def stopped(self) -> str:
+        """Why the stream has stopped, in words; empty while blocks arrive."""
+        if self.ended:
+            return "the stream has ended"
+        waited = since(self._beaten_at)
+        return f"no samples for {waited:.0f} s" if waited > self._blind_after else ""
+
+    def read(self, use: Callable[[list[tuple[Support, Record]]], Result]) -> Result:
+        """Return the result of a function of each support and its record at this moment, under the lock."""
         with self._lock:
-            return use(self.supports)
+            return use([(support, self._now(support.record)) for support in self.supports.values()])
+
+    def records(self) -> list[Record]:
+        """Return the record of each support at this moment."""
+        with self._lock:
+            return [self._now(support.record) for support in self.supports.values()]
+
+    def record(self, channel: str) -> Record:
+        """Return the record of a support at this moment."""
+        with self._lock:
+            return self._now(self.supports[channel].record)
+
+    def _now(self, record: Record) -> Record:
+        """Return a record at this moment of the stream, by the clock: a decision never outlives its ground."""
+        # Without a new line, a channel that is not blind was so for less than `blind_after`.
+        sound, floor = record["last_sound_s"], self.time - self._blind_after
+        if floor > 0 and record["ground"] not in (Ground.BLIND, Ground.STOPPED):
+            sound = floor if sound is None else max(sound, floor)
+        now = max(self.time + self._delay + since(self._beaten_at), record["time_s"])
+        record = record | {"time_s": now, "last_sound_s": sound}
+        if stopped := self.stopped:
+            record |= {"ground": str(Ground.STOPPED), "ground_since_s": self.time, "reason": stopped}
+        if record["ground"] != Ground.SEEN:
+            record["decision"] = str(Decision.NONE)
+        return record
 
     def page(self) -> dict[str, Any]:
-        """Return the content of the page, for JSON."""
+        """Return the content of the page, for JSON; `written` is the time of day [s since 1970]."""
         supports = self.read(
             lambda all_: [
                 {
-                    "name": name,
-                    **one.content(),
+                    **record,
                     "labels": dict(one.labels),
                     "turns": list(one.marks),
                     "shares": list(one.shares),
                     "answers": list(one.answers),
                 }
-                for name, one in all_.items()
+                for one, record in all_
             ]
         )
         return {
+            "written": time.time(),
             "source": self.source,
             "unit": self.unit,
             "threshold": self.threshold,
@@ -154,7 +205,7 @@ class PlantState:
             "behind": self.behind,
             "ended": self.ended,
             "supports": supports,
-            "outlets": [output.status() for output in self.outputs],
+            "outlets": [status for output in self.outputs for status in output.statuses()],
             "waveform": None if self.waveform is None else self.waveform.content(self.rows),
         }
 
@@ -198,7 +249,3 @@ class Waveform:
             for row, name in enumerate(rows[: len(low)])
         ]
         return {"start": bins[0][0] * BIN_TIME, "step": BIN_TIME, "channels": channels}
-
-
-def _number(value: float | None) -> float:
-    return math.nan if value is None else value

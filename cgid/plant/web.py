@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import re
 from collections.abc import Callable, Iterator
 from contextlib import suppress
@@ -14,8 +15,9 @@ from typing import Any
 
 from cgid.errors import CannotCreate
 from cgid.files import write_whole
+from cgid.identification.support import Decision, Ground
 from cgid.plant.output import Address, Server, Service, library
-from cgid.plant.state import SHUT, PlantState
+from cgid.plant.state import PlantState, Record, Support, age
 
 #: Response of a path: a function that returns the bytes, and their type.
 Routes = dict[str, tuple[Callable[[], bytes], str]]
@@ -59,6 +61,7 @@ class WebServer(Server):
     def __init__(self, option: str, address: Address, routes: Routes, warn: Callable[[str], None]) -> None:
         class Handler(BaseHTTPRequestHandler):
             server_version, sys_version = "cgid", ""
+            default_request_version = "HTTP/1.0"  # an answer to HTTP/0.9, or to nonsense, would have no headers
 
             def _answer(self) -> None:
                 """Answer one request."""
@@ -72,12 +75,16 @@ class WebServer(Server):
                 self.send_response(status)
                 self.send_header("Content-Type", kind or "text/plain")
                 self.send_header("Content-Length", str(len(content)))
-                self.send_header("Content-Security-Policy", _POLICY)
-                self.send_header("X-Content-Type-Options", "nosniff")
-                self.send_header("Cache-Control", "no-store")
                 self.end_headers()
                 if self.command == "GET":
                     self.wfile.write(content)
+
+            def end_headers(self) -> None:
+                """Add the headers of every answer, also of errors that `http.server` finds."""
+                self.send_header("Content-Security-Policy", _POLICY)
+                self.send_header("X-Content-Type-Options", "nosniff")
+                self.send_header("Cache-Control", "no-store")
+                super().end_headers()
 
             do_GET = do_HEAD = _answer  # noqa: N815 - names that http.server looks for
 
@@ -158,7 +165,7 @@ def metrics_of(plant: PlantState) -> Callable[[], bytes]:
             yield gauge("cgid_last_block_age_seconds", "Time since the last block of the stream", value=plant.age)
             yield gauge("cgid_behind_seconds", "Delay of the predictions after the stream", value=plant.behind)
             yield counter("cgid_blocks", "Blocks of the stream that were taken", value=plant.beats)
-            states = [output.status() for output in plant.outputs]
+            states = [status for output in plant.outputs for status in output.statuses()]
             for name, text, family in (
                 ("up", "Whether the receiver of an output is there", gauge),
                 ("passed", "Messages that an output has delivered", counter),
@@ -174,26 +181,44 @@ def metrics_of(plant: PlantState) -> Callable[[], bytes]:
     return lambda: bytes(client.generate_latest(registry))
 
 
-def _families(supports: dict[str, Any], gauge: Any, counter: Any) -> Iterator[Any]:
+def _families(supports: list[tuple[Support, Record]], gauge: Any, counter: Any) -> Iterator[Any]:
     """Yield the metrics of the supports."""
+    shut = {Decision.SHUT: 1.0, Decision.DRAW: 0.0}
     for name, text, value in (
-        ("gangue_share", "Gangue fraction in the window", lambda one: one.share),
-        ("gangue_share_low", "Lower end of its interval of 95 %", lambda one: one.low),
-        ("gangue_share_high", "Upper end of its interval of 95 %", lambda one: one.high),
-        ("shut", "1 if the window should be shut", lambda one: float(one.state == SHUT)),
-        ("window_impacts", "Identified impacts in the window", lambda one: one.impacts),
-        ("window_unknown", "Unknown impacts in the window", lambda one: one.unknown),
+        ("gangue_share", "Gangue fraction in the window", lambda one: one["gangue_share"]),
+        ("gangue_share_low", "Lower end of its interval of 95 %", lambda one: one["low"]),
+        ("gangue_share_high", "Upper end of its interval of 95 %", lambda one: one["high"]),
+        ("shut", "1 to shut the window, 0 to draw, NaN without a decision", lambda one: shut.get(one["decision"])),
+        ("window_impacts", "Identified impacts in the window", lambda one: one["impacts"]),
+        ("window_unknown", "Unknown impacts in the window", lambda one: one["unknown"]),
+        ("ground_age_seconds", "Time since the ground began", lambda one: age(one, one["ground_since_s"])),
+        ("last_sound_age_seconds", "Time since the last sound sample", lambda one: age(one, one["last_sound_s"])),
+        (
+            "last_identified_age_seconds",
+            "Time since the last identified impact",
+            lambda one: age(one, one["last_identified_s"]),
+        ),
     ):
         metric = gauge(f"cgid_{name}", text, labels=["channel"])
-        for channel, one in supports.items():
-            metric.add_metric([channel], value(one))
+        for _, record in supports:
+            number = value(record)
+            metric.add_metric([record["channel"]], math.nan if number is None else number)
+        yield metric
+    for name, text, kinds in (
+        ("decision", "1 for the present decision", Decision),
+        ("ground", "1 for what the decision rests on at present", Ground),
+    ):
+        metric = gauge(f"cgid_{name}", text, labels=["channel", name])
+        for _, record in supports:
+            for kind in kinds:
+                metric.add_metric([record["channel"], str(kind)], float(record[name] == kind))
         yield metric
     for name, text, label, counts in (
         ("answers", "Predictions since the start", "label", "labels"),
         ("turns", "Switches of the decision since the start", "turn", "turns"),
     ):
         metric = counter(f"cgid_{name}", text, labels=["channel", label])
-        for channel, one in supports.items():
-            for key, count in getattr(one, counts).items():
-                metric.add_metric([channel, key], count)
+        for support, record in supports:
+            for key, count in getattr(support, counts).items():
+                metric.add_metric([record["channel"], key], count)
         yield metric
