@@ -712,7 +712,9 @@ def test_page_shows_a_decision_only_of_what_is_seen(decision: str, outputs) -> N
 
 def test_page_names_the_ground_its_reason_and_its_age(outputs) -> None:
     data = content(outputs, *(state(10.0, ground=ground, value=0.5, channel=ground) for ground in GROUNDS))
-    texts = page_functions(f"({data}).supports.map(one => groundText(one, 600))")
+    last = page_functions(f"({data}).supports.map(one => groundText(one, 600, true))")
+    assert all(text.startswith("last known: ") and "sample 10 min ago" in text for text in last)
+    texts = page_functions(f"({data}).supports.map(one => groundText(one, 600, false))")
     names = ("seen for", "BLIND for", "WRONG SCALE for", "MOSTLY UNKNOWN for", "STREAM STOPPED for")
     for text, name in zip(texts, names, strict=True):
         assert text.startswith(f"{name} 10 min")
