@@ -1,12 +1,16 @@
 """The plant outputs of monitor beside a real broker: messages a second, latency, and a broker that dies and comes back.
 
     python benchmarks/plant.py [--seconds 30]
+    python benchmarks/plant.py --commands
 
 Needs mosquitto, and the extra "plant". Everything runs on this machine, over the loopback. Prints Markdown.
 
 The stream is a force at 200 kHz with 50 impacts a second, written in real time. The broker is killed after a third and
 starts again after two thirds. Latency of an answer is the time from writing the last sample of its block to reading its
 row from stdout. The run with a short queue holds 200 messages instead of 10,000.
+
+With --commands, each of 5 and 64 supports shuts, opens after 5 s, and shuts again after 10 s, while its commands take
+3 s, or hang until they are ended after 30 s. The command itself writes when it starts; its lock shows two at once.
 """
 
 import argparse
@@ -28,7 +32,7 @@ from cgid.plant import PlantOutputs
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT))
 from tests.streams_of_pulses import RATE, stream  # noqa: E402
-from tests.test_plant import Mosquitto, free_port, impact, share  # noqa: E402
+from tests.test_plant import Mosquitto, free_port, impact, share, turn  # noqa: E402
 
 #: Samples are written in blocks of this time [s].
 BLOCK = 0.01
@@ -199,10 +203,53 @@ def outage(folder, seconds):
         broker.kill()
 
 
+def commands(folder, n_supports, run_time):
+    """Print which decisions of each support had a command, in which order, and how late each started."""
+    names = [str(number) for number in range(1, n_supports + 1)]
+    log = f"{folder}/$CGID_CHANNEL"
+    script = f"exec 9> {log}.lock; flock -n 9 || echo two at once >> {log}; "
+    script += f'date "+%s.%N $CGID_TURN $CGID_TIME" >> {log}; exec sleep {run_time}'
+    told, issued, begun = [], {}, time.time()
+    with PlantOutputs(on_shut=f"sh -c '{script}'", on_open=f"sh -c '{script}'", warn=told.append) as outputs:
+        plain = {"unit": "N", "threshold": 0.5, "behind": lambda: 0.0, "blind_after": 1e9}
+        outputs.begin(source="s", channels=names, rows=names, **plain)
+        for second, kind in ((0, "shut"), (5, "open"), (10, "shut")):
+            time.sleep(max(begun + second - time.time(), 0.0))
+            for name in names:
+                issued[name, second] = time.time()
+                outputs(turn(kind, float(second), channel=name))
+        while queue_of(outputs)._turns or queue_of(outputs)._running:
+            time.sleep(0.05)
+    orders, delays, overlaps = set(), {0: [], 5: [], 10: []}, 0
+    for name in names:
+        rows = [row.split() for row in (Path(folder) / name).read_text().splitlines()]
+        overlaps += sum(row[0] == "two" for row in rows)
+        starts = [(float(at), kind, round(float(second))) for at, kind, second in rows if at != "two"]
+        orders.add(", ".join(f"{kind.upper()} {second} s" for _, kind, second in starts))
+        for at, _, second in starts:
+            delays[second].append(at - issued[name, second])
+    late = " | ".join(f"{np.median(one):.2f}, {max(one):.2f}" if one else "-" for one in delays.values())
+    counts = " | ".join(str(sum(word in text for text in told)) for word in ("waits", "replaced", "was ended"))
+    print(f"| {n_supports} | {run_time} | {'; '.join(sorted(orders))} | {overlaps} | {late} | {counts} |", flush=True)
+
+
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seconds", type=float, default=30.0)
-    seconds = parser.parse_args().seconds
+    parser.add_argument("--commands", action="store_true")
+    given = parser.parse_args()
+    seconds = given.seconds
+    if given.commands:
+        print(
+            "| supports | command takes [s] | commands of each support, in order | two at once | SHUT at 0 s starts "
+            "later by, median, most [s] | OPEN at 5 s | SHUT at 10 s | lines: waits | replaced | ended |"
+        )
+        print("|---|---|---|---|---|---|---|---|---|---|")
+        for n_supports in (5, 64):
+            for run_time in (3, 60):
+                with tempfile.TemporaryDirectory() as folder:
+                    commands(folder, n_supports, run_time)
+        return
     with tempfile.TemporaryDirectory() as folder:
         broker = Mosquitto(Path(folder))
         print("| output | value |\n|---|---|")

@@ -175,6 +175,7 @@ RECORDING_CASES: tuple[tuple[str, tuple[str, ...], int, tuple[str, ...]], ...] =
     ),
     ("command of odd quotes", ("monitor", "half.raw", *_RAW, "--on-open", "a 'b"), 65, ("--on-open", "quotes")),
     ("command of nobody", ("monitor", "half.raw", *_RAW, "--on-open", "shut-it"), 65, ("'shut-it'", "full path")),
+    ("blind without eyes", ("monitor", "half.raw", *_RAW, "--on-blind", "call-x"), 65, ("--on-blind", "'call-x'")),
     ("clock of a table", ("monitor", "half.raw", *_RAW, "--clock"), 2, ("--clock", "--json")),
     ("no manifest", ("train", "none.csv", *_MODEL_FREE), 66, ("none.csv", "No such file")),
     ("manifest of nothing", ("train", "bare.csv", *_MODEL_FREE), 65, ("bare.csv", "there is none")),

@@ -757,7 +757,7 @@ def test_page_tells_the_end_and_what_is_no_ground_to_hide_a_decision(outputs) ->
     assert page_functions("[voidText(null, 1, null), alarmText(null, 1, null)]") == ["no connection to monitor"] * 2
     for more, alarm in (
         ({"age": None}, "no samples yet"),
-        ({"age": 4.2}, "no samples for 4 s"),
+        ({"age": 4.2}, "no samples taken for 4 s"),
         ({"behind": 1.5}, "1.5 s behind"),
     ):
         arguments = f"{content(outputs, **{'behind': 0.0} | more)}, {NOW}, 0.1"

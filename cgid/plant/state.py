@@ -149,7 +149,7 @@ class PlantState:
         if self.ended:
             return "the stream has ended"
         waited = since(self._beaten_at)
-        return f"no samples for {waited:.0f} s" if waited > self._blind_after else ""
+        return f"no samples were taken for {waited:.0f} s" if waited > self._blind_after else ""
 
     def read(self, use: Callable[[list[tuple[Support, Record]]], Result]) -> Result:
         """Return the result of a function of each support and its record at this moment, under the lock."""
