@@ -992,6 +992,27 @@ def test_table_is_the_same_with_outlets(raw, tmp_path, capsys) -> None:
     np.testing.assert_allclose(found, [samples.min(), samples.max()], atol=1e-3 * samples.max())
 
 
+def test_lost_sensor_is_seen_in_every_output(raw, tmp_path, capsys) -> None:
+    """The whole command: a channel that dies has no decision, and its command runs once."""
+    (tmp_path / "lost.raw").write_bytes(raw.read_bytes() + np.zeros(round(2 * RATE), "<f4").tobytes())
+    note = tmp_path / "note.py"
+    note.write_text("import os, sys; print(os.environ['CGID_GROUND'], sys.stdin.read(), file=open(sys.argv[1], 'a'))")
+    more = ["--blind-after", "0.5", "--live", str(tmp_path / "p.html")]
+    more += ["--on-blind", f'"{sys.executable}" "{note}" "{tmp_path / "log"}"']
+    assert run(["monitor", str(tmp_path / "lost.raw"), *RAW, *more, "--json"]) == 0
+    rows = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    lost = [row for row in rows if row.get("ground") == "blind"]
+    assert {row["decision"] for row in lost} == {"none"}
+    (line,) = wait_for(lambda: (tmp_path / "log").exists() and (tmp_path / "log").read_text().splitlines())
+    ground, _, record = line.partition(" ")
+    record = json.loads(record)
+    assert (ground, record["ground"], record["decision"]) == ("blind", "blind", "none")
+    assert record["reason"] == lost[0]["reason"] != ""
+    assert record["last_sound_s"] == lost[0]["last_sound_s"]
+    data = json.loads((tmp_path / "p.html").read_text().split("EMBEDDED = ")[1].split(";\n")[0])
+    assert [(one["decision"], one["ground"]) for one in data["supports"]] == [("none", "stopped")]
+
+
 @pytest.mark.long
 def test_killed_monitor_leaves_its_last_will(raw, broker) -> None:
     port = broker().port
