@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 import operator
 import sys
+import warnings
+from collections import Counter
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Any, Literal, TypeVar
@@ -211,6 +213,45 @@ def label(name: str, value: Any) -> str:
             f"{name} must not be {UNKNOWN!r}, the prediction of models for out-of-distribution impacts; rename it"
         )
     return str(value)
+
+
+def as_spelled(value: str, labels: Iterable[str]) -> str:
+    """Return the label that is `value` but for case and blanks, else `value`.
+
+    >>> as_spelled("Gangue ", ["coal", "gangue"]), as_spelled("steel", ["coal", "gangue"])
+    ('gangue', 'steel')
+    """
+    labels = tuple(labels)
+    alike = (label for label in labels if _without_case(label) == _without_case(value))
+    return value if value in labels else next(alike, value)
+
+
+def one_spelling(source: str, labels: Iterable[str]) -> dict[str, str]:
+    """Return the spelling to use of each label that has several, with a `UserWarning` of them.
+
+    Labels that differ only in case and blanks are one label, in its most frequent spelling, of equally frequent ones
+    the first.
+
+    >>> one_spelling("a.csv", ["coal", "gangue", "coal"])
+    {}
+    """
+    alike: dict[str, Counter[str]] = {}
+    for one, n in Counter(labels).items():
+        alike.setdefault(_without_case(one), Counter())[one] = n
+    used = {}
+    for spellings in alike.values():
+        if len(spellings) > 1:
+            spelling = " ".join(spellings.most_common(1)[0][0].split())
+            listed = ", ".join(f"{one!r} ({n})" for one, n in spellings.items())
+            warnings.warn(
+                f"{source}: labels {listed} differ only in case or blanks and are one label, {spelling!r}", stacklevel=3
+            )
+            used |= dict.fromkeys(spellings, spelling)
+    return used
+
+
+def _without_case(label: str) -> str:
+    return " ".join(label.split()).casefold()
 
 
 def count(name: str, value: Any) -> int:

@@ -320,7 +320,12 @@ def read_manifest(path: str | Path) -> Manifest:
     if mistakes:
         more = len(mistakes) - _MAX_MISTAKES
         raise BadData(*mistakes[:_MAX_MISTAKES], *[f"{path}: and {more} more mistakes"] * (more > 0))
-    return Manifest(source=str(path), annotations=tuple(annotations))
+    return Manifest(source=str(path), annotations=_in_one_spelling(str(path), annotations))
+
+
+def _in_one_spelling(source: str, annotations: Sequence[Annotation]) -> tuple[Annotation, ...]:
+    used = validation.one_spelling(source, [one.label for one in annotations if not one.reference])
+    return tuple(replace(one, label=used[one.label]) if one.label in used else one for one in annotations)
 
 
 Row = tuple[str, Mapping[str, Any]]
@@ -446,7 +451,7 @@ def folder_manifest(folder: str | Path) -> Manifest:
             annotations.append(annotation_of(row, folder, None))
         except InvalidValue as error:
             raise BadData(f"{folder}: {row['path']}: {error}") from None
-    return Manifest(source=str(folder), annotations=tuple(annotations))
+    return Manifest(source=str(folder), annotations=_in_one_spelling(str(folder), annotations))
 
 
 def row_of(file: Path, folder: Path) -> dict[str, str]:

@@ -306,7 +306,12 @@ class ShutDecision:
 
 def separates(gangue: Collection[str], model: Model) -> bool:
     """Return whether a model separates these labels from others."""
-    return 0 < len(set(gangue) & set(model.labels)) < len(model.labels)
+    return 0 < len(set(as_in(model, gangue)) & set(model.labels)) < len(model.labels)
+
+
+def as_in(model: Model, labels: Collection[str]) -> tuple[str, ...]:
+    """Return labels in any case as a model spells them."""
+    return tuple(validation.as_spelled(label, model.labels) for label in labels)
 
 
 #: The 97.5 % quantile of the normal distribution.

@@ -20,7 +20,7 @@ from cgid.identification.answers import Answer
 from cgid.identification.diagnosis import Change, Condition, Diagnosis
 from cgid.identification.model import Model
 from cgid.identification.prediction_settings import PredictionSettings
-from cgid.identification.share import Share, ShareWindow, ShutDecision, Switch, answers_of, separates
+from cgid.identification.share import Share, ShareWindow, ShutDecision, Switch, answers_of, as_in, separates
 from cgid.recordings.soundness import SensorWatch
 from cgid.validation import UNKNOWN
 
@@ -135,23 +135,24 @@ class CavingWatch:
         diagnosis: Diagnosis | None = None,
     ) -> None:
         shares = settings.shares
-        self._gangue, self._step, self._blind_after = shares.gangue, shares.step, settings.blinded_after
+        gangue = as_in(model, shares.gangue)
+        self._gangue, self._step, self._blind_after = gangue, shares.step, settings.blinded_after
         self.diagnosis = Diagnosis(model, live=True) if diagnosis is None else diagnosis
         #: Fraction above which continuing costs more than shutting; None for a model without gangue or another label.
         self.threshold: float | None = None
         rules: list[ShutDecision | None] = [None] * len(supports)
         if settings.needs_shares:
-            for label in shares.gangue:
+            for label in gangue:
                 validation.choice("gangue label", label, model.labels)
-        if separates(shares.gangue, model):
+        if separates(gangue, model):
             self.threshold = 1 / (1 + shares.dilution_cost)
             rules = [ShutDecision(shares.dilution_cost, shares.evidence, shares.hold) for _ in supports]
         elif settings.needs_shares:
             raise InvalidValue(
                 "at least one label must remain besides gangue, got all of the model's: "
-                f"{', '.join(shares.gangue)}; leave one out"
+                f"{', '.join(gangue)}; leave one out"
             )
-        answers = answers_of(model, shares.gangue)
+        answers = answers_of(model, gangue)
         self._sensors, self._channels = sensors, list(supports if channels is None else channels)
         self._supports = {
             name: _Support(

@@ -201,6 +201,9 @@ def train(
         rows, names, limiting = _measured(data, features, guards, tuple(known), beam, progress, workers)
     if rows.slicing is not None and len(set(rows.digests)) == 1 and len(rows.groups) == 1:
         rows = in_blocks_of_time(rows)
+    rows = _in_one_spelling(rows)
+    if synthetic is not None:
+        synthetic = _in_one_spelling(synthetic, tuple(np.unique(rows.labels).tolist()))
     rows = _shuffled(rows, seed) if shuffle_labels else rows
     _require_labels(rows, class_weights)
     record: dict[str, Any] = {
@@ -244,6 +247,14 @@ def _measured(
     with threadpool_limits(1):
         rows = measure(batches, names + guards, progress, known=known, beam=beam, workers=workers)
     return rows, names, guards
+
+
+def _in_one_spelling(rows: Rows, labels: Sequence[str] = ()) -> Rows:
+    """Return the rows with one spelling of labels that differ only in case or blanks: that of `labels`, if any."""
+    used = validation.one_spelling("data", rows.labels.tolist())
+    found, number = np.unique(rows.labels, return_inverse=True)
+    spelled = [validation.as_spelled(used.get(label, label), labels) for label in found.tolist()]
+    return replace(rows, labels=np.array(spelled, np.str_)[number])
 
 
 def _shuffled(rows: Rows, seed: int) -> Rows:
