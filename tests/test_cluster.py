@@ -99,7 +99,7 @@ def test_groups_are_judged_alike_whoever_leaves_them_out(address: str) -> None:
 
     def learned(crew: Workers) -> list[Any]:
         judged, choice = cross_validate(training_set, workers=crew), choose_candidate(training_set, crew)
-        limit = final(training_set, choice, crew).neighbourhood_.limit
+        limit = final(training_set, choice, crew)[0].neighbourhood_.limit
         return [judged.probabilities.tolist(), judged.chosen, choice, limit]
 
     with workers(scheduler=address) as far:

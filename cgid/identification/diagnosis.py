@@ -45,7 +45,7 @@ _ANOTHER_BEAM = 0.95
 #: unexplained [%], beyond so many standard deviations of a median, and so many times that of the training.
 _LATEST, CHANGED, _N_SIGMA, _OVER_TRAINING = (30, 100, 300), 0.5, 4.0, 3.0
 #: Impacts from which on their levels are compared with those of the training, and the latest levels kept of a channel.
-_MIN_LEVELS, _MAX_LEVELS = 10, 10_000
+MIN_LEVELS, _MAX_LEVELS = 10, 10_000
 #: A live stream is tested at these numbers of levels, and then whenever so many more have come, by so many latest ones.
 #: Such tests go on for days, so the chance that one of them errs must be this many times smaller, in variances.
 _TESTS, _EVERY, _LATEST_LEVELS, _ENDLESS = (10, 30, 90, 270, 810), 5, (20, 200), 3.0
@@ -518,17 +518,29 @@ def _factor_of(levels: Sequence[float], model: Model, looks: float = 1.0) -> flo
 
     `looks` multiplies the variance that chance may have, where many tests are made.
     """
-    n, deviation = len(levels), model.level_deviation
-    if n < _MIN_LEVELS or not deviation:
+    n, known, deviation = len(levels), model.level_range, model.level_deviation
+    if n < MIN_LEVELS:
         return 1.0
-    scaled = np.array(levels) / deviation
-    middle = np.median(scaled)
-    scaled = np.clip(scaled, middle - _CLIPPED, middle + _CLIPPED)
-    excess = float(scaled.mean() + scaled.std()) - _UPPER
+    if known:  # of a model of labelled recordings
+        end = upper_end(np.array(levels), known["deviation"])
+        excess = max(end - known["high"], 0.0) + min(end - known["low"], 0.0)
+        likely = float(np.exp(end - (known["low"] + known["high"]) / 2))
+        return likely if abs(excess) > np.sqrt(known["between"] + looks * known["within"] / n) else 1.0
+    # Of vibrations and windows that earlier versions labelled, it is not known by how much recordings differ.
+    if not deviation or ("recorded" in model.training and model.kind != "pulse"):
+        return 1.0
+    excess = upper_end(np.array(levels), deviation) / deviation - _UPPER
     chance, spread = _SPREAD[model.beam is not None][0 if excess > 0 else 1]
     # Includes the uncertainty of the training for few impacts.
     limit = np.sqrt(looks * chance / n + chance / model.training.get("n_train", np.inf) + spread)
     return float(np.exp(excess * deviation)) if abs(excess) > limit else 1.0
+
+
+def upper_end(levels: Floats, deviation: float) -> float:
+    """Return the upper end of levels, mean and standard deviation together, without stray ones."""
+    middle = np.median(levels)
+    clipped = np.clip(levels, middle - _CLIPPED * deviation, middle + _CLIPPED * deviation)
+    return float(clipped.mean() + clipped.std())
 
 
 def scale_warning(factor: float, model: Model) -> str:

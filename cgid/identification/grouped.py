@@ -15,6 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import stats
 from scipy.optimize import minimize_scalar
 from sklearn.model_selection import StratifiedGroupKFold
 from threadpoolctl import threadpool_limits
@@ -28,10 +29,11 @@ from cgid.identification.classifier import (
     noise_contrast,
     row_weights,
 )
+from cgid.identification.diagnosis import MIN_LEVELS, upper_end
 from cgid.identification.events import EVENT_TIME
 from cgid.identification.families import Contrast, Neighbourhood, softmax
 from cgid.identification.metrics import paired_difference
-from cgid.identification.model import MIN_GROUPS
+from cgid.identification.model import MIN_GROUPS, inputs_of, level_weights
 from cgid.identification.rows import Rows, Sets, adapted, linear_columns
 from cgid.identification.windows import CLEAR, VOTE_TIME, RunningVote, independent_windows
 from cgid.validation import Floats
@@ -42,7 +44,7 @@ MAX_FOLDS = 20
 #: Minimum number of blocks of time of a single recording; more, up to `MAX_FOLDS`, if a label is in too few of them.
 MIN_BLOCKS = 8
 #: Impacts on two channels within this time are one impact [s].
-_SAME_IMPACT = 10e-3
+SAME_IMPACT = 10e-3
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -113,7 +115,7 @@ def require_groups(labels: NDArray[np.str_], group: NDArray[np.integer]) -> None
 def in_blocks_of_time(rows: Rows) -> Rows:
     """Return the rows of a single recording with successive blocks of time as groups, without rows in two blocks."""
     assert rows.slicing is not None
-    before, after = (0.0, rows.slicing.window_time) if rows.slicing.by == "window" else (_SAME_IMPACT, EVENT_TIME)
+    before, after = (0.0, rows.slicing.window_time) if rows.slicing.by == "window" else (SAME_IMPACT, EVENT_TIME)
     time = np.unique(rows.time)
     for min_groups, n_blocks in product((3, 2), range(MIN_BLOCKS, MAX_FOLDS + 1)):
         last = np.arange(1, n_blocks) * len(time) // n_blocks
@@ -256,16 +258,80 @@ def cross_validate(
     return CrossValidation(probabilities[rows.is_recorded], tuple(selected))
 
 
-def final(training_set: TrainingSet, selection: Selection, workers: Workers = SERIAL) -> ImpactClassifier:
-    """Return the chosen candidate trained on all rows; its novelty limit comes from held-out groups."""
+def final(
+    training_set: TrainingSet, selection: Selection, workers: Workers = SERIAL
+) -> tuple[ImpactClassifier, Floats]:
+    """Return the chosen candidate trained on all rows, and the levels (n_rows,) of rows in held-out groups, else nan.
+
+    The novelty limit comes from held-out groups, too.
+    """
     only = replace(training_set, candidates=(training_set.candidates[selection.best],))
     folds = list(leave_groups_out(training_set.rows.labels, training_set.rows.group, training_set.seed))
-    distances = list(workers.each(_distances, only, folds))
+    distances, levels = [], np.full(len(training_set.rows.labels), np.nan)
+    for fold, (distance, level) in zip(folds, workers.each(_held_out, only, folds), strict=True):
+        distances.append(distance)
+        levels[fold] = level
     classifier = _fitted(training_set, training_set.candidates[selection.best], rejects=True)
     limit = float(np.quantile(np.concatenate(distances), Neighbourhood.INSIDE))
     classifier.temperature_ = selection.temperature
     classifier.neighbourhood_ = replace(classifier.neighbourhood_, limit=limit)
-    return classifier
+    return classifier, levels
+
+
+#: Standard deviation of the levels of a recording relative to that of its impacts (assumed), which counts as so many
+#: groups; and relative variance of the upper end of n normal levels, times n.
+_BETWEEN, _COUNTS_AS, _OF_UPPER_END = 0.3, 4, 1.5
+#: Fewest rows of a recording whose level counts, and probability of a warning on either side of a sound recording.
+_MIN_LEVELS_EACH, _FALSE_WARNING = 5, 0.0025
+
+
+def level_range(rows: Rows, levels: Floats) -> dict[str, float]:
+    """Return the range of the upper end of the levels of a recording, and its uncertainty; empty without levels.
+
+    The upper end of n levels is between "low" and "high", which differ by the labels, within the square root of
+    "between" + "within" / n: by how much recordings differ, and their rows. `levels` (n_rows,) are those of rows that
+    did not train.
+    """
+    counted = rows.is_recorded & np.isfinite(levels)
+    if not counted.any():
+        return {}
+    rows, levels = rows[counted], levels[counted]
+    n = len(levels)
+    time, file, channel = (one if len(one) else np.zeros(n) for one in (rows.time, rows.file, rows.channel))
+    label = np.unique(rows.labels, return_inverse=True)[1]
+    offsets = np.bincount(label, levels) / np.bincount(label)
+    residuals = levels - offsets[label]
+    deviation = max(float(residuals.std()), 1e-6)
+    # A channel is warned on its own. Rows in order of time, because neighbours may be alike.
+    order = np.lexsort((time, file, channel, rows.group))
+    keys = np.stack([rows.group.astype(str), channel.astype(str)])[:, order]
+    units = np.split(residuals[order], np.flatnonzero((keys[:, 1:] != keys[:, :-1]).any(axis=0)) + 1)
+    units = [unit for unit in units if len(unit) >= _MIN_LEVELS_EACH] or [residuals]
+    ends = np.array([upper_end(unit, deviation) for unit in units])
+    centre, within = float(ends.mean()), _OF_UPPER_END * deviation**2
+    blocks = [[upper_end(part, deviation) for part in _parts(unit)] for unit in units if len(unit) >= MIN_LEVELS]
+    n_free = sum(len(unit) - 1 for unit in blocks)
+    if n_free:
+        within = max(within, MIN_LEVELS * sum(float(np.var(unit)) * len(unit) for unit in blocks) / n_free)
+    # Blocks of time of one recording do not show how recordings differ.
+    n_groups = len(np.unique(rows.group)) if len(set(rows.digests)) > 1 and len(units) > 1 else 1
+    found = float(np.var(ends)) * len(ends) / max(len(ends) - 1, 1) - float(np.mean([within / len(u) for u in units]))
+    counts = _COUNTS_AS + n_groups - 1
+    between = (_COUNTS_AS * (_BETWEEN * deviation) ** 2 + (n_groups - 1) * max(found, 0.0)) / counts
+    chance = float(stats.t.isf(_FALSE_WARNING, counts)) ** 2
+    return {
+        "deviation": deviation,
+        "low": centre + float(offsets.min()),
+        "high": centre + float(offsets.max()),
+        "between": chance * (between * (1 + 1 / n_groups) + within / n),
+        "within": chance * within,
+    }
+
+
+def _parts(levels: Floats) -> list[Floats]:
+    """Return successive levels in blocks of `MIN_LEVELS`, without what remains."""
+    n = len(levels) // MIN_LEVELS
+    return list(levels[: n * MIN_LEVELS].reshape(n, MIN_LEVELS))
 
 
 def noise_guard(training_set: TrainingSet, selection: Selection, workers: Workers = SERIAL) -> Contrast | None:
@@ -297,13 +363,16 @@ def _evaluate(training_set: TrainingSet, fold: NDArray[np.bool_]) -> tuple[int, 
         return selection.best, softmax(scores / selection.temperature)
 
 
-def _distances(training_set: TrainingSet, fold: NDArray[np.bool_]) -> Floats:
-    """Return the distances of the rows of a fold from the other rows, for the only candidate."""
-    (candidate,) = training_set.candidates
+def _held_out(training_set: TrainingSet, fold: NDArray[np.bool_]) -> tuple[Floats, Floats]:
+    """Return the distances of the clear rows of a fold from the other rows, and the levels of all, by the only candidate."""
+    (candidate,), rows = training_set.candidates, training_set.rows
     with threadpool_limits(1):
-        without = _fitted(training_set, candidate, ~fold, rejects=True)
-        novelty = without.novelty(training_set.rows.inputs(candidate.features)[fold & training_set.rows.is_clear])
-    return novelty * without.neighbourhood_.limit
+        without, inputs = _fitted(training_set, candidate, ~fold, rejects=True), rows.inputs(candidate.features)
+        novelty = without.novelty(inputs[fold & rows.is_clear])
+        standardiser, neighbourhood = without.standardiser_, without.neighbourhood_
+        weights = level_weights(inputs_of(candidate.features, rows.n_channels), standardiser, neighbourhood)
+        levels = np.full(int(fold.sum()), np.nan) if weights is None else standardiser.apply(inputs[fold]) @ weights[0]
+    return novelty * without.neighbourhood_.limit, levels
 
 
 def _noise_scores(training_set: TrainingSet, fold: NDArray[np.bool_]) -> Floats:

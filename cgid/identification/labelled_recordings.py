@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import compress, groupby, product
-from typing import Any, NoReturn
+from typing import Any, NamedTuple, NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +24,7 @@ from cgid.identification.events import Event, frames_alike
 from cgid.identification.manifest import Annotation, Manifest
 from cgid.identification.model import Model
 from cgid.identification.reference import Equalisations, MeanSpectrum, equalisations_of
-from cgid.identification.rows import Rows, Slicing, sets_for, union_of
+from cgid.identification.rows import Rows, Slicing, default_guards, sets_for, union_of
 from cgid.identification.silence import Silence, silence_of
 from cgid.identification.through_beam import ThroughBeam
 from cgid.identification.windows import Grid, NoisyCopies, complete_windows, measure_windows, windows_of
@@ -297,6 +297,8 @@ def record(
     if slicing.by == "impact":
         _require_single(files, reading)
     names = _names(features, files, slicing, level_free)
+    if model is None:
+        names += tuple(name for name in default_guards(names) if name not in names)
     runs = open_all(manifest, replace(reading, strict=True), failures, references=True)
     references = reference_spectra(runs, files[0], slicing.window_time)
     unit, beam = (files[0].unit, None) if model is None else (model.unit, model.beam)
@@ -307,7 +309,7 @@ def record(
             measured.append((file, list(_pieces(file, cutting, progress))))
         except CgidError as error:
             reading.note(error, failures)
-    if not any(np.isfinite(part).all(axis=1).any() for _, parts in measured for _, _, part, _ in parts):
+    if not any(np.isfinite(piece.features).all(axis=1).any() for _, parts in measured for piece in parts):
         first_failure = "".join(f"; {error}" for error in failures[:1])
         raise BadData(
             f"{manifest.source}: recordings must contain a {slicing.by} with a label, there is none{first_failure}; "
@@ -364,10 +366,10 @@ def _joined(measured: Sequence[tuple[AnnotatedFile, list[Piece]]], cutting: _Cut
     """Return the complete rows of all files, and warnings of the damage of files and of annotations without a row."""
     recordings = [file.recording for file, _ in measured]
     pieces = [piece for _, parts in measured for piece in parts]
-    features = np.concatenate([part for _, _, part, _ in pieces])
-    snr = np.concatenate([part for _, _, _, part in pieces])
+    features = np.concatenate([piece.features for piece in pieces])
+    snr = np.concatenate([piece.snr for piece in pieces])
     complete = np.isfinite(features).all(axis=1)
-    annotations = list(compress((one for one, times, _, _ in pieces for _ in times), complete))
+    annotations = list(compress((piece.annotation for piece in pieces for _ in piece.times), complete))
     sources, source = _numbered([one.name for one in annotations])
     groups, group = _numbered([one.group for one in annotations])
     rates = [recording.sampling_rate for recording in recordings]
@@ -389,7 +391,9 @@ def _joined(measured: Sequence[tuple[AnnotatedFile, list[Piece]]], cutting: _Cut
         sampling_rates=(min(rates), max(rates)),
         n_channels=len(recordings[0].channels) if cutting.slicing.by == "window" else 1,
         slicing=cutting.slicing,
-        time=np.concatenate([times for _, times, _, _ in pieces])[complete],
+        time=np.concatenate([piece.times for piece in pieces])[complete],
+        file=np.repeat(np.arange(len(measured)), [sum(piece.n_rows for piece in parts) for _, parts in measured])[complete],
+        channel=np.repeat([piece.channel for piece in pieces], [piece.n_rows for piece in pieces])[complete],
         snr=snr[complete] if cutting.augment and cutting.slicing.by == "window" else np.empty(0),
         left_out=int((~complete & (snr == np.inf)).sum()),
         warnings=tuple(warnings),
@@ -460,15 +464,26 @@ class _Cutting:
     beam: ThroughBeam | None = None
 
 
-#: Annotation, times and features of some rows, and their power over that of added noise [dB].
-Piece = tuple[Annotation, Floats, Floats, Floats]
+class Piece(NamedTuple):
+    """Some rows of an annotation: times, features, power over that of added noise [dB], and the channel of impacts."""
+
+    annotation: Annotation
+    times: Floats
+    features: Floats
+    snr: Floats
+    channel: str = ""
+
+    @property
+    def n_rows(self) -> int:
+        """Number of rows."""
+        return len(self.times)
 
 
 def _pieces(file: AnnotatedFile, cutting: _Cutting, progress: Callable[[int], object] | None) -> Iterator[Piece]:
     for piece in (_windows if cutting.slicing.by == "window" else _impacts)(file, cutting):
         yield piece
         if progress is not None:
-            progress(int(np.sum(piece[3] == np.inf)))
+            progress(int(np.sum(piece.snr == np.inf)))
 
 
 def _windows(file: AnnotatedFile, cutting: _Cutting) -> Iterator[Piece]:
@@ -480,10 +495,10 @@ def _windows(file: AnnotatedFile, cutting: _Cutting) -> Iterator[Piece]:
         for first, windows in windows_of(blocks, rate, slicing.window_time, slicing.hop_time):
             times = annotation.start + first / rate
             features = measure_windows(windows, rate, cutting.names, equalisation)
-            yield annotation, times, features, np.full(len(times), np.inf)
+            yield Piece(annotation, times, features, np.full(len(times), np.inf))
             for time, (snr, noisy) in zip(times, copies.of(windows) if cutting.augment else (), strict=False):
                 features = measure_windows(noisy, rate, cutting.names, equalisation)
-                yield annotation, np.full(len(snr), time), features, snr
+                yield Piece(annotation, np.full(len(snr), time), features, snr)
 
 
 def _impacts(file: AnnotatedFile, cutting: _Cutting) -> Iterator[Piece]:
@@ -525,4 +540,5 @@ def _measured_events(events: list[Event], file: AnnotatedFile, cutting: _Cutting
                 beam=cutting.beam,
             )
             features[[bool(event.problem) for event in some]] = np.nan
-            yield annotation, np.array([event.time for event in some]), features, np.full(len(some), np.inf)
+            times, name = np.array([event.time for event in some]), file.recording.channels[channel].name
+            yield Piece(annotation, times, features, np.full(len(some), np.inf), name)

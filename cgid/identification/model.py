@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 import textwrap
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -23,6 +23,7 @@ from cgid.identification.families import BY_NAME, Contrast, Family, Neighbourhoo
 from cgid.identification.model_file import (
     FIELDS,
     FORMAT,
+    LEVEL_RANGE,
     SCHEMA_VERSION,
     STANDARDISER,
     UNEXPLAINED,
@@ -80,6 +81,29 @@ def _in_blocks(answer: Callable[[Floats], Floats], rows: Floats, width: int) -> 
         if len(rows) <= block:
             return answer(rows)
         return np.concatenate([answer(rows[first : first + block]) for first in range(0, len(rows), block)])
+
+
+def level_weights(
+    inputs: Sequence[str], standardiser: Standardiser, neighbourhood: Neighbourhood
+) -> tuple[Floats, float] | None:
+    """Return weights (n_inputs,) of standardised inputs for the level, and its standard deviation in the training."""
+    # The best linear estimate of ln of a factor on the signal: the residual of what has its unit, given what has not.
+    # Uncertainties are excluded, since they depend on the noise.
+    names = [name.split(" of channel ")[0] for name in inputs]
+    units = [FEATURES[name].unit if name in FEATURES else "" for name in names]
+    power = np.array([2.0 if "U^2" in unit else float("U" in unit or unit == "N") for unit in units])
+    is_decadic = np.array([unit.startswith("log10") for unit in units])
+    # A factor shifts only logarithms.
+    shift = power * np.where(is_decadic, 1 / np.log(10), standardiser.logarithmic) / standardiser.scale
+    is_certain = np.array([not name.endswith(("deviation", "correlation")) for name in names])
+    used = (shift != 0) | (is_certain & (power == 0))
+    if not shift.any():
+        return None
+    shift = shift[used]
+    solved = np.linalg.solve(neighbourhood.covariance[np.ix_(used, used)], shift)
+    weights = np.zeros(len(used))
+    weights[used] = solved / (shift @ solved)
+    return weights, float(1 / np.sqrt(shift @ solved))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -307,21 +331,12 @@ class Model:
 
     @cached_property
     def _level_weights(self) -> tuple[Floats, float] | None:
-        """Return weights (n_inputs,) of standardised inputs for the level, and its std in the training."""
-        # The best linear estimate of a factor on the signal: the residual of the peak force given other quantities of
-        # the pulse. Uncertainties are excluded, since they depend on the noise.
-        units = [FEATURES[name].unit if name in FEATURES else "" for name in self.inputs]
-        scaled = np.array([unit in ("U", "N") for unit in units])
-        certain = np.array([not name.endswith(("deviation", "correlation")) for name in self.inputs])
-        used = scaled | (certain & ["U" not in unit for unit in units])
-        is_pulse = self.kind == "pulse" or self.beam is not None
-        if not is_pulse or not scaled.any() or not self._standardiser.logarithmic[scaled].all():
-            return None
-        shift = (scaled / self._standardiser.scale)[used]
-        solved = np.linalg.solve(self.neighbourhood.covariance[np.ix_(used, used)], shift)
-        weights = np.zeros(len(used))
-        weights[used] = solved / (shift @ solved)
-        return weights, float(1 / np.sqrt(shift @ solved))
+        return level_weights(self.inputs, self._standardiser, self.neighbourhood)
+
+    @property
+    def level_range(self) -> Mapping[str, float]:
+        """Upper end of the levels of a recording, as `cgid.identification.grouped.level_range`; empty if not known."""
+        return self.training.get(LEVEL_RANGE, {})
 
     @property
     def level_deviation(self) -> float:
@@ -329,9 +344,9 @@ class Model:
         return 0.0 if self._level_weights is None else self._level_weights[1]
 
     def levels(self, inputs: Floats) -> Floats:
-        """Return the logarithm of each peak force over the expectation of the training for such a pulse, (n_impacts,).
+        """Return the logarithm of the level of each signal over that expected of such a signal, (n_impacts,).
 
-        A factor on the signal adds its logarithm. Nan if the model does not use the contact force.
+        A factor on the signal adds its logarithm. Nan if no input of the model depends on the scale of the signal.
         """
         if self._level_weights is None:
             return np.full(len(inputs), np.nan)

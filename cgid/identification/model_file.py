@@ -37,6 +37,8 @@ if TYPE_CHECKING:
 UNEXPLAINED = "median_beam_unexplained"
 #: Of the training record of models of windows: correlation of windows in a vote.
 VOTE_CORRELATION = "vote_correlation"
+#: Of the training record of models of labelled recordings: the levels of recordings, and the names of its numbers.
+LEVEL_RANGE, LEVELS = "level_range", ("deviation", "low", "high", "between", "within")
 
 # -- the archive ------------------------------------------------------------------------------------------
 
@@ -296,6 +298,8 @@ def check_training(model: Model) -> None:
     for name in (UNEXPLAINED, VOTE_CORRELATION):
         if name in training and np.ndim(validation.not_negative(name, training[name])):
             raise BadData(f"{name} must be one number")
+    if LEVEL_RANGE in training:
+        _check_level_range(training[LEVEL_RANGE])
     if training.get(VOTE_CORRELATION, 0.0) > 1:
         raise BadData(f"{VOTE_CORRELATION} must be at most 1, got {training[VOTE_CORRELATION]:g}")
     if "confusion" in metrics and np.sum(metrics["confusion"]) < 1:
@@ -310,6 +314,17 @@ def check_training(model: Model) -> None:
                 raise BadData(f"class_weights must be one number for each label, {low:g} to {high:g}")
         elif weights not in (None, "balanced"):
             raise BadData("class_weights must be 'balanced' or a number for each label")
+
+
+def _check_level_range(levels: object) -> None:
+    """Raise unless the range of levels is empty, or its numbers are finite and make one."""
+    if levels == {}:
+        return
+    if not isinstance(levels, Mapping) or set(levels) != set(LEVELS) or not all(_is(levels[one], float) for one in LEVELS):
+        raise BadData(f"{LEVEL_RANGE} must be numbers named {', '.join(LEVELS)}")
+    spreads = [levels[name] for name in ("deviation", "between", "within")]
+    if min(spreads) < np.finfo(np.float32).tiny or levels["low"] > levels["high"]:
+        raise BadData(f"{LEVEL_RANGE} must rise from low to high and have spreads above 0")
 
 
 def _is_word(value: object) -> bool:

@@ -111,6 +111,10 @@ class Rows:
         How recordings are cut into windows; None for rows of scenes and datasets.
     time : ndarray, (n_rows,) [s]
         Start of a window, or time of an impact, in its recording.
+    file : ndarray of int, (n_rows,)
+        Number in `digests` of the recording of each row. Empty for scenes and datasets.
+    channel : ndarray of str, (n_rows,)
+        Name of the channel of each impact, "" for a window. Empty for scenes and datasets.
     snr : ndarray, (n_rows,) [dB]
         Power of a window over that of the noise added to a copy of it; infinite for a row as recorded. Empty without
         copies.
@@ -143,6 +147,8 @@ class Rows:
     n_channels: int = 1
     slicing: Slicing | None = None
     time: Floats = field(default_factory=lambda: np.empty(0))
+    file: NDArray[np.intp] = field(default_factory=lambda: np.empty(0, np.intp))
+    channel: NDArray[np.str_] = field(default_factory=lambda: np.empty(0, np.str_))
     snr: Floats = field(default_factory=lambda: np.empty(0))
     references: Mapping[str, Floats] = field(default_factory=dict)
     beam: Beam | None = None
@@ -183,7 +189,7 @@ class Rows:
 
     def __getitem__(self, selected: NDArray[np.bool_]) -> Rows:
         """Return the rows of a mask."""
-        names = ("features", "labels", "group", "source", "known", "time", "snr")
+        names = ("features", "labels", "group", "source", "known", "time", "file", "channel", "snr")
         columns = {name: getattr(self, name) for name in names}
         return replace(self, **{name: column[selected] for name, column in columns.items() if len(column)})
 

@@ -33,13 +33,14 @@ from cgid.identification.grouped import (
     final,
     groups_of_labels,
     in_blocks_of_time,
+    level_range,
     noise_guard,
     require_groups,
     warnings_of_few,
 )
 from cgid.identification.metrics import evaluate, evaluate_recordings, evaluate_sets
 from cgid.identification.model import Model
-from cgid.identification.model_file import UNEXPLAINED, VOTE_CORRELATION
+from cgid.identification.model_file import LEVEL_RANGE, UNEXPLAINED, VOTE_CORRELATION
 from cgid.identification.rows import (
     BEAM_GUARDS,
     DEFAULT_FEATURES,
@@ -483,6 +484,14 @@ def _left_out(
     judged = cross_validate(training_set, progress, workers)
     selection = choose_candidate(training_set, workers)
     recorded_rows, counts = rows[rows.is_recorded], groups_of_labels(rows)
+    classifier, levels = final(training_set, selection, workers)
+    features = training_set.candidates[selection.best].features
+    guards = tuple(name for name in default_guards(features) if name in rows.names and name not in features)
+    # Few rows do not show their 99.9 % quantile, and what was labelled is an impact.
+    limits = {
+        name: max(float(np.quantile(column, Neighbourhood.INSIDE)), MAX_LIMITS[name])
+        for name, column in zip(guards, recorded_rows.columns(guards).T, strict=True)
+    }
     recorded = {
         "by": rows.slicing.by,
         "n_groups": len(np.unique(rows.group)),
@@ -497,16 +506,18 @@ def _left_out(
     }
     return _trained(
         rows,
-        final(training_set, selection, workers),
+        classifier,
         (recorded_rows.labels, judged.probabilities),
         evaluate_recordings(recorded_rows, judged.probabilities),
         {
             **record,
             "n_train": len(recorded_rows.labels),
             "recorded": recorded,
+            LEVEL_RANGE: level_range(rows, levels[: len(rows.labels)]),
             **({VOTE_CORRELATION: selection.vote_correlation} if rows.kind == "window" else {}),
         },
-        features=training_set.candidates[selection.best].features,
+        features=features,
+        guards=limits,
         contrast=noise_guard(training_set, selection, workers),
     )
 
