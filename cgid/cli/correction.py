@@ -39,6 +39,8 @@ def correct_model(
     for warning in rows.warnings:
         warn(warning)
     correction = correct(model, rows)
+    for warning in correction.warnings:
+        warn(warning)
     training = Training(correction.model, dict(correction.after), correction.labels, correction.probabilities, None)
     written = write_model(
         training, path, plots=plots, further=[correction_section(correction.model.training["correction"])]
@@ -47,7 +49,8 @@ def correct_model(
     if as_json:
         print_json({"model": str(path), "advice": advice(correction), **summary})
     else:
-        say(f"accuracy {accuracy_text(summary)} on this beam, cross-validated over {summary['n']} impacts")
+        heard = "" if summary["n_rocks"] == summary["n"] else f" of {summary['n_rocks']} rocks"
+        say(f"accuracy {accuracy_text(summary)} on this beam, cross-validated over {summary['n']} impacts{heard}")
         say(f"before {accuracy_text(summary['before'])}")
         say(f"moved {correction.shift}")
         if summary["n_unknown"]:

@@ -22,9 +22,10 @@ from scipy.optimize import minimize
 from cgid import validation
 from cgid.errors import BadData, InvalidValue
 from cgid.identification.families import Contrast, Standardiser, softmax
-from cgid.identification.metrics import evaluate
+from cgid.identification.grouped import SAME_IMPACT, groups_of_labels, level_range, warnings_of_few
+from cgid.identification.metrics import clustered_interval, evaluate
 from cgid.identification.model import Model
-from cgid.identification.model_file import STANDARDISER
+from cgid.identification.model_file import LEVEL_RANGE, STANDARDISER
 from cgid.identification.rows import Rows
 from cgid.measure.features import FEATURES
 from cgid.units import quantity_of
@@ -82,25 +83,33 @@ class Correction:
     labels: NDArray[np.str_]  # (n_lumps,)
     probabilities: Floats  # (n_lumps, n_labels), cross-validated
     n_unknown: int  # labelled impacts outside the training, which are not used
+    warnings: tuple[str, ...] = ()  # of impacts left out, and of few groups; one line each
 
 
 def correct(model: Model, rows: Rows) -> Correction:
-    """Return a model corrected by labelled impacts."""
+    """Return a model corrected by labelled impacts that did not train it."""
     require_correctable(model)
+    rows = replace(rows, labels=np.array([validation.as_spelled(label, model.labels) for label in rows.labels.tolist()]))
+    rows, left_out = _without_trained(model, rows)
     _require_impacts(model, rows)
-    features, guards = rows.columns(model.features), rows.columns(model.guards)
-    known = model.novelty(features, guards) <= 1
+    known = model.novelty(rows.columns(model.features), rows.columns(model.guards)) <= 1
     if int(known.sum()) < MIN_LABELLED:
         raise _too_few_known(int(known.sum()), len(known))
-    labels = rows.labels[known]
+    rows = rows[known]
+    labels, features = rows.labels, rows.columns(model.features)
     _require_labels(labels, model, " within its training")
-    impacts = _LabelledImpacts.of(model, features[known], np.array([model.labels.index(label) for label in labels]))
+    trials, rocks = _trials(rows), _rocks(rows)
+    truth = np.array([model.labels.index(label) for label in labels])
+    impacts = _LabelledImpacts.of(model, features, truth, trials if _each_teaches_all(truth, trials) else rocks)
     shift, probabilities = impacts.learned()
-    before = evaluate(labels, softmax(impacts.logs[impacts.middle]), model.labels)
-    after = evaluate(labels, probabilities, model.labels)
+    before = _evaluated(labels, softmax(impacts.logs[impacts.middle]), model, trials)
+    after = _evaluated(labels, probabilities, model, trials)
     n, n_unknown = len(labels), int((~known).sum())
     correction = {
         "n": n,
+        "n_rocks": len(np.unique(rocks)),
+        "n_groups": len(np.unique(rows.group)),
+        "n_trained_on": int(left_out.sum()),
         "n_unknown": n_unknown,
         "labels": {label: int(np.sum(labels == label)) for label in model.labels},
         "bias": shift.bias.tolist(),
@@ -108,14 +117,72 @@ def correct(model: Model, rows: Rows) -> Correction:
         "gain": shift.gain,
         **{name: after[name] for name in _REPORTED},
         "before": {name: before[name] for name in _REPORTED},
-        "sources": list(rows.digests),
+        "sources": sorted({rows.digests[k] for k in rows.file.tolist()}) if len(rows.file) else list(rows.digests),
     }
     # The metrics remain those of the training, of thousands; prediction sets have no guarantee for another beam.
     metrics = {**model.training.get("metrics", {}), "prediction_sets": []}
     training = {**model.training, "metrics": metrics, "correction": correction}
+    corrected = shifted(model, shift)
+    training[LEVEL_RANGE] = level_range(rows, corrected.levels(features))
     return Correction(
-        replace(shifted(model, shift), training=training), shift, before, after, labels, probabilities, n_unknown
+        replace(corrected, training=training),
+        shift,
+        before,
+        after,
+        labels,
+        probabilities,
+        n_unknown,
+        (*_word_of_trained(left_out), *warnings_of_few(groups_of_labels(rows))),
     )
+
+
+def _without_trained(model: Model, rows: Rows) -> tuple[Rows, NDArray[np.bool_]]:
+    """Return the rows of recordings that did not train the model, and a mask of the others; raise if too few remain."""
+    stated = (model.training.get("sources"), model.training.get("correction", {}).get("sources"))
+    trained = [one for sources in stated if isinstance(sources, list | tuple) for one in sources]
+    # A renamed copy has the same SHA-256. Other files of the same samples cannot be known.
+    left_out = np.isin(np.array(rows.digests)[rows.file], trained) if len(rows.file) else np.zeros(len(rows.labels), bool)
+    n, n_left = len(left_out), int((~left_out).sum())
+    if left_out.any() and n_left < MIN_LABELLED:
+        raise BadData(
+            f"labelled impacts must be {MIN_LABELLED} at least that did not train the model, got {n_left} of {n}; the "
+            "other recordings trained it (by their SHA-256): label impacts of others, or name its base by --from"
+        )
+    return rows[~left_out], left_out
+
+
+def _word_of_trained(left_out: NDArray[np.bool_]) -> tuple[str, ...]:
+    n = int(left_out.sum())
+    what = f"{n} of {len(left_out)} labelled impacts are left out, their recordings trained the model (by their SHA-256)"
+    return (what,) * (n > 0)
+
+
+def _rocks(rows: Rows) -> NDArray[np.intp]:
+    """Return the number of the rock of each row: the rows of a recording at one time, one for each channel."""
+    if not len(rows.file):
+        return np.arange(len(rows.labels))
+    order = np.lexsort((rows.time, rows.file))
+    begins = (np.diff(rows.file[order]) != 0) | (np.diff(rows.time[order]) > SAME_IMPACT)
+    rocks = np.empty(len(order), np.intp)
+    rocks[order] = np.append(0, np.cumsum(begins))
+    return rocks
+
+
+def _trials(rows: Rows) -> NDArray[np.intp]:
+    """Return the number of the independent trial of each row: its group, or with a single group its rock."""
+    groups = np.unique(rows.group, return_inverse=True)[1]
+    return groups if groups.max() > 0 else _rocks(rows)
+
+
+def _each_teaches_all(truth: NDArray[np.intp], trials: NDArray[np.intp]) -> bool:
+    """Return whether every label remains whichever trial is left out."""
+    return all(len(np.unique(trials[truth == label])) > 1 for label in np.unique(truth))
+
+
+def _evaluated(labels: NDArray[np.str_], probabilities: Floats, model: Model, trials: NDArray[np.intp]) -> dict[str, Any]:
+    is_correct = np.array(model.labels)[np.argmax(probabilities, axis=1)] == labels
+    interval = list(clustered_interval(is_correct, trials))
+    return evaluate(labels, probabilities, model.labels) | {"accuracy_interval_95": interval}
 
 
 def require_correctable(model: Model) -> None:
@@ -170,7 +237,10 @@ def advice(correction: Correction) -> list[str]:
     accuracy = float(correction.after["accuracy"])
     low, high = correction.after["accuracy_interval_95"]
     lines = []
-    if high - low > 2 * _NARROW:
+    summary = correction.model.training["correction"]
+    if high - low > 2 * _NARROW and 1 < summary["n_groups"] < summary["n_rocks"]:
+        lines.append(f"impacts of more days or supports would narrow the interval, which counts {summary['n_groups']}")
+    elif high - low > 2 * _NARROW:
         p = min(max(accuracy, 0.5), 0.95)
         n_required = int(np.ceil(p * (1 - p) * (1.96 / _NARROW) ** 2 / 10) * 10)
         lines.append(f"{n_required} labelled impacts would narrow the interval to +- {_NARROW:g}")
@@ -192,14 +262,17 @@ class _LabelledImpacts:
     logs: Floats
     truth: NDArray[np.intp]
     gains: Floats
+    trials: NDArray[np.intp]  # (n,), those of one number are left out together
 
     @classmethod
-    def of(cls, model: Model, features: Floats, truth: NDArray[np.intp]) -> _LabelledImpacts:
+    def of(
+        cls, model: Model, features: Floats, truth: NDArray[np.intp], trials: NDArray[np.intp]
+    ) -> _LabelledImpacts:
         factors, addends = _gained(model, np.e)
         gains = np.exp(_GAIN * _GAINS) if (factors != 1).any() or addends.any() else np.ones(1)
         gained = [_gained(model, gain) for gain in gains]
         tables = [model.probabilities((features - addend) / factor) for factor, addend in gained]
-        return cls(model.labels, np.log(np.maximum(np.stack(tables), 1e-12)), truth, gains)
+        return cls(model.labels, np.log(np.maximum(np.stack(tables), 1e-12)), truth, gains, trials)
 
     @property
     def middle(self) -> int:
@@ -208,9 +281,9 @@ class _LabelledImpacts:
 
     def learned(self) -> tuple[Shift, Floats]:
         """Return the shift, and the cross-validated probabilities of each impact."""
-        fold = np.arange(len(self.truth)) % _MAX_FOLDS
+        fold = self.trials % _MAX_FOLDS
         probabilities = np.empty(self.logs.shape[1:])
-        for k in range(fold.max() + 1):
+        for k in np.unique(fold):
             shift = self._fitted(fold != k)
             probabilities[fold == k] = shift.probabilities(self.logs[self._place(shift.gain), fold == k])
         return self._fitted(np.ones(len(fold), bool)), probabilities
