@@ -18,7 +18,7 @@ import numpy as np
 
 import cgid.identification.through_beam  # noqa: F401 - loaded here, so that no watched process imports it
 from cgid.identification.model import MAX_FILE_SIZE, Model
-from cgid.identification.model_file import signed
+from cgid.identification.model_file import LEVELS, signed
 from cgid.measure.beam import points_of
 from cgid.measure.features import choose
 
@@ -71,7 +71,7 @@ def wide_model() -> Model:
             "standardiser.mean": np.zeros(n),
             "standardiser.scale": np.ones(n),
             "neighbourhood.centres": np.zeros((2, n)),
-            "neighbourhood.whitening": np.zeros((1, n, n)),
+            "neighbourhood.whitening": np.eye(n)[None],
             "family.coefficients": np.zeros((1, n)),
             "family.intercepts": np.zeros(1),
         },
@@ -87,6 +87,12 @@ def changed(family: str = "linear", header: Mapping[str, Any] | None = None, /, 
     model = golden(family)
     own = {f"family.{name}": np.asarray(array) for name, array in arrays.items()}
     return written(model.header | dict(header or {}), {**model.arrays, **own})
+
+
+def with_arrays(family: str, arrays: Mapping[str, np.ndarray]) -> bytes:
+    """Return a golden model with some of its arrays replaced, signed anew."""
+    model = golden(family)
+    return written(model.header, {**model.arrays, **arrays})
 
 
 def with_header(text: bytes) -> bytes:
@@ -225,7 +231,14 @@ def _arrays() -> dict[str, Callable[[], bytes]]:
         "weights turned": lambda: changed("network", None, weights_1=turned),
         "weight that is nan": lambda: changed("linear", None, intercepts=[np.nan]),
         "weight of 1e300": lambda: changed("linear", None, coefficients=np.full((1, 2), 1e300)),
-        "scale of zero": lambda: written(linear.header, {**linear.arrays, "standardiser.scale": np.zeros(2)}),
+        "scale of zero": lambda: with_arrays("linear", {"standardiser.scale": np.zeros(2)}),
+        "scale of 5e-324": lambda: with_arrays("linear", {"standardiser.scale": np.full(2, 5e-324)}),
+        "floor of 5e-324": lambda: with_arrays("linear", {"standardiser.floor": np.full(2, 5e-324)}),
+        "whitening of zeros": lambda: with_arrays("linear", {"neighbourhood.whitening": np.zeros((1, 2, 2))}),
+        "whitening of equal rows": lambda: with_arrays("logistic", {"neighbourhood.whitening": np.ones((2, 2, 2))}),
+        "whitening of 5e-324": lambda: with_arrays("linear", {"neighbourhood.whitening": 5e-324 * np.eye(2)[None]}),
+        "whitening of 1e-90": lambda: with_arrays("linear", {"neighbourhood.whitening": 1e-90 * np.eye(2)[None]}),
+        "centres of 1e100": lambda: with_arrays("linear", {"neighbourhood.centres": np.full((2, 2), 1e100)}),
         "calibration of labels that do not exist": lambda: written(
             linear.header, {**linear.arrays, "conformal.labels": linear.arrays["conformal.labels"] + 7}
         ),
@@ -379,6 +392,13 @@ def _headers() -> dict[str, Callable[[], bytes]]:
         "feature of a megabyte": {"features": ["f" * (1 << 20), "width_50"]},
         "a feature twice": {"features": ["width_50", "width_50"]},
         "channels without end": {"n_channels": 10**9},
+        "temperature of 5e-324": {"temperature": 5e-324},
+        "neighbourhood of 5e-324": {"neighbourhood_limit": 5e-324},
+        "sampling rate of 5e-324": {"sampling_rates": [5e-324, 5e-324]},
+        "levels of no spread": {"training": {"level_range": dict.fromkeys(LEVELS, 0.0)}},
+        "levels of 5e-324": {"training": {"level_range": dict.fromkeys(LEVELS, 5e-324)}},
+        "levels that fall": {"training": {"level_range": dict.fromkeys(LEVELS, 1.0) | {"low": 2.0}}},
+        "levels that are a list": {"training": {"level_range": [1.0, 2.0]}},
         "temperature that is nan": {"temperature": float("nan")},
         "temperature of 4000 digits": {"temperature": 10**4000},
         "a thousand rates and a long text": {"sampling_rates": [*([1.0] * 1000), "9" * 1_000_000]},
@@ -450,9 +470,8 @@ def _largest_forest() -> bytes:
 
 
 def _huge_numbers() -> bytes:
-    model = golden("logistic")
-    small = np.full_like(model.arrays["standardiser.scale"], 1e-300)
-    return written(model.header, {**model.arrays, "standardiser.scale": small})
+    scale = np.full(2, 1e-29)
+    return with_arrays("logistic", {"standardiser.logarithmic": np.zeros(2, bool), "standardiser.scale": scale})
 
 
 def _extreme_beam() -> bytes:
@@ -495,7 +514,10 @@ _SAYINGS: tuple[Any, ...] = (
     [], [0], [1e-9, 1e9], ["coal"], ["coal", "gangue", "stone"], ["peak_force"], ["drop_height"],
     ["window_centroid", "window_rms"], {}, {"metrics": []}, {"metrics": {"confusion": [[1, 2], [3, 4]]}},
 )  # fmt: skip
-_NUMBERS = (0.0, -1.0, 1.0, 2.0, 1e-300, -1e99, 1e99, 1e300, np.nan, np.inf, 2.0**31 - 1, -(2.0**31), 1e6)
+_NUMBERS = (
+    *(0.0, -1.0, 1.0, 2.0, 5e-324, 1e-300, 1e-29, -1e99, 1e99, 1e300, 1e308, np.nan, np.inf),
+    *(2.0**31 - 1, -(2.0**31), 1e6),
+)
 _TYPES = ("f4", "f8", "i4", "i8", "u4", "?", ">f8", "S3", "c16")
 
 
@@ -533,6 +555,7 @@ def _changed_array(array: np.ndarray, random: np.random.Generator) -> np.ndarray
         numbers.reshape(-1)[where] = np.array(random.choice(_NUMBERS)).astype(array.dtype)
         changes = (
             *(numbers, numbers, array[:-1], array.ravel(), np.concatenate([array, array]), array[::-1].copy()),
+            *(np.broadcast_to(array[..., :1], array.shape).copy(), np.zeros_like(array)),
             *(random.permutation(array), array.astype(str(random.choice(_TYPES))), np.asfortranarray(array)),
         )
         return changes[int(random.integers(len(changes)))]

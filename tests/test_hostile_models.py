@@ -4,16 +4,19 @@ import contextlib
 import re
 import sys
 import tracemalloc
+from itertools import product
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from benchmarks.fuzz_recordings import MUTATIONS
+from cgid import shipped
 from cgid.cli.main import run
 from cgid.cli.output import print_json
 from cgid.errors import BadData, CgidError
 from cgid.identification.answers import identify_frames
+from cgid.identification.diagnosis import causes_of
 from cgid.identification.model import Model
 from cgid.identification.model_file import signed
 from tests import few
@@ -28,6 +31,7 @@ from tests.hostile_models import (
     golden_files,
     mended,
     signed_anew,
+    written,
 )
 
 #: Most memory that a file may take [bytes].
@@ -57,6 +61,8 @@ class Audit:
             probabilities = model.probabilities(inputs)
             novelty = model.novelty(inputs, np.ones((16, len(model.guards))))
             model.decide(probabilities)
+            levels = model.levels(inputs)
+            causes_of(model, inputs, np.ones((16, len(model.guards))))
         except CgidError as error:
             assert str(error).isprintable() and len(str(error)) < 1000
             return "digest" if "SHA-256" in str(error) else "refused"
@@ -65,6 +71,7 @@ class Audit:
             assert self.events == [] and not Path(CANARY).exists()
         np.testing.assert_allclose(probabilities.sum(axis=1), 1.0, atol=1e-9)
         assert (probabilities >= 0).all() and not np.isnan(novelty).any()
+        assert np.isfinite(levels).all() == (model.level_deviation > 0)
         same = original is not None and signed(model.header, model.arrays) == signed(original.header, original.arrays)
         return "same" if same else "another"
 
@@ -182,7 +189,7 @@ def test_numbers_that_grow_too_large_are_said_once(tmp_path):
     (tmp_path / "m.npz").write_bytes(EXTREME["numbers that grow too large"]())
     model = Model.load(tmp_path / "m.npz")
     with pytest.raises(BadData, match="gives no finite probabilities"):
-        model.probabilities(np.array([[1e9, 1e-9]]))
+        model.probabilities(np.array([[1e300, 1e-9]]))
 
 
 @pytest.mark.parametrize("name", few([name for name in EXTREME if "beam" in name], 4))
@@ -242,3 +249,40 @@ def test_everything_that_a_command_says_goes_through_one_door():
     commands = Path(sys.modules["cgid.cli.main"].__file__).parent
     doors = {path.name for path in commands.glob("*.py") if re.search(r"click\.s?echo|\bprint\(", path.read_text())}
     assert doors == {"output.py"}
+
+
+#: What makes an array degenerate, though its numbers are finite.
+DEGENERATE = {
+    "zeros": np.zeros_like,
+    "5e-324": lambda array: np.full_like(array, 5e-324),
+    "1e-31": lambda array: np.full_like(array, 1e-31),
+    "1e99": lambda array: np.full_like(array, 1e99),
+    "1e308": lambda array: np.full_like(array, 1e308),
+    "equal columns": lambda array: np.broadcast_to(array[..., :1], array.shape).copy(),
+    "equal rows": lambda array: np.broadcast_to(array[:1], array.shape).copy(),
+}
+
+
+@pytest.mark.parametrize("name", ["boosting", "linear", "logistic", "network", "default", "default-acceleration"])
+def test_an_array_of_degenerate_numbers_is_refused_or_harmless(audit, tmp_path, name):
+    """Every array of a model in turn: loading says what is wrong, or the model answers."""
+    model = Model.load(shipped.model_path(name)) if name.startswith("default") else golden(name)
+    time = np.arange(1920) / 25.6e3
+    frames = np.random.default_rng(0).normal(0, 1e-2, (2, 2048))
+    frames[:, 128:] += [[9.0], [30.0]] * np.exp(-60 * time) * np.sin(2500 * time)
+    outcomes = {}
+    for array, kind in product(model.arrays, DEGENERATE):
+        numbers = model.arrays[array]
+        if numbers.dtype.kind != "f":
+            continue
+        (tmp_path / "m.npz").write_bytes(written(model.header, {**model.arrays, array: DEGENERATE[kind](numbers)}))
+        outcomes[array, kind] = audit.outcome(tmp_path / "m.npz")
+        if outcomes[array, kind] == "another" and array.startswith("beam."):
+            with contextlib.suppress(BadData):
+                answers = identify_frames(frames, 25.6e3, Model.load(tmp_path / "m.npz"), pre_trigger=128)
+                assert all(one.problem or sum(one.probabilities.values()) == pytest.approx(1) for one in answers)
+    assert all(outcome == "refused" for (_, kind), outcome in outcomes.items() if kind == "1e308")
+    for array in ("standardiser.scale", "standardiser.floor", "contrast.scale", "neighbourhood.whitening"):
+        if array in model.arrays:
+            assert outcomes[array, "zeros"] == outcomes[array, "5e-324"] == "refused"
+    assert outcomes["neighbourhood.whitening", "equal columns"] == "refused"

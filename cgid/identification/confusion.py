@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid.errors import BadData
+from cgid.identification.families import MIN_DIVISOR
 from cgid.validation import Floats
 
 if TYPE_CHECKING:
@@ -68,8 +69,8 @@ class Confusion:
         edges, rates = self.edges, self.rates
         if edges.ndim != 1 or rates.shape != (2, edges.size + 1) or not (np.diff(edges) > 0).all():
             raise BadData(f"share.edges must ascend and share.rates be (2, {edges.size + 1}), got {rates.shape}")
-        if not (rates > 0).all():
-            raise BadData("share.rates must be above 0")
+        if not (rates >= MIN_DIVISOR).all():
+            raise BadData(f"share.rates must be at least {MIN_DIVISOR:g}")
         if not (self.overdispersion >= 1 and 0 <= self.scatter < 1):
             raise BadData(
                 f"share.spread must be an overdispersion of at least 1 and a scatter in [0, 1), got "

@@ -17,6 +17,8 @@ from cgid.errors import BadData
 from cgid.validation import Floats
 
 Arrays = Mapping[str, NDArray[Any]]
+#: Smallest divisor of a model: with all other numbers up to 1e100, quotients and their squares are finite.
+MIN_DIVISOR = 1e-30
 
 
 @dataclass(frozen=True)
@@ -33,10 +35,11 @@ class Standardiser:
 
     @classmethod
     def from_arrays(cls, arrays: Arrays, prefix: str) -> Standardiser:
-        """Return the standardiser in the arrays of a model; raises `BadData` unless scale and floor are above 0."""
+        """Return the standardiser in the arrays of a model; raises `BadData` unless scale and floor are large enough."""
         standardiser = cls(*(arrays[prefix + name] for name in cls.NAMES))
-        if not (standardiser.scale > 0).all() or not (standardiser.floor > 0).all():
-            raise BadData(f"arrays {prefix}scale and {prefix}floor must be above 0")
+        for name, smallest in (("scale", MIN_DIVISOR), ("floor", np.finfo(float).tiny)):
+            if (least := getattr(standardiser, name).min()) < smallest:
+                raise BadData(f"array {prefix}{name} must be at least {smallest:.3g}, got {least:.3g}")
         return standardiser
 
     def arrays(self, prefix: str) -> dict[str, NDArray[Any]]:
@@ -64,7 +67,8 @@ class Standardiser:
     def at(self, standardised: float) -> Floats:
         """Return the features (n_features,) whose standardised values are all this one."""
         plain = self.mean + standardised * self.scale
-        return np.where(self.logarithmic, np.exp(np.where(self.logarithmic, plain, 0.0)), plain)
+        with np.errstate(over="ignore"):  # of a model that knows any size
+            return np.where(self.logarithmic, np.exp(np.where(self.logarithmic, plain, 0.0)), plain)
 
 
 def squares(standardised: Floats) -> Floats:
@@ -98,6 +102,8 @@ class Neighbourhood:
     INSIDE = 0.999
     #: Added to the variances, so that directions of almost no variation do not dominate.
     RIDGE = 1e-3
+    #: Largest condition of a whitening; with the ridge it is some 1e3.
+    MAX_CONDITION = 1e8
 
     @classmethod
     def fit(cls, standardised: Floats, classes: NDArray[np.intp], covariance: Floats | None = None) -> Neighbourhood:
@@ -113,6 +119,21 @@ class Neighbourhood:
         neighbourhood = cls(np.array(centres), np.array(whitening), 1.0)
         limit = float(np.quantile(neighbourhood.novelty(standardised), cls.INSIDE))
         return cls(neighbourhood.centres, neighbourhood.whitening, max(limit, 1e-12))
+
+    def check(self) -> None:
+        """Raise `BadData` unless the whitening of each class can be inverted."""
+        # Random vectors have a part in every direction; to invert large matrices would take seconds.
+        probes = np.random.default_rng(0).normal(size=(self.whitening.shape[1], 4))
+        try:
+            with np.errstate(all="ignore"):
+                solved = np.linalg.solve(self.whitening, np.broadcast_to(probes, (len(self.whitening), *probes.shape)))
+                grown = np.linalg.norm(solved, axis=(1, 2)) / np.linalg.norm(probes)
+                condition = grown * np.linalg.norm(self.whitening, axis=(1, 2))
+                regular = bool((condition < self.MAX_CONDITION).all() and (grown < 1 / MIN_DIVISOR).all())
+        except np.linalg.LinAlgError:
+            regular = False
+        if not regular:
+            raise BadData("array neighbourhood.whitening must be matrices that can be inverted")
 
     def novelty(self, standardised: Floats) -> Floats:
         """Return distance over limit; above 1 it is outside the training range, infinite beyond all numbers."""

@@ -19,7 +19,15 @@ from cgid.errors import BadData, InvalidValue
 from cgid.files import read_regular
 from cgid.identification.conformal import Conformal
 from cgid.identification.confusion import Confusion
-from cgid.identification.families import BY_NAME, Contrast, Family, Neighbourhood, Standardiser, softmax
+from cgid.identification.families import (
+    BY_NAME,
+    MIN_DIVISOR,
+    Contrast,
+    Family,
+    Neighbourhood,
+    Standardiser,
+    softmax,
+)
 from cgid.identification.model_file import (
     FIELDS,
     FORMAT,
@@ -58,6 +66,8 @@ _MAX_MESSAGE_LENGTH = 400
 MIN_SHARE = 0.5
 #: Minimum number of groups of recordings of a label to estimate the spread between groups (assumed).
 MIN_GROUPS = 5
+#: Maximum number of inputs of a level: more would take seconds.
+_MAX_LEVEL_INPUTS = 1500
 #: Maximum number of values in memory during prediction.
 _MAX_BLOCK = 1 << 20
 
@@ -97,13 +107,19 @@ def level_weights(
     shift = power * np.where(is_decadic, 1 / np.log(10), standardiser.logarithmic) / standardiser.scale
     is_certain = np.array([not name.endswith(("deviation", "correlation")) for name in names])
     used = (shift != 0) | (is_certain & (power == 0))
-    if not shift.any():
+    if not shift.any() or len(shift) > _MAX_LEVEL_INPUTS:
         return None
     shift = shift[used]
-    solved = np.linalg.solve(neighbourhood.covariance[np.ix_(used, used)], shift)
-    weights = np.zeros(len(used))
-    weights[used] = solved / (shift @ solved)
-    return weights, float(1 / np.sqrt(shift @ solved))
+    try:
+        with np.errstate(all="ignore"):
+            solved = np.linalg.solve(neighbourhood.covariance[np.ix_(used, used)], shift)
+            weights, deviation = np.zeros(len(used)), float(1 / np.sqrt(shift @ solved))
+            weights[used] = solved / (shift @ solved)
+    except np.linalg.LinAlgError:
+        deviation = np.nan
+    if not (MIN_DIVISOR < deviation < 1 / MIN_DIVISOR and np.isfinite(weights).all()):
+        raise BadData("arrays of the neighbourhood must give the levels of signals a finite deviation")
+    return weights, deviation
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -162,7 +178,9 @@ class Model:
         check_names(self)
         check_numbers(self)
         check_training(self)
-        _ = self._classifier, self.conformal, self.contrast, self.beam, self.confusion  # they check their arrays
+        self.neighbourhood.check()
+        # They check their arrays.
+        _ = self._classifier, self.conformal, self.contrast, self.beam, self.confusion, self._level_weights
 
     def __repr__(self) -> str:
         n_more = len(self.inputs) - 4

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from cgid import validation
 from cgid.errors import BadData
 from cgid.identification.confusion import Confusion
-from cgid.identification.families import BY_NAME, Boosting, Contrast, Linear, Network, Standardiser
+from cgid.identification.families import BY_NAME, MIN_DIVISOR, Boosting, Contrast, Linear, Network, Standardiser
 from cgid.identification.reference import equalisations_of
 from cgid.identification.windows import require_times
 from cgid.measure.beam import Beam
@@ -267,11 +267,14 @@ def check_names(model: Model) -> None:
 def check_numbers(model: Model) -> None:
     """Raise unless the numbers and the arrays common to all families are finite and consistent."""
     rates = validation.positive("sampling_rates", model.sampling_rates, "Hz")
-    if rates.shape != (2,) or rates[0] > rates[1]:
-        raise BadData("sampling_rates must be the lowest and the highest")
-    validation.positive("temperature", model.temperature)
-    validation.positive("neighbourhood_limit", model.neighbourhood_limit)
-    if validation.positive("guard_limits", model.guard_limits).shape != (len(model.guards),):
+    low, high = validation.RATES
+    if rates.shape != (2,) or not low <= rates[0] <= rates[1] <= high:
+        raise BadData(f"sampling_rates must be the lowest and the highest, {low:g} to {high:g} Hz")
+    for name in ("temperature", "neighbourhood_limit", "guard_limits"):
+        numbers = validation.positive(name, getattr(model, name))
+        if (numbers < MIN_DIVISOR).any():
+            raise BadData(f"{name} must be at least {MIN_DIVISOR:g}, got {numbers.min():.3g}")
+    if np.shape(model.guard_limits) != (len(model.guards),):
         raise BadData("guard_limits must be one number for each guard")
     _check_windows(model)
     _check_arrays(model)
