@@ -6,10 +6,12 @@ import csv
 import json
 import shlex
 import tomllib
+import warnings
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,13 +19,16 @@ from scipy.io import wavfile
 from scipy.signal import resample_poly
 from scipy.stats import binom
 
+from cgid import predict
 from cgid.cli.hints import Hints
 from cgid.cli.main import run
 from cgid.identification.answers import Answer, identify_frames
-from cgid.identification.diagnosis import Cause, ChannelAnswers, Condition, Diagnosis, Hint
+from cgid.identification.diagnosis import Cause, ChannelAnswers, Condition, Diagnosis, Hint, _factor_of
+from cgid.identification.grouped import level_range
 from cgid.identification.model import Model
+from cgid.identification.model_file import LEVELS
 from cgid.identification.prediction_settings import PredictionSettings
-from cgid.identification.rows import DEFAULT_VIBRATION_FEATURES
+from cgid.identification.rows import DEFAULT_VIBRATION_FEATURES, Rows
 from cgid.identification.stream import identify_blocks
 from cgid.identification.training import train
 from cgid.measure.features import supported
@@ -554,3 +559,133 @@ def test_a_wrong_scale_is_told_from_ten_impacts_on(model: str) -> None:
     assert 6 < float(text.partition("about ")[2].split()[0]) < 16
     small = level_of(model, own_answers(model, 0.102))
     assert small is not None and "small" in small
+
+
+# -- the level of models of labelled recordings ----------------------------------------------------------
+
+N_EACH = 24
+
+
+def labelled_recording(kind: str, number: int) -> tuple[np.ndarray, float, str, list[str]]:
+    """Return samples of a day, rate, unit and labels: forces, a beam of five modes, or a flow; numpy alone."""
+    random = np.random.default_rng([number, len(kind)])
+    strength, second = np.exp(random.normal(0, 0.1)), np.arange(N_EACH) % 2 == number % 2
+    labels = np.where(second, "gangue", "coal").tolist()
+    if kind == "window":
+        rate, label = 8000.0, ("coal", "gangue")[number % 2]
+        noise = np.convolve(random.normal(size=12_000), {"coal": [1, 1, 1, 1], "gangue": [1, -1]}[label], "same")
+        beats = np.exp(random.normal(0, 0.3, 30)).repeat(400)
+        return 5 * strength * noise * beats, rate, "m/s^2", [label]
+    rate, unit, gap = (1e5, "N", 2000) if kind == "pulse" else (25_600.0, "m/s^2", 15_000)
+    samples = random.normal(0, 5 if kind == "pulse" else 0.05, (N_EACH + 1) * gap)
+    size = strength * np.exp(random.normal(0, 0.4, N_EACH))
+    times = np.arange(gap) / rate
+    for k, is_second in enumerate(second):
+        duration = (3e-4 if is_second else 7e-4) * np.exp(random.normal(0, 0.15))
+        if kind == "pulse":
+            phase = times / (duration * (0.9 + 0.2 * (times > duration / 2)))
+            event = 3e3 * size[k] * np.sin(np.pi * np.clip(phase, 0, 1)) ** 1.5
+        else:
+            modes = 2 * np.pi * np.array([140.0, 410.0, 980.0, 1900.0, 3300.0])
+            excited = random.uniform(0.3, 1, 5) * np.exp(-((modes * duration / 4) ** 2))
+            event = 60 * size[k] * excited @ (np.exp(-0.01 * modes[:, None] * times) * np.sin(modes[:, None] * times))
+        samples[gap // 2 + k * gap :][:gap] += event
+    return samples, rate, unit, labels
+
+
+@pytest.fixture(scope="module")
+def of_labels(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
+    """Return a function that trains a model of a kind by the command, on eight labelled recordings."""
+
+    @cache
+    def trained(kind: str) -> Path:
+        folder = tmp_path_factory.mktemp(kind)
+        rows = ["path,label,start,end,rate,unit"]
+        for number in range(8):
+            samples, rate, unit, labels = labelled_recording(kind, number)
+            np.save(folder / f"{number}.npy", samples)
+            gap = len(samples) // (N_EACH + 1) / rate
+            for k, label in enumerate(labels):
+                span = "," if len(labels) == 1 else f"{(k + 0.4) * gap:.5f},{(k + 1.4) * gap:.5f}"
+                rows.append(f"{number}.npy,{label},{span},{rate:g},{unit}")
+        (folder / "labels.csv").write_text("\n".join(rows) + "\n")
+        assert run(["train", str(folder / "labels.csv"), "-o", str(folder / "m.npz")]) == 0
+        return folder / "m.npz"
+
+    return trained
+
+
+def told_of_scale(command: str, kind: str, number: int, factor: float, model: Path, capsys: Any) -> bool:
+    samples, rate, unit, _ = labelled_recording(kind, number)
+    if command == "python":
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            predict(factor * samples, rate, unit, model=model)
+        return bool(caught)
+    path = model.parent / "new.f32"
+    (factor * samples).astype("<f4").tofile(path)
+    if command == "predict":
+        np.save(path := path.with_suffix(".npy"), factor * samples)
+    given = ["--rate", str(rate), "--unit", unit, "--model", str(model), "--json"]
+    raw = ["--channels", "1", "--sample-format", "f32le"] if command == "monitor" else []
+    capsys.readouterr()
+    assert run([command, str(path), *given, *raw]) == 0
+    lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    return any(line["kind"] in ("warning", "hint") for line in lines)
+
+
+@pytest.mark.parametrize("kind", ["pulse", "vibration", "window"])
+def test_a_wrong_scale_of_labelled_recordings_is_told(kind: str, of_labels: Callable[[str], Path], capsys: Any) -> None:
+    model = of_labels(kind)
+    assert set(Model.load(model).level_range) == set(LEVELS)
+    for command in ("predict", "monitor", "python"):
+        for factor in (0.1, 1 / 9.81, 9.81, 10.0):
+            assert told_of_scale(command, kind, 100, factor, model, capsys), (command, factor)
+    sound = [told_of_scale("python", kind, number, 1.0, model, capsys) for number in range(101, 121)]
+    assert sum(sound) <= 1
+    for command in ("predict", "monitor"):
+        assert not told_of_scale(command, kind, 101, 1.0, model, capsys)
+
+
+def test_pulses_of_labelled_recordings_have_the_guard_of_the_shipped_models(of_labels: Callable[[str], Path]) -> None:
+    """A square is no pulse of a contact, however long and strong."""
+    model = Model.load(of_labels("pulse"))
+    assert model.guards == PULSES.guards and model.guard_limits[0] >= PULSES.guard_limits[0]
+    frame = np.random.default_rng(0).normal(0, 5, 1000)
+    frame[300:350] += 3e3
+    assert identify_frames(frame[None], 1e5, model)[0].label == "unknown"
+
+
+def level_rows(levels: np.ndarray) -> Rows:
+    """Return rows whose levels (n_groups, n_each) are given, two labels in each group."""
+    n_groups, n_each = levels.shape
+    return Rows(
+        names=("peak_force",),
+        features=levels.reshape(-1, 1),
+        labels=np.tile(np.arange(n_each) % 2, n_groups).astype(str),
+        group=np.repeat(np.arange(n_groups), n_each),
+        digests=tuple(map(str, range(n_groups))),
+    )
+
+
+@pytest.mark.parametrize(("n_groups", "between", "correlation"), [(20, 0.3, 0.0), (20, 0.8, 0.0), (3, 0.3, 0.6)])
+def test_sound_recordings_are_warned_once_in_hundreds(n_groups: int, between: float, correlation: float) -> None:
+    """Levels of recordings differ by a standard deviation of their own, and successive ones may be correlated."""
+    random, n_each = np.random.default_rng(5), 40
+
+    def drawn(n: int, n_levels: int) -> np.ndarray:
+        noise = random.normal(size=(n, n_levels))
+        for k in range(1, n_levels):
+            noise[:, k] = correlation * noise[:, k - 1] + np.sqrt(1 - correlation**2) * noise[:, k]
+        return 0.5 * (noise + random.normal(0, between, (n, 1)))
+
+    warned, told = [], []
+    for _ in range(60):
+        levels = drawn(n_groups, n_each)
+        found = level_range(level_rows(levels), levels.ravel())
+        model = replace(PULSES, training={"level_range": found})
+        for n_levels in (10, 40, 160):
+            warned += [_factor_of(one.tolist(), model) != 1 for one in drawn(30, n_levels)]
+            told += [_factor_of((one + np.log(9.81)).tolist(), model) != 1 for one in drawn(4, n_levels)]
+    assert np.mean(warned) < 0.01
+    assert np.mean(told) > 0.97

@@ -548,8 +548,9 @@ def scale_warning(factor: float, model: Model) -> str:
     size = max(factor, 1 / factor)
     is_like_g = model.quantity == "acceleration" and _LIKE_G[0] < size < _LIKE_G[1]
     as_g = " (g taken for m/s^2 or the other way round is a factor of 9.81)" if is_like_g else ""
+    what = "forces" if model.kind == "pulse" or model.beam is not None else "signals"
     return (
-        f"the forces are about {size:.2g} times as {'large' if factor > 1 else 'small'} as in the training: the scale "
+        f"the {what} are about {size:.2g} times as {'large' if factor > 1 else 'small'} as in the training: the scale "
         f"of the samples is wrong{as_g}, or the rocks are of other sizes, drop heights or mixture; check unit, "
         "sensitivity, gain and full scale"
     )

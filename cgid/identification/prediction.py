@@ -176,7 +176,10 @@ def predict(
         if report.kind == "state" and state.ground == Ground.BLIND:
             warnings.warn(f"{first.source}: blind since {state.since:.6g} s: {state.reason}", stacklevel=2)
     diagnosis.add(answers)
-    for name, factor in diagnosis.wrong_scales().items():
+    # No hint says why most are unknown.
+    outside = [finding for finding in diagnosis.findings() if finding.cause == "amplitude"]
+    sizes = {name: one.value for one in outside for name in one.channels or diagnosis.channels}
+    for name, factor in (diagnosis.wrong_scales() | sizes).items():
         where = f"channel {name}: " if len(diagnosis.channels) > 1 else ""
         warnings.warn(f"{first.source}: {where}{scale_warning(factor, loaded)}", stacklevel=2)
     return _table(answers, loaded, applied)
