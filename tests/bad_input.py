@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import re
 import shlex
@@ -170,6 +171,16 @@ def make_files(folder: Path) -> None:
     (folder / "acceleration.npz").write_bytes(replace(default, unit="m/s^2").to_bytes())
     _old_model(folder / "old.npz", default)
     (folder / "wide.npz").write_bytes(wide_model().to_bytes())
+    whitening = np.zeros_like(default.arrays["neighbourhood.whitening"])
+    (folder / "singular.npz").write_bytes(
+        written(default.header, {**default.arrays, "neighbourhood.whitening": whitening})
+    )
+    scale = np.full_like(default.arrays["standardiser.scale"], 5e-324)
+    (folder / "scaleless.npz").write_bytes(written(default.header, {**default.arrays, "standardiser.scale": scale}))
+    sources = [hashlib.sha256((folder / "good.csv").read_bytes()).hexdigest()]
+    (folder / "own.npz").write_bytes(replace(default, training={"sources": sources}).to_bytes())
+    shutil.copy(folder / "good.csv", folder / "renamed.csv")
+    (folder / "m_own.csv").write_text("path,label\nrenamed.csv,coal\n")
     _beam_models(folder, good)
     scene = load_scene(ROOT / "datasets" / "reference.toml")
     knowing = train(synthesise(scene, 600), features=["peak_force", "width_50"], known=["drop_height"])
@@ -507,6 +518,12 @@ _COMMANDS = r"""
 65 | train m_group.csv reference --by window -o new.npz | --by impact
 65 | train m_same.csv -o new.npz | at least 2 labels
 65 | train m_same.csv --from model.npz -o new.npz | every label of the model (coal, gangue)
+65 | predict good.csv --model singular.npz | neighbourhood.whitening
+65 | predict good.csv --model scaleless.npz | standardiser.scale
+65 | info singular.npz | neighbourhood.whitening
+65 | export-model singular.npz --to c -o new.c | neighbourhood.whitening
+65 | train m_group.csv --from singular.npz -o new.npz | neighbourhood.whitening
+65 | train m_own.csv --from own.npz -o new.npz | did not train the model
 65 | train m_group.csv --from model.npz -o new.npz | labelled impacts must be 10 at least
 65 | train m_shale.csv --from model.npz -o new.npz | label must be one of 'coal', 'gangue'
 65 | train m_group.csv --from height.npz -o new.npz | drop_height

@@ -17,8 +17,10 @@ from cgid.identification.card import correction_section, write_card
 from cgid.identification.correction import Shift, advice, correct, fit_bias_and_slope, shifted
 from cgid.identification.families import softmax
 from cgid.identification.manifest import Manifest
+from cgid.identification.metrics import clustered_interval
 from cgid.identification.model import Model
 from cgid.identification.rows import Rows
+from cgid.identification.share import wilson_interval
 from cgid.identification.training import train
 from cgid.scene import load_scene, synthesise
 
@@ -180,3 +182,82 @@ def test_a_site_that_the_model_does_not_know_is_refused_after_twenty_impacts(
     ]
     assert run(arguments) == 65
     assert measured == [20]
+
+
+# -- what is counted ---------------------------------------------------------------------------------------
+
+
+def recorded(rows: Rows, digest: str = "other", *, n_channels: int = 1, n_groups: int = 1) -> Rows:
+    """Return impacts as of recordings, each heard by some channels within a millisecond."""
+    n = len(rows.labels)
+    twice = np.repeat(np.arange(n), n_channels)
+    return replace(
+        rows,
+        features=rows.features[twice],
+        labels=rows.labels[twice],
+        group=(np.arange(n) * n_groups // n)[twice],
+        source=rows.source[:1].repeat(n * n_channels),
+        groups=tuple(map(str, range(n_groups))),
+        file=(np.arange(n) * n_groups // n)[twice],
+        digests=tuple(f"{digest}{k}" for k in range(n_groups)),
+        time=(np.arange(n) % (n // n_groups))[twice] + 1e-3 * np.tile(np.arange(n_channels), n),
+        channel=np.tile(np.arange(n_channels), n).astype(str),
+    )
+
+
+def test_a_rock_that_two_channels_heard_counts_once(model: Model) -> None:
+    one, two = (correct(model, recorded(impacts(40, 7), n_channels=n)) for n in (1, 2))
+    assert [one.model.training["correction"][name] for name in ("n", "n_rocks")] == [40, 40]
+    assert [two.model.training["correction"][name] for name in ("n", "n_rocks")] == [80, 40]
+    # The other channel says the same: no further evidence.
+    share = two.after["accuracy"]
+    assert two.after["accuracy_interval_95"] == pytest.approx(wilson_interval(share, 40), abs=0.02)
+    assert two.after["accuracy_interval_95"] != pytest.approx(wilson_interval(share, 80), abs=0.02)
+
+
+def test_recordings_of_several_days_are_the_trials(model: Model) -> None:
+    """As `train` does: with few groups the interval is that of groups, and a line says that they are few."""
+    days = correct(model, recorded(impacts(60, 7), n_groups=3))
+    low, high = days.after["accuracy_interval_95"]
+    rows = recorded(impacts(60, 7), n_groups=3)
+    hits = np.array(model.labels)[np.argmax(days.probabilities, axis=1)] == days.labels
+    assert (low, high) == clustered_interval(hits, rows.group)
+    assert any("3 groups of recordings" in line for line in days.warnings)
+    assert "more days or supports" in advice(days)[0]
+
+
+def test_impacts_that_trained_the_model_are_left_out(model: Model) -> None:
+    taught = replace(model, training={**model.training, "sources": ["mine0", "mine1"]})
+    with pytest.raises(BadData, match="10 at least that did not train the model, got 0 of 40"):
+        correct(taught, recorded(impacts(40, 7), "mine", n_groups=2))
+    own, others = recorded(impacts(40, 7), "mine", n_groups=2), recorded(impacts(30, 8))
+    both = replace(
+        Rows.joined([own, others]),
+        file=np.append(own.file, 2 + others.file),
+        channel=np.append(own.channel, others.channel),
+        digests=(*own.digests, *others.digests),
+    )
+    found = correct(taught, both)
+    assert found.model.training["correction"]["n"] == 30
+    assert found.model.training["correction"]["sources"] == ["other0"]
+    np.testing.assert_array_equal(found.probabilities, correct(model, others).probabilities)
+    assert found.warnings[0].startswith("40 of 70 labelled impacts are left out")
+    # Nor do those that corrected it before.
+    with pytest.raises(BadData, match="did not train the model, got 0 of 30"):
+        correct(found.model, others)
+    # What the file does not state, nobody claims.
+    assert correct(replace(model, training={"sources": "mine0"}), own).model.training["correction"]["n"] == 40
+
+
+def test_labels_are_those_of_the_model_in_any_case(model: Model) -> None:
+    rows = impacts(40, 7)
+    shouted = replace(rows, labels=np.char.upper(rows.labels))
+    assert correct(model, shouted).model.to_bytes() == correct(model, rows).model.to_bytes()
+
+
+def test_a_training_takes_two_spellings_as_one_label() -> None:
+    rows = impacts(400, 2)
+    spelled = np.where(np.arange(400) % 9 == 0, np.char.capitalize(rows.labels), rows.labels)
+    with pytest.warns(UserWarning, match="are one label"):
+        mixed = train(replace(rows, labels=spelled), features=NAMES)
+    assert mixed.model.to_bytes() == train(rows, features=NAMES).model.to_bytes()

@@ -588,7 +588,7 @@ def labelled_recording(kind: str, number: int) -> tuple[np.ndarray, float, str, 
         else:
             modes = 2 * np.pi * np.array([140.0, 410.0, 980.0, 1900.0, 3300.0])
             excited = random.uniform(0.3, 1, 5) * np.exp(-((modes * duration / 4) ** 2))
-            event = 60 * size[k] * excited @ (np.exp(-0.01 * modes[:, None] * times) * np.sin(modes[:, None] * times))
+            event = 60 * size[k] * excited @ (np.exp(-0.03 * modes[:, None] * times) * np.sin(modes[:, None] * times))
         samples[gap // 2 + k * gap :][:gap] += event
     return samples, rate, unit, labels
 
@@ -609,7 +609,8 @@ def of_labels(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]
                 span = "," if len(labels) == 1 else f"{(k + 0.4) * gap:.5f},{(k + 1.4) * gap:.5f}"
                 rows.append(f"{number}.npy,{label},{span},{rate:g},{unit}")
         (folder / "labels.csv").write_text("\n".join(rows) + "\n")
-        assert run(["train", str(folder / "labels.csv"), "-o", str(folder / "m.npz")]) == 0
+        features = ["--features", "window_level,window_peak,window_centroid"] if kind == "window" else []
+        assert run(["train", str(folder / "labels.csv"), *features, "-o", str(folder / "m.npz")]) == 0
         return folder / "m.npz"
 
     return trained
@@ -647,13 +648,22 @@ def test_a_wrong_scale_of_labelled_recordings_is_told(kind: str, of_labels: Call
         assert not told_of_scale(command, kind, 101, 1.0, model, capsys)
 
 
+def test_a_model_free_of_levels_answers_alike_at_any_scale(of_labels: Callable[[str], Path]) -> None:
+    folder = of_labels("window").parent
+    assert run(["train", str(folder / "labels.csv"), "--level-free", "-o", str(folder / "free.npz")]) == 0
+    samples, rate, unit, _ = labelled_recording("window", 100)
+    own, scaled = (predict(factor * samples, rate, unit, model=folder / "free.npz") for factor in (1.0, 9.81))
+    assert Model.load(folder / "free.npz").level_range == {}
+    np.testing.assert_allclose(own["p_coal"], scaled["p_coal"], atol=1e-9)
+
+
 def test_pulses_of_labelled_recordings_have_the_guard_of_the_shipped_models(of_labels: Callable[[str], Path]) -> None:
     """A square is no pulse of a contact, however long and strong."""
     model = Model.load(of_labels("pulse"))
     assert model.guards == PULSES.guards and model.guard_limits[0] >= PULSES.guard_limits[0]
     frame = np.random.default_rng(0).normal(0, 5, 1000)
     frame[300:350] += 3e3
-    assert identify_frames(frame[None], 1e5, model)[0].label == "unknown"
+    assert identify_frames(frame[None], 1e5, model, pre_trigger=None)[0].label == "unknown"
 
 
 def level_rows(levels: np.ndarray) -> Rows:
@@ -688,4 +698,4 @@ def test_sound_recordings_are_warned_once_in_hundreds(n_groups: int, between: fl
             warned += [_factor_of(one.tolist(), model) != 1 for one in drawn(30, n_levels)]
             told += [_factor_of((one + np.log(9.81)).tolist(), model) != 1 for one in drawn(4, n_levels)]
     assert np.mean(warned) < 0.01
-    assert np.mean(told) > 0.97
+    assert np.mean(told) > 0.95

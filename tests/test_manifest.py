@@ -219,3 +219,30 @@ def test_no_damage_is_more_than_an_error_of_ours(tmp_path: Path) -> None:
                 read_manifest(tmp_path / name)
             except CgidError as error:
                 assert all(line.startswith(str(tmp_path)) for line in str(error).splitlines())
+
+
+# -- spellings of labels ----------------------------------------------------------------------------------
+
+
+def test_labels_in_other_letters_are_one_label(tmp_path: Path) -> None:
+    """The most frequent spelling is used, of equally frequent ones the first, and one line names them."""
+    rows = ["coal", "Coal", "coal", '"Hard  Coal "', "hard coal", "shale"]
+    text = "path,label\n" + "".join(f"{k}.wav,{label}\n" for k, label in enumerate(rows))
+    with pytest.warns(UserWarning, match="are one label") as caught:
+        manifest = read_manifest(written(tmp_path, text))
+    assert [one.label for one in manifest.annotations] == ["coal", "coal", "coal", "Hard Coal", "Hard Coal", "shale"]
+    told = [str(one.message) for one in caught]
+    assert len(told) == 2 and "'coal' (2), 'Coal' (1)" in told[0] and "'Hard  Coal' (1), 'hard coal' (1)" in told[1]
+    for folder in ("coal", "Coal", "gangue"):
+        (tmp_path / "all" / folder).mkdir(parents=True)
+        (tmp_path / "all" / folder / "a.wav").touch()
+    with pytest.warns(UserWarning, match="are one label, 'Coal'"):
+        assert folder_manifest(tmp_path / "all").labels == ("Coal", "gangue")
+    toml = "".join(f'[[recording]]\npath = "{k}.wav"\nlabel = "{label}"\n' for k, label in enumerate(("A", "a", "a")))
+    with pytest.warns(UserWarning, match="are one label, 'a'"):
+        assert read_manifest(written(tmp_path, toml, "m.toml")).labels == ("a",)
+
+
+def test_labels_that_differ_in_more_stay_apart(tmp_path: Path) -> None:
+    text = "path,label\na.wav,hard coal\nb.wav,hard-coal\nc.wav,hardcoal\n"
+    assert read_manifest(written(tmp_path, text)).labels == ("hard coal", "hard-coal", "hardcoal")

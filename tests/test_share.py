@@ -21,6 +21,8 @@ from cgid.identification.share import (
     Share,
     ShareWindow,
     ShutDecision,
+    as_in,
+    separates,
     trained_share,
 )
 from cgid.identification.support import CavingWatch, Decision, Ground, Report
@@ -479,3 +481,9 @@ def test_a_quiet_pause_is_not_blind_and_a_sensor_that_never_gave_a_sample_is() -
     sensors.feed(samples)
     told = [one.state for one in watch.feed([], 40.0) if one.kind == "state"]
     assert [(one.share.channel, one.time, one.since) for one in told] == [("2", 5.0, 0.0)]
+
+
+def test_gangue_may_be_written_in_other_letters() -> None:
+    model = SimpleNamespace(labels=("Coal", "Gangue"))
+    assert as_in(model, ("gangue", " COAL", "shale")) == ("Gangue", "Coal", "shale")  # type: ignore[arg-type]
+    assert separates(("gangue",), model) and not separates(("shale",), model)  # type: ignore[arg-type]

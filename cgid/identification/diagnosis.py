@@ -93,7 +93,7 @@ def causes_of(model: Model, inputs: Floats, guards: Floats) -> list[Cause]:
     causes = []
     for row, values in enumerate(guards):
         scale, name = min((abs(np.log(x[row])), n) for x, n in ((amplitudes, "amplitude"), (durations, "duration")))
-        if noise_novelty[row] > 1:
+        if noise_novelty[row] > 1 and scale == np.inf:  # a louder window of the training is no noise
             causes.append(Cause("drowned", float(noise_novelty[row])))
         elif values.size and (values / limits).max() > 1:
             guard = int(np.argmax(values / limits))
@@ -534,6 +534,18 @@ def _factor_of(levels: Sequence[float], model: Model, looks: float = 1.0) -> flo
     # Includes the uncertainty of the training for few impacts.
     limit = np.sqrt(looks * chance / n + chance / model.training.get("n_train", np.inf) + spread)
     return float(np.exp(excess * deviation)) if abs(excess) > limit else 1.0
+
+
+def sizes_outside(diagnosis: Diagnosis) -> dict[str, float]:
+    """Return the likely factor of each channel that is mostly unknown because of its size."""
+    factors = {}
+    for finding in diagnosis.findings():
+        for name in finding.channels or diagnosis.channels:
+            if finding.cause == "amplitude":
+                factors[name] = finding.value
+            elif finding.cause == "features":
+                factors[name] = _factor_of(diagnosis.channels[name].levels, diagnosis.model)
+    return {name: factor for name, factor in factors.items() if factor != 1}
 
 
 def upper_end(levels: Floats, deviation: float) -> float:

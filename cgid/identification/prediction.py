@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from cgid import validation
 from cgid.errors import BadData, MissingOption
 from cgid.identification.answers import Answer
-from cgid.identification.diagnosis import Diagnosis, scale_warning
+from cgid.identification.diagnosis import Diagnosis, scale_warning, sizes_outside
 from cgid.identification.model import Model
 from cgid.identification.prediction_settings import PredictionSettings
 from cgid.identification.stream import answering_channels, factors_for, identify_blocks
@@ -176,10 +176,7 @@ def predict(
         if report.kind == "state" and state.ground == Ground.BLIND:
             warnings.warn(f"{first.source}: blind since {state.since:.6g} s: {state.reason}", stacklevel=2)
     diagnosis.add(answers)
-    # No hint says why most are unknown.
-    outside = [finding for finding in diagnosis.findings() if finding.cause == "amplitude"]
-    sizes = {name: one.value for one in outside for name in one.channels or diagnosis.channels}
-    for name, factor in (diagnosis.wrong_scales() | sizes).items():
+    for name, factor in (diagnosis.wrong_scales() | sizes_outside(diagnosis)).items():
         where = f"channel {name}: " if len(diagnosis.channels) > 1 else ""
         warnings.warn(f"{first.source}: {where}{scale_warning(factor, loaded)}", stacklevel=2)
     return _table(answers, loaded, applied)
