@@ -238,7 +238,7 @@ def one_spelling(source: str, labels: Iterable[str]) -> dict[str, str]:
     alike: dict[str, Counter[str]] = {}
     for one, n in Counter(labels).items():
         alike.setdefault(_without_case(one), Counter())[one] = n
-    used = {}
+    used: dict[str, str] = {}
     for spellings in alike.values():
         if len(spellings) > 1:
             spelling = " ".join(spellings.most_common(1)[0][0].split())

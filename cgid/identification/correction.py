@@ -89,7 +89,9 @@ class Correction:
 def correct(model: Model, rows: Rows) -> Correction:
     """Return a model corrected by labelled impacts that did not train it."""
     require_correctable(model)
-    rows = replace(rows, labels=np.array([validation.as_spelled(label, model.labels) for label in rows.labels.tolist()]))
+    rows = replace(
+        rows, labels=np.array([validation.as_spelled(label, model.labels) for label in rows.labels.tolist()])
+    )
     rows, left_out = _without_trained(model, rows)
     _require_impacts(model, rows)
     known = model.novelty(rows.columns(model.features), rows.columns(model.guards)) <= 1
@@ -141,7 +143,9 @@ def _without_trained(model: Model, rows: Rows) -> tuple[Rows, NDArray[np.bool_]]
     stated = (model.training.get("sources"), model.training.get("correction", {}).get("sources"))
     trained = [one for sources in stated if isinstance(sources, list | tuple) for one in sources]
     # A renamed copy has the same SHA-256. Other files of the same samples cannot be known.
-    left_out = np.isin(np.array(rows.digests)[rows.file], trained) if len(rows.file) else np.zeros(len(rows.labels), bool)
+    left_out = (
+        np.isin(np.array(rows.digests)[rows.file], trained) if len(rows.file) else np.zeros(len(rows.labels), bool)
+    )
     n, n_left = len(left_out), int((~left_out).sum())
     if left_out.any() and n_left < MIN_LABELLED:
         raise BadData(
@@ -153,7 +157,9 @@ def _without_trained(model: Model, rows: Rows) -> tuple[Rows, NDArray[np.bool_]]
 
 def _word_of_trained(left_out: NDArray[np.bool_]) -> tuple[str, ...]:
     n = int(left_out.sum())
-    what = f"{n} of {len(left_out)} labelled impacts are left out, their recordings trained the model (by their SHA-256)"
+    what = (
+        f"{n} of {len(left_out)} labelled impacts are left out, their recordings trained the model (by their SHA-256)"
+    )
     return (what,) * (n > 0)
 
 
@@ -179,7 +185,9 @@ def _each_teaches_all(truth: NDArray[np.intp], trials: NDArray[np.intp]) -> bool
     return all(len(np.unique(trials[truth == label])) > 1 for label in np.unique(truth))
 
 
-def _evaluated(labels: NDArray[np.str_], probabilities: Floats, model: Model, trials: NDArray[np.intp]) -> dict[str, Any]:
+def _evaluated(
+    labels: NDArray[np.str_], probabilities: Floats, model: Model, trials: NDArray[np.intp]
+) -> dict[str, Any]:
     is_correct = np.array(model.labels)[np.argmax(probabilities, axis=1)] == labels
     interval = list(clustered_interval(is_correct, trials))
     return evaluate(labels, probabilities, model.labels) | {"accuracy_interval_95": interval}
@@ -265,9 +273,7 @@ class _LabelledImpacts:
     trials: NDArray[np.intp]  # (n,), those of one number are left out together
 
     @classmethod
-    def of(
-        cls, model: Model, features: Floats, truth: NDArray[np.intp], trials: NDArray[np.intp]
-    ) -> _LabelledImpacts:
+    def of(cls, model: Model, features: Floats, truth: NDArray[np.intp], trials: NDArray[np.intp]) -> _LabelledImpacts:
         factors, addends = _gained(model, np.e)
         gains = np.exp(_GAIN * _GAINS) if (factors != 1).any() or addends.any() else np.ones(1)
         gained = [_gained(model, gain) for gain in gains]

@@ -35,7 +35,7 @@ class Standardiser:
 
     @classmethod
     def from_arrays(cls, arrays: Arrays, prefix: str) -> Standardiser:
-        """Return the standardiser in the arrays of a model; raises `BadData` unless scale and floor are large enough."""
+        """Return the standardiser in the arrays of a model; raises `BadData` for a scale or floor near 0."""
         standardiser = cls(*(arrays[prefix + name] for name in cls.NAMES))
         for name, smallest in (("scale", MIN_DIVISOR), ("floor", np.finfo(float).tiny)):
             if (least := getattr(standardiser, name).min()) < smallest:

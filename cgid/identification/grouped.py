@@ -364,7 +364,7 @@ def _evaluate(training_set: TrainingSet, fold: NDArray[np.bool_]) -> tuple[int, 
 
 
 def _held_out(training_set: TrainingSet, fold: NDArray[np.bool_]) -> tuple[Floats, Floats]:
-    """Return the distances of the clear rows of a fold from the other rows, and the levels of all, by the only candidate."""
+    """Return the distances of the clear rows of a fold from the other rows, and the levels of all its rows."""
     (candidate,), rows = training_set.candidates, training_set.rows
     with threadpool_limits(1):
         without, inputs = _fitted(training_set, candidate, ~fold, rejects=True), rows.inputs(candidate.features)

@@ -392,7 +392,9 @@ def _joined(measured: Sequence[tuple[AnnotatedFile, list[Piece]]], cutting: _Cut
         n_channels=len(recordings[0].channels) if cutting.slicing.by == "window" else 1,
         slicing=cutting.slicing,
         time=np.concatenate([piece.times for piece in pieces])[complete],
-        file=np.repeat(np.arange(len(measured)), [sum(piece.n_rows for piece in parts) for _, parts in measured])[complete],
+        file=np.repeat(np.arange(len(measured)), [sum(piece.n_rows for piece in parts) for _, parts in measured])[
+            complete
+        ],
         channel=np.repeat([piece.channel for piece in pieces], [piece.n_rows for piece in pieces])[complete],
         snr=snr[complete] if cutting.augment and cutting.slicing.by == "window" else np.empty(0),
         left_out=int((~complete & (snr == np.inf)).sum()),

@@ -354,7 +354,7 @@ class Model:
     @property
     def level_range(self) -> Mapping[str, float]:
         """Upper end of the levels of a recording, as `cgid.identification.grouped.level_range`; empty if not known."""
-        return self.training.get(LEVEL_RANGE, {})
+        return dict(self.training.get(LEVEL_RANGE, {}))
 
     @property
     def level_deviation(self) -> float:

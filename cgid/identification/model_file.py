@@ -323,7 +323,11 @@ def _check_level_range(levels: object) -> None:
     """Raise unless the range of levels is empty, or its numbers are finite and make one."""
     if levels == {}:
         return
-    if not isinstance(levels, Mapping) or set(levels) != set(LEVELS) or not all(_is(levels[one], float) for one in LEVELS):
+    if (
+        not isinstance(levels, Mapping)
+        or set(levels) != set(LEVELS)
+        or not all(_is(levels[one], float) for one in LEVELS)
+    ):
         raise BadData(f"{LEVEL_RANGE} must be numbers named {', '.join(LEVELS)}")
     spreads = [levels[name] for name in ("deviation", "between", "within")]
     if min(spreads) < np.finfo(np.float32).tiny or levels["low"] > levels["high"]:
