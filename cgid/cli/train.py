@@ -161,7 +161,8 @@ def train(
     of the recordings.
 
     With --from, ten to fifty labelled impacts correct a model that is there: its bias, its slope and the gain of the
-    sensor, as far as they give evidence. It reports the accuracy on this beam.
+    sensor, as far as they give evidence. It reports the accuracy on this beam; its interval counts rocks, and groups
+    where there are several. Impacts of recordings that trained the model are left out.
 
     \b
     cgid events monday.wav tuesday.wav -o events.csv
