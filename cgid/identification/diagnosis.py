@@ -47,8 +47,10 @@ _LATEST, CHANGED, _N_SIGMA, _OVER_TRAINING = (30, 100, 300), 0.5, 4.0, 3.0
 #: Impacts from which on their levels are compared with those of the training, and the latest levels kept of a channel.
 MIN_LEVELS, _MAX_LEVELS = 10, 10_000
 #: A live stream is tested at these numbers of levels, and then whenever so many more have come, by so many latest ones.
-#: Such tests go on for days, so the chance that one of them errs must be this many times smaller, in variances.
-_TESTS, _EVERY, _LATEST_LEVELS, _ENDLESS = (10, 30, 90, 270, 810), 5, (20, 200), 3.0
+_TESTS, _EVERY, _LATEST_LEVELS = (10, 30, 90, 270, 810), 5, (20, 30, 200)
+#: Tests go on for days, so chance may have this many times the variance; and from so many levels on, where chance is
+#: small, recordings may differ by this many times theirs (benchmarks/watch.py).
+_ENDLESS, _MANY, _WIDE = 3.5, 90, 2.0
 #: Levels count up to so many standard deviations from their median; the upper end of n levels, their mean and standard
 #: deviation together, is about this one in the training. In standard deviations of the training.
 _CLIPPED, _UPPER = 2.0, 0.85
@@ -506,17 +508,17 @@ class _Scale:
 
     def _of_latest(self, channel: ChannelAnswers, n: int, looks: float = 1.0) -> float:
         latest = list(islice(reversed(channel.levels), n))
-        return _factor_of(latest, self._model, looks)
+        return _factor_of(latest, self._model, looks, _WIDE if n >= _MANY else 1.0)
 
     def _set(self, factor: float, n: int, n_levels: int) -> None:
         self.factor, self._n = factor, max(n, _LATEST_LEVELS[0])
         self._next = n_levels + self._n
 
 
-def _factor_of(levels: Sequence[float], model: Model, looks: float = 1.0) -> float:
+def _factor_of(levels: Sequence[float], model: Model, looks: float = 1.0, wide: float = 1.0) -> float:
     """Return the likely factor of a signal with these levels; 1 if they are as in recordings like the training's.
 
-    `looks` multiplies the variance that chance may have, where many tests are made.
+    Where many tests are made, `looks` multiplies the variance by chance, and `wide` that between recordings.
     """
     n, known, deviation = len(levels), model.level_range, model.level_deviation
     if n < MIN_LEVELS:
@@ -525,14 +527,14 @@ def _factor_of(levels: Sequence[float], model: Model, looks: float = 1.0) -> flo
         end = upper_end(np.array(levels), known["deviation"])
         excess = max(end - known["high"], 0.0) + min(end - known["low"], 0.0)
         likely = float(np.exp(end - (known["low"] + known["high"]) / 2))
-        return likely if abs(excess) > np.sqrt(known["between"] + looks * known["within"] / n) else 1.0
+        return likely if abs(excess) > np.sqrt(wide * known["between"] + looks * known["within"] / n) else 1.0
     # Of vibrations and windows that earlier versions labelled, it is not known by how much recordings differ.
     if not deviation or ("recorded" in model.training and model.kind != "pulse"):
         return 1.0
     excess = upper_end(np.array(levels), deviation) / deviation - _UPPER
     chance, spread = _SPREAD[model.beam is not None][0 if excess > 0 else 1]
     # Includes the uncertainty of the training for few impacts.
-    limit = np.sqrt(looks * chance / n + chance / model.training.get("n_train", np.inf) + spread)
+    limit = np.sqrt(looks * chance / n + chance / model.training.get("n_train", np.inf) + wide * spread)
     return float(np.exp(excess * deviation)) if abs(excess) > limit else 1.0
 
 
