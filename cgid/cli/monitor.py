@@ -83,6 +83,7 @@ class Inbox:
         self._begun = time.monotonic()
         self.n_taken = 0
         self.is_held_up = False
+        self._waiting_since: float | None = None
         #: A time [s], and a function that is called once with the time without samples when they pause for so long.
         self.on_pause: tuple[float, Callable[[float], object]] | None = None
 
@@ -101,6 +102,12 @@ class Inbox:
         # A stream faster than real time is not live, so it is also at most the lead of the clock over the samples
         # taken.
         return max(min(self._n_waiting / self._rate, self._clock - self.n_taken / self._rate), 0.0)
+
+    @property
+    def waited(self) -> float:
+        """Time for which samples have been waited for [s]; 0 while there are some."""
+        since = self._waiting_since
+        return 0.0 if since is None else time.monotonic() - since
 
     @property
     def _clock(self) -> float:
@@ -141,15 +148,15 @@ class Inbox:
 
     def _wait(self) -> None:
         """Wait for the next block or the end."""
-        since, is_told = time.monotonic(), self.on_pause is None
+        is_told, self._waiting_since = self.on_pause is None, time.monotonic()
         while True:
             with self._changed:  # with a timeout, so that an interruption is noticed
                 if self._changed.wait_for(lambda: self._waiting or self._ended, 0.5):
+                    self._waiting_since = None
                     return
-            paused = time.monotonic() - since
-            if self.on_pause is not None and not is_told and paused >= self.on_pause[0]:
+            if self.on_pause is not None and not is_told and self.waited >= self.on_pause[0]:
                 is_told = True
-                self.on_pause[1](paused)
+                self.on_pause[1](self.waited)
 
 
 #: A gangue fraction is printed this many times per window.
@@ -268,6 +275,7 @@ def _follow(
             threshold=rows.threshold,
             behind=lambda: inbox.behind,
             blind_after=settings.blinded_after,
+            waited=lambda: inbox.waited,
         )
     warn_of_model(live.source, live.source, live.sampling_rate, model, settings)
     try:

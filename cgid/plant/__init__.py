@@ -88,17 +88,18 @@ class PlantOutputs:
         threshold: float | None,
         behind: Callable[[], float],
         blind_after: float = 5.0,
+        waited: Callable[[], float] | None = None,
     ) -> None:
         """Set the supports (`channels`), the rows of the blocks, and a function for the delay [s].
 
-        A stream without a block for longer than `blind_after` [s] has stopped.
+        A stream has stopped that has been waited for longer than `blind_after` [s], by default since its last block.
         """
         decision = next((kind for kind in self._commands if kind != "blind"), None)
         if decision is not None and threshold is None:
             raise InvalidValue(
                 f"--on-{decision} needs a model with gangue among its labels; name the labels of gangue with --gangue"
             )
-        self.plant.begin(source, channels, rows, unit, threshold, behind, blind_after)
+        self.plant.begin(source, channels, rows, unit, threshold, behind, blind_after, waited)
 
     def monitored_blocks(self, blocks: Iterable[NDArray[Any]], sampling_rate: float) -> Iterator[NDArray[Any]]:
         """Yield the blocks (n_channels, n_samples); each is a heartbeat, and a part of the waveform."""

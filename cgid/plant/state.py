@@ -97,6 +97,7 @@ class PlantState:
         self.waveform: Waveform | None = None
         self._beaten_at = self._begun_at = time.monotonic()
         self._behind: Callable[[], float] = lambda: 0.0
+        self._waited: Callable[[], float] = lambda: since(self._beaten_at)
         self._blind_after, self._delay = math.inf, 0.0
         self._lock = Lock()
 
@@ -109,11 +110,13 @@ class PlantState:
         threshold: float | None,
         behind: Callable[[], float],
         blind_after: float,
+        waited: Callable[[], float] | None = None,
     ) -> None:
-        """Set the monitored channels; a stream without a block for `blind_after` [s] has stopped."""
+        """Set the monitored channels; a stream has stopped when it gave no samples for `blind_after` [s]."""
         with self._lock:
             self.source, self.unit, self.rows, self.threshold = source, unit, tuple(rows), threshold
             self._behind, self._blind_after = behind, blind_after
+            self._waited = waited or self._waited
             self._beaten_at = time.monotonic()
             self.supports = {name: Support.of(name) for name in channels}
 
@@ -148,8 +151,11 @@ class PlantState:
         """Why the stream has stopped, in words; empty while blocks arrive."""
         if self.ended:
             return "the stream has ended"
-        waited = since(self._beaten_at)
-        return f"no samples were taken for {waited:.0f} s" if waited > self._blind_after else ""
+        if (waited := self._waited()) > self._blind_after:
+            return f"no samples have arrived for {waited:.0f} s"
+        # What is known is as old as that.
+        late = self.behind
+        return f"the predictions are {late:.0f} s behind" if late > self._blind_after else ""
 
     def read(self, use: Callable[[list[tuple[Support, Record]]], Result]) -> Result:
         """Return the result of a function of each support and its record at this moment, under the lock."""
