@@ -143,6 +143,37 @@ def _spectra(folder: Path) -> None:
     (folder / "gone_spectrum.csv").unlink()
 
 
+#: Contact laws that are none: name of the law and its file, force, and what else it defines.
+_LAWS = {
+    "attracting": ("(w * w, 0.3)", ""),
+    "creating": ("(w**3, -0.5 * w**3)", ""),
+    "undefined": ("(w**3 if w < 0.3 else np.nan, 0.0)", ""),
+    "tearing": ("(w**3, 0.0)", "turn = staticmethod(njit(lambda p, history, x: x + 1.0))"),
+    "misreading": ("(p[1] * w**3, 0.0)", ""),
+    "misclosed": ("(w**3, 0.0)", "closed = lambda self, impact: HuntCrossley(restitution=0.5).closed(impact)"),
+    "failing": ("(w**3, 0.0)", "numbers = lambda self, impact: 1 / 0"),
+    "leaving": ("(w**3, 0.0)", "numbers = lambda self, impact: exit(0)"),
+    "fieldless": ("(w**3, 0.0)", "keys = ()\n    amount: float = field(kw_only=True)"),
+}
+
+
+def _laws(folder: Path) -> None:
+    """Write modules of laws that cannot be used, and for each a scene whose first rocks have it."""
+    for name, (force, more) in _LAWS.items():
+        (folder / f"{name}.py").write_text(
+            "from dataclasses import dataclass, field\nimport numpy as np\nfrom numba import njit\n"
+            "from cgid.physics import HuntCrossley, Law\n\n\n@dataclass(frozen=True)\nclass Bad(Law):\n"
+            f'    restitution: float = 0.0\n    name = "{name}"\n    keys = ("restitution",)\n'
+            f"    force = staticmethod(njit(lambda p, history, w: {force}))\n    {more}\n"
+        )
+        scene = _text("reference").replace("[[populations]]", f'[[populations]]\ndissipation = "{name}"', 1)
+        if "keys = ()" in more:
+            scene = re.sub("(?m)^restitution = .*\n", "", scene, count=1)
+        (folder / f"{name}.toml").write_text(scene)
+    (folder / "exits.py").write_text("raise SystemExit(0)\n")
+    (folder / "lawless.py").write_text("from cgid.physics import Law\n")
+
+
 def make_files(folder: Path) -> None:
     """Write the bad files, and good ones for wrong uses."""
     good = pulse()
@@ -165,6 +196,7 @@ def make_files(folder: Path) -> None:
     _csv(folder / "downwards.csv", -good)
     _csv(folder / "cut_off.csv", good[: 300 + 40])
     _manifests(folder, good)
+    _laws(folder)
     (folder / "text.npz").write_text("no model")
     shutil.copy(shipped.path_of("models", shipped.DEFAULT_MODEL), folder / "model.npz")
     default = Model.load(folder / "model.npz")
@@ -663,6 +695,9 @@ _COMMANDS = r"""
 2 | check | --list
 66 | verify nothing.h5 | nothing.h5
 2 | verify nothing.h5 --scene reference | --scene
+65 | check reference.toml --laws exits.py | SystemExit
+65 | check reference.toml --laws lawless.py | must have a class
+65 | check reference.toml --laws no/law.py | no/law.py
 66 | export nothing.h5 -o new.h5 | nothing.h5
 65 | export reference.toml -o new.h5 | reference.toml
 73 | export two.h5 -o two.h5 --overwrite | two.h5
@@ -701,6 +736,11 @@ def _commands() -> Iterator[Case]:
     for name, (_, word) in (_SPECTRA | _TABLES).items():
         if word:
             yield Case(f"table {name}", ("check", f"{name}.toml"), 65, (word,))
+    for name, word in zip(
+        _LAWS, ("pulls = True", "energy", "finite", "approach", "numbers", "differ", "Zero", "SystemExit", "TypeError"),
+        strict=True,
+    ):  # fmt: skip
+        yield Case(f"law {name}", ("check", f"{name}.toml", "--laws", f"{name}.py"), 65, (f"law {name}: ", word))
     for command in (("verify",), ("export", "-o", "new.h5"), ("train", "-o", "new.npz")):
         yield Case(f"{command[0]} a name too long", (command[0], "n" * 300, *command[1:]), 66, ("nnn",))
     yield Case(

@@ -42,6 +42,7 @@ def test_bad_input(
     case: Case, bad_files: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(bad_files)
+    monkeypatch.setattr(sys, "dont_write_bytecode", True)
     before = {path: path.lstat().st_mtime_ns for path in bad_files.rglob("*")}
     code = run(list(case.arguments))
     out, err = capsys.readouterr()

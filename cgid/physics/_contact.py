@@ -48,8 +48,9 @@ Array = NDArray[Any]
 
 #: Largest number of steps of an impact, and of attempts at them.
 MAX_STEPS = 4096
-#: Outcomes of an impact; the law gave a number that is not finite.
-SEPARATED, STAYS, OUT_OF_REACH, NOT_FINITE = 0, 1, 2, 3
+#: Outcomes of an impact. The last three are the fault of its law: a number that is not finite, a force that attracts
+#: where it may not, a turn that moves the sphere.
+SEPARATED, STAYS, OUT_OF_REACH, NOT_FINITE, ATTRACTS, TORN = 0, 1, 2, 3, 4, 5
 #: Columns of a step: its length in sigma, the history, and the dense output of w, y and tau.
 HISTORY, W, Y, TAU, COLUMNS = 1, 5, 13, 21, 29
 DISPLACEMENT, FORCE = 0, 1
@@ -71,10 +72,18 @@ HYSTERETIC, PULLS = 1, 2
 _SHARE = 0.03
 #: Below this tolerance on modes it gets less, since within a step they need a higher order; the least it can get.
 _LOOSE, _LEAST = 1e-6, 3e-13
+#: The least it can get where a weight above the force of the impact needs more digits.
+_FINEST = 1e-15
 #: A force of less than this share of the tolerance times that at rest is none: the rest is free flight.
 _FREE = 1e-4
 #: A contact that lasts longer than this under its weight on modes does not end [T0].
 _FOR_GOOD = 1e3
+#: A force below 0 by less than so many times the tolerance is an error of the integration: 6 times were found.
+_ATTRACTION = 30.0
+#: The force jumps at a turn if it changes by more than so many times the tolerance; the rest is that of a turn's place.
+_JUMP = 100.0
+#: Largest rounding error of the approach at a turn, over the approach.
+_ROUNDING = 1e-9
 #: Less than this, in speed and force, is no rebound.
 _NOTHING = 1e-16
 #: Slowest rebound that can be told from rounding, of a sphere that is released by the force.
@@ -250,13 +259,15 @@ def _place(
 
 
 @bare_jit
-def _first_step(force: Any, p: Array, history: Array, inelasticity: float, w: float, u: float) -> float:
+def _first_step(force: Any, p: Array, history: Array, inelasticity: float, weight: float, w: float, u: float) -> float:
     """Return the length of the first step: one that changes the velocity by some per cent."""
     h = 1.0
     for _ in range(2000):
         ahead = w + 0.5 * h * u
         g, c = force(p, history, ahead)
         change = h * ahead * (g + c) / (1.0 + inelasticity * c)
+        if weight > 1.0:
+            change = max(change, h * ahead * weight)
         if change > 0.5 or not math.isfinite(change):
             h *= 0.5
         elif change < 0.02 and h < 1e100:
@@ -276,8 +287,8 @@ def _creeps(force: Any, p: Array, history: Array, weight: float, w: float) -> bo
             high = middle
         else:
             low = middle
-    c = force(p, history, high)[1]
-    return bool(c * c > 67.0 * _stiffness(force, p, history, high))
+    c, stiffness = force(p, history, high)[1], _stiffness(force, p, history, high)
+    return bool(stiffness > 0.0 and c * c > 67.0 * stiffness)
 
 
 @bare_jit
@@ -285,6 +296,16 @@ def _stiffness(force: Any, p: Array, history: Array, w: float) -> float:
     """Return the slope of the force at rest."""
     slope: float = (force(p, history, 1.001 * w)[0] - force(p, history, w)[0]) / (0.002 * w * w)
     return slope
+
+
+@bare_jit
+def _is_free(force: Any, p: Array, history: Array, w: float, y: float, negligible: float) -> bool:
+    """Return whether no force acts on the sphere from w on, if it goes on at y."""
+    for k in range(4):
+        g, c = force(p, history, 0.25 * k * w)
+        if not abs(g + c * y) <= negligible:
+            return False
+    return True
 
 
 @bare_jit
@@ -324,6 +345,9 @@ def integrate(
     result[0] = OUT_OF_REACH
     corner = corner_of(p, history) if hysteretic else math.inf
     v, cuts, longest, least = 0.0, 1, math.inf, 0.0
+    if weight > 1.0:
+        # The fall into the contact outweighs the energy of the impact, from which the rebound is what remains.
+        permitted = max(permitted * math.pow(weight, -5.0 / 3.0), _FINEST)
     if modes is not None:
         # More than one event may fall in a step.
         permitted = max(permitted * math.pow(min(tolerance / _LOOSE, 1.0), 1.25), _LEAST)
@@ -331,7 +355,7 @@ def integrate(
     g, c = force(p, history, w)
     f = (g + c * (y - v)) / (1.0 + inelasticity * c)
     u = y - v - inelasticity * f
-    h = _first_step(force, p, history, inelasticity, w, u)
+    h = _first_step(force, p, history, inelasticity, weight, w, u)
     attempts = 0
     while n < steps.shape[0]:
         row = steps[n]
@@ -370,6 +394,7 @@ def integrate(
             if not (w2 > 0.0 and (f2 > least or not releases)):
                 event = _RELEASE if releases else _END
                 share = _place(event, force, p, history, inelasticity, cells, row, low, share, corner, least)
+            ending, until = event, share
             if compressing and u2 <= 0.0:
                 at = _place(_TURN, force, p, history, inelasticity, cells, row, low, share, corner, least)
                 if at < share or event == _NO_EVENT:
@@ -386,7 +411,7 @@ def integrate(
                     result[5], result[6] = depth, value(row, TAU, share)
                 compressing = False
                 if not hysteretic:
-                    event, share = _NO_EVENT, 1.0
+                    event, share = ending, until
             if event != _NO_EVENT:
                 break
             low = cut / cuts
@@ -402,6 +427,9 @@ def integrate(
         n += 1
         w, y, tau, u, g, c, f = w1, y1, tau1, u1, g1, c1, f1
         top, peak = max(top, abs(w)), max(peak, f)
+        if modes is None and (event == _RELEASE and compressing if pulls else f < -_ATTRACTION * tolerance * peak):
+            result[0] = ATTRACTS
+            return 0
         if event in (_END, _RELEASE):
             if modes is None and pulls and y > -_MIN_REBOUND:
                 return 0
@@ -417,15 +445,21 @@ def integrate(
                 if depth >= corner:  # by rounding
                     depth = corner - 1e-15 * abs(corner)
             w = math.sqrt(max(turn(p, history, depth), 0.0))
+            if not abs(history[0] + w * w - depth) <= _ROUNDING * (abs(depth) + w * w):
+                result[0] = TORN
+                return 0
             g, c = force(p, history, w)
             if event == _TURN:
                 # At rest, on a scale of its own.
+                jumps = inelasticity > 0.0 and abs(g - f) > _JUMP * tolerance * peak
                 f, top = g, w
-                if modes is None:
+                if modes is None and not jumps:
                     y = inelasticity * f
                 following = min(1.0 / math.sqrt(max(f, 1e-300)), h)
             f = (g + c * (y - v)) / (1.0 + inelasticity * c)
             u = y - v - inelasticity * f
+            if event == _TURN and jumps:
+                compressing = u > 0.0  # the plate springs back, or gives way
             corner = corner_of(p, history)
         if weight > 0.0 and modes is None:
             at_rest = (u > 0.0 and not compressing) or abs(u) < 1e-13
@@ -436,10 +470,12 @@ def integrate(
         elif modes is None and inelasticity > 0.0 and abs(y) + f < _NOTHING:
             return 0  # it comes to rest in a plate
         elif modes is None and not (compressing or pulls) and n < steps.shape[0] and g + c * y < _FREE * permitted * g:
-            y = -g / c  # what f tends to 0 at
-            _fly(steps[n], history, w, y, tau)
-            result[0], result[1], result[2], result[7] = SEPARATED, -y, steps[n, TAU] + steps[n, TAU + 1], history[0]
-            return n + 1
+            free = -g / c if g > 0.0 and c > 0.0 else 0.0  # what y tends to
+            if free < 0.0 and _is_free(force, p, history, w, free, permitted * peak):
+                _fly(steps[n], history, w, free, tau)
+                end = steps[n, TAU] + steps[n, TAU + 1]
+                result[0], result[1], result[2], result[7] = SEPARATED, -free, end, history[0]
+                return n + 1
         h = following
     return 0
 
@@ -474,7 +510,10 @@ def summaries(
         p, yields = numbers[i], inelasticity[i]
         n = _follow(force, corner_of, turn, flags, p, yields, weight[i], tolerance, steps, out[i])
         if n > 0:
-            out[i, 8] = yields * find_peak(force, p, yields, None, steps[:n], out[i])
+            squared, least = find_peak(force, p, yields, None, steps[:n], out[i])
+            out[i, 8] = yields * squared
+            if least < -_ATTRACTION * tolerance * out[i, 3]:
+                out[i, 0] = ATTRACTS
 
 
 @inner_jit
@@ -501,17 +540,21 @@ def _follow(
 
 
 @bare_jit
-def find_peak(force: Any, p: Array, inelasticity: float, cells: Any, steps: Array, result: Array) -> float:
-    """Find the peak force and its time, where it is above that of the result; return the integral of the force squared.
+def find_peak(
+    force: Any, p: Array, inelasticity: float, cells: Any, steps: Array, result: Array
+) -> tuple[float, float]:
+    """Find the peak force and its time, where it is above that of the result.
 
-    By golden sections near the largest force at the nodes, then a parabola.
+    By golden sections near the largest force at the nodes, then a parabola. Return the integral of the force squared
+    and the least force at the nodes.
     """
-    best, place, total, n = -1, 0.0, 0.0, len(steps)
+    best, place, total, lowest, n = -1, 0.0, 0.0, 0.0, len(steps)
     for k in range(n):
         row, energy = steps[k], 0.0
         for node in range(_NODES.size):
             w, _, f = state_at(force, p, row[HISTORY : HISTORY + 4], inelasticity, cells, row, _NODES[node])
             energy += _WEIGHTS[node] * w * f * f
+            lowest = min(lowest, f)
             if f > result[3]:
                 result[3], best, place = f, k, _NODES[node]
         total += row[0] * energy
@@ -542,7 +585,7 @@ def find_peak(force: Any, p: Array, inelasticity: float, cells: Any, steps: Arra
             f = state_at(force, p, history, inelasticity, cells, row, s)[2]
             if f >= result[3]:
                 result[3], result[4] = f, value(row, TAU, s)
-    return total
+    return total, lowest
 
 
 @bare_jit

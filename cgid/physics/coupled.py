@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, ClassVar
 
@@ -13,7 +13,7 @@ from cgid import validation
 from cgid.counting import count
 from cgid.errors import InvalidValue
 from cgid.physics.bodies import HalfSpace
-from cgid.physics.curves import FEW_SAMPLES, TOLERANCE, Curves
+from cgid.physics.curves import FEW_SAMPLES, TOLERANCE, Curves, is_builtin
 from cgid.physics.impact import Impact, Unchecked
 from cgid.physics.laws import Elastic, HuntCrossley
 from cgid.validation import Floats
@@ -167,6 +167,10 @@ class ModalImpact(Impact):
         count("coupled_impacts", size)
         of_family = isinstance(self.dissipation, Elastic | HuntCrossley)
         rigid = super().curves if of_family else self._integrated_curves()
+        if not is_builtin(self.dissipation):
+            # A structure that runs from the sphere ends a contact: whether the law attracts shows where nothing yields.
+            still = np.zeros(size)
+            replace(rigid, weight=still, inelasticity=still).require_rebound()
         frequency, ratio, compliance = self._modes(shape)
         window = USUAL_WINDOW if self.window is None else np.asarray(self.window) / self.time_scale
         angular, root = 2 * np.pi * frequency, np.sqrt((1 - ratio) * (1 + ratio))
@@ -262,6 +266,9 @@ class ModalCurves(Curves):
         from cgid.physics import _coupled
 
         return dict(zip(_coupled.RESULTS, self.results.T, strict=True))
+
+    def _material_loss(self, found: dict[str, Floats]) -> Floats:
+        return found["material_loss"]
 
     def result(self, name: str) -> Floats:
         """Return one column of the results."""

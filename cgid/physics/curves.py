@@ -9,8 +9,9 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from dataclasses import dataclass, fields, is_dataclass, replace
 from functools import cache, cached_property, partial
 from types import FunctionType, ModuleType
@@ -21,7 +22,7 @@ from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 from cgid import family
 from cgid.counting import count, counting
-from cgid.errors import InvalidValue
+from cgid.errors import CgidError, InvalidValue
 from cgid.physics.closed_forms import damping_of, peak_displacement, peak_force
 from cgid.validation import Floats
 
@@ -35,6 +36,11 @@ TOLERANCE, TOLERANCES = 1e-8, (1e-12, 1e-4)
 MIN_RESTITUTION = 1e-14
 #: A weight g L / v^2 below this times e^0.6 is neglected: over the contact it changes the speed by a fraction of 3e-12.
 NEGLIGIBLE_WEIGHT = 1e-12
+#: Largest weight g L / v^2: beyond, rounding decides on the rebound. There the restitution is right within 3e-8.
+MAX_WEIGHT = 1e4
+#: Energy that a law creates, over that of the impact and of its fall, is an error of less than so many times the
+#: tolerance (.3 times were found); a closed form agrees with integrated curves within this over the peak.
+_CREATED, _CLOSED = 10.0, 1e-6
 #: Up to this number of samples nothing is compiled: kernels are interpreted, and numpy evaluates the table.
 FEW_SAMPLES = 4096
 #: Up to this number of impacts kernels are interpreted, for at most this total time [s].
@@ -57,11 +63,12 @@ class Law:
     keys : tuple of str
         Keys of a population that a scene passes as fields: of restitution, yield_pressure, viscous_restitution.
     pulls : bool
-        Whether the force may become attractive, which ends the contact. Otherwise it ends at w = 0.
+        Whether the force may become attractive on the way back, which ends the contact. Otherwise it ends at w = 0,
+        and a force below 0 is an error.
     force : compiled function
         `force(p, history, w)` returns g and c, the force at rest and the damping, where the approach is
         `history[0] + w * w`. p holds the `numbers` of an impact, history four numbers that begin at 0. It must be
-        smooth in w, also a little below 0.
+        smooth in w, also a little below 0, and create no energy.
     corner : compiled function, optional
         `corner(p, history)` returns the approach at which the path changes on the way in; infinite for none.
     turn : compiled function, optional
@@ -81,7 +88,10 @@ class Law:
         return {}
 
     def closed(self, impact: Impact) -> Curves | None:
-        """Return the curves of impacts by a faster method than integration, None without one."""
+        """Return the curves of impacts by a faster method than integration, None without one.
+
+        Those of a custom law are compared with integrated ones, at the first impact.
+        """
         return None
 
     def values(self) -> dict[str, Floats]:
@@ -213,8 +223,57 @@ class Curves:
     def _integrated(self) -> dict[str, Floats]:
         """The same results after a check that every sphere rebounds."""
         rows = np.flatnonzero(~self.tabulated)
+        self._require_reach()
+        self._require_sound_law()
         self._require_separation(rows, self._summary["status"][rows])
         return self._summary
+
+    def _require_reach(self) -> None:
+        heavy = self.weight > MAX_WEIGHT
+        if heavy.any():
+            raise InvalidValue(
+                f"g L / v^2, the weight over the force of the impact, must be at most {MAX_WEIGHT:g} for double "
+                f"precision to leave a rebound, got {self.weight[heavy][0]:g}; raise the velocity, or leave gravity out"
+            )
+
+    def _require_sound_law(self) -> None:
+        """Raise `InvalidValue`, with its name, if a custom law has done in an impact what no contact does."""
+        if is_builtin(self.law):
+            return
+        from cgid.physics import _contact
+
+        found = self._summary
+        status, separated = found["status"], found["status"] == _contact.SEPARATED
+        finite = np.isfinite(np.stack(list(found.values()))).all(axis=0) | self.tabulated
+        with np.errstate(all="ignore"):
+            scale = 0.5 + self.weight * found["peak_displacement"]
+            creates = separated & (self._material_loss(found) < -_CREATED * self.tolerance * scale)
+        damping = "a dashpot needs pulls = True, with which the contact ends where the force falls to 0"
+        if self.law.pulls:
+            damping = "only on the way back may it fall to 0"
+        faults = (
+            ((status == _contact.NOT_FINITE) | ~finite, "force must be finite, got nan or infinity", "check the law"),
+            (status == _contact.ATTRACTS, "force must not be below 0, got an attractive one", damping),
+            (status == _contact.TORN, "turn must keep the approach", "return x - history[0], with the new history"),
+            (
+                creates,
+                "the contact must create no energy",
+                "let c be 0 or more, and on the way back the force no higher than on the way in",
+            ),
+        )
+        for rows, rule, cure in faults:
+            if rows.any():
+                row = int(np.flatnonzero(rows)[0])
+                got = f", and a restitution of {found['restitution'][row]:g}" * bool(creates[row])
+                raise InvalidValue(
+                    f"contact law {name_of(self.law)}: {rule} ({self._numbers_of(row)}{got}){self._place(row)}; {cure}"
+                )
+
+    def _material_loss(self, found: dict[str, Floats]) -> Floats:
+        """Return what the material has taken over `m v^2`, by integrated results."""
+        e = found["restitution"]
+        fall = found["end_displacement"] + self.inelasticity * (1 + e + self.weight * found["contact_time"])
+        return np.asarray(0.5 * (1 - e) * (1 + e) - found["plate_energy"] + self.weight * fall)
 
     def taken(self, rows: NDArray[np.intp]) -> Self:
         """Return the curves of the given rows, in this order."""
@@ -229,7 +288,13 @@ class Curves:
     def _described(self, row: int) -> str:
         """Return the numbers of an impact for a message."""
         numbers = ", ".join(f"{number:g}" for number in self.numbers[row])
-        return f"{self.law.name or type(self.law).__name__} {numbers}".strip()
+        return f"{name_of(self.law)} {numbers}".strip()
+
+    def _numbers_of(self, row: int) -> str:
+        return f"{self._described(row)}, lambda {self.inelasticity[row]:g}, g L / v^2 {self.weight[row]:g}"
+
+    def _place(self, row: int) -> str:
+        return f" at index {row}" if self.inelasticity.size > 1 else ""
 
     def _require_separation(self, rows: NDArray[np.intp], status: Floats) -> None:
         from cgid.physics import _contact
@@ -238,15 +303,9 @@ class Curves:
             return
         index = np.flatnonzero(status != _contact.SEPARATED)[0]
         row = int(rows[index])
-        heavy = self.weight[row] > 0
-        numbers = f"{self._described(row)}, lambda {self.inelasticity[row]:g}, g L / v^2 {self.weight[row]:g}"
-        where = f" at index {row}" if self.inelasticity.size > 1 else ""
+        heavy, numbers, where = self.weight[row] > 0, self._numbers_of(row), self._place(row)
         if status[index] == _contact.STAYS:
             raise no_rebound_error(self.BODY, numbers, where)
-        if status[index] == _contact.NOT_FINITE:
-            raise InvalidValue(
-                f"the force of a contact law must be finite, got nan or infinity ({numbers}){where}; check the law"
-            )
         hint = f"{self.REMEDY}, or leave gravity out" if heavy else self.REMEDY
         raise InvalidValue(
             f"the impact must end within {_contact.MAX_STEPS} steps of the integration and leave a rebound that double "
@@ -475,15 +534,74 @@ def is_builtin(law: Law | type[Law]) -> bool:
     return (law if isinstance(law, type) else type(law)).__module__ == "cgid.physics.laws"
 
 
-def _run_own_law(law: Law | type[Law], run: Callable[..., None], *arguments: Any) -> None:
-    """Call a kernel with a custom law; an error in it becomes `InvalidValue`."""
+def name_of(law: Law | type[Law]) -> str:
+    """Return the name of a law, or that of its class."""
+    return law.name or (law if isinstance(law, type) else type(law)).__name__
+
+
+@contextmanager
+def own_code(law: Law | type[Law]) -> Iterator[None]:
+    """Turn whatever the code of a custom law raises into `InvalidValue` with its name."""
     try:
-        run(*arguments)
-    # The law may fail in any way.
-    except Exception as error:
+        yield
+    except (CgidError, KeyboardInterrupt):
+        raise
+    except BaseException as error:
+        if is_builtin(law):
+            raise
+        said = f"{type(error).__name__}: {' '.join(str(error).split())[:300]}".removesuffix(": ")
         raise InvalidValue(
-            f"contact law {law.name}: must return a force for every w, but raised {type(error).__name__}: {error}"
+            f"contact law {name_of(law)}: must work for every impact, but raised {said}; check the law"
         ) from None
+
+
+def _run_own_law(law: Law | type[Law], run: Callable[..., None], *arguments: Any) -> None:
+    """Call a kernel with a custom law."""
+    with own_code(law):
+        run(*arguments)
+
+
+def require_numbers(law: Law, numbers: Floats) -> None:
+    """Raise `InvalidValue` if a custom law reads more numbers than it has: compiled, it would read other memory."""
+    for verb, more in zip(verbs_of(law, compiled=False), ((0.5,), (), (0.5,)), strict=True):
+        try:
+            verb(numbers.copy(), np.zeros(4), *more)
+        except IndexError as error:
+            raise InvalidValue(
+                f"contact law {name_of(law)}: its functions must read the {numbers.size} numbers of the law and the "
+                f"four of the history, but {error}; return more from numbers"
+            ) from None
+        except Exception:
+            # It may need a history that it does not have here; the integration reports other errors.
+            continue
+
+
+def require_equal(law: Law, closed: Any, exact: Curves) -> None:
+    """Raise `InvalidValue` unless the curves of a custom law are, at the first impact, those integrated."""
+    with own_code(law):
+        if not isinstance(closed, Curves) or closed.inelasticity.shape != exact.inelasticity.shape:
+            raise InvalidValue(
+                f"contact law {name_of(law)}: closed must return the Curves of {exact.inelasticity.size} impacts or "
+                f"None, got {type(closed).__name__}; return None"
+            )
+        first = np.zeros(min(exact.inelasticity.size, 1), np.intp)
+        exact, closed = replace(exact.taken(first), tolerance=min(exact.tolerance, TOLERANCE)), closed.taken(first)
+        times, unit = np.linspace(0, 1.2, 60) * exact.times[0][:, None], np.ones(first.size)
+        found, wanted = (
+            np.concatenate(
+                (
+                    *(one.restitution, one.peak_force, one.peak_displacement, one.times[0]),
+                    one.evaluate(times, unit, unit, "force", "float64", 1).ravel(),
+                )
+            )
+            for one in (closed, exact)
+        )
+        error = float(np.abs(found - wanted).max(initial=0) / np.abs(wanted).max(initial=1))
+    if not error <= _CLOSED:
+        raise InvalidValue(
+            f"contact law {name_of(law)}: closed must return the curves that force gives, they differ by {error:.2g} "
+            f"of the peak ({exact._numbers_of(0)}); correct closed, or leave it out"
+        )
 
 
 def verbs_of(law: Law | type[Law], *, compiled: bool) -> tuple[Any, ...]:

@@ -15,7 +15,17 @@ from cgid import validation
 from cgid.errors import InvalidValue
 from cgid.physics import bodies
 from cgid.physics.bodies import Sphere, Target, ThinPlate
-from cgid.physics.curves import TOLERANCE, TOLERANCES, Curves, Law, Quantity, is_builtin
+from cgid.physics.curves import (
+    TOLERANCE,
+    TOLERANCES,
+    Curves,
+    Law,
+    Quantity,
+    is_builtin,
+    own_code,
+    require_equal,
+    require_numbers,
+)
 from cgid.physics.laws import STIFFNESS_THEORIES, Plastic, stiffness_of
 from cgid.validation import Floats
 
@@ -170,6 +180,8 @@ class Impact:
     @cached_property
     def _given(self) -> dict[str, Floats]:
         """Numbers of the impact, broadcast to one shape."""
+        with own_code(self.dissipation):
+            of_loss = self.dissipation.values()
         named = {
             "radius": bodies.reduced_radius(self.sphere, self.target),
             "mass": bodies.reduced_mass(self.sphere, self.target),
@@ -177,7 +189,7 @@ class Impact:
             "velocity": np.asarray(self.velocity, dtype=np.float64),
             "gravity": np.asarray(self.gravity, dtype=np.float64),
             "thickness": np.asarray(self.target.thickness if isinstance(self.target, ThinPlate) else 0.0),
-            **{f"{name} of the loss": one for name, one in self.dissipation.values().items()},
+            **{f"{name} of the loss": one for name, one in of_loss.items()},
         }
         return dict(zip(named, self._broadcast(named), strict=True))
 
@@ -244,20 +256,28 @@ class Impact:
     def _numbers(self) -> dict[str, Floats]:
         """Numbers of the contact law, by name, broadcast to the shape of the impact."""
         shape = self.reduced_mass.shape
-        return {
-            name: np.broadcast_to(np.asarray(one, np.float64), shape)
-            for name, one in self.dissipation.numbers(self).items()
-        }
+        with own_code(self.dissipation):
+            return {
+                name: np.broadcast_to(np.asarray(one, np.float64), shape)
+                for name, one in self.dissipation.numbers(self).items()
+            }
 
     @cached_property
     def curves(self) -> Curves:
         """The dimensionless curves, one row per impact in C order."""
-        closed = self.dissipation.closed(self)
-        return self._integrated_curves() if closed is None else closed
+        with own_code(self.dissipation):
+            closed = self.dissipation.closed(self)
+        if closed is None or is_builtin(self.dissipation):
+            return self._integrated_curves() if closed is None else closed
+        require_equal(self.dissipation, closed, self._integrated_curves())
+        return closed
 
     def _integrated_curves(self) -> Curves:
         columns = [one.ravel() for one in self._numbers.values()]
         numbers = np.stack(columns, axis=1) if columns else np.empty((self.reduced_mass.size, 0))
+        if len(numbers) and not is_builtin(self.dissipation):
+            with own_code(self.dissipation):
+                require_numbers(self.dissipation, numbers[0])
         return Curves(self.dissipation, numbers, np.ravel(self.inelasticity), self.weight.ravel(), self.tolerance)
 
     def plain_curves(self, make: Callable[..., Curves], *names: str) -> Curves | None:

@@ -41,8 +41,10 @@ def add_laws(source: str) -> None:
     """
     try:
         module = _from_file(Path(source).resolve()) if source.endswith(".py") else importlib.import_module(source)
-    # The module may fail in any way.
-    except Exception as error:
+    except KeyboardInterrupt:
+        raise
+    # The module may fail in any way, and may end the process.
+    except BaseException as error:
         raise InvalidValue(
             f"laws {source}: must be a module that can be loaded, got {type(error).__name__}: {error}; give its "
             "name, or the path of its file"
@@ -86,9 +88,12 @@ def _find_entry_points() -> None:
     for entry in sorted(entry_points(group=GROUP), key=lambda one: one.name):
         try:
             module = entry.load()
-        # Another package may fail in any way.
-        except Exception as error:
-            warnings.warn(f"the laws {entry.name} ({entry.value}) cannot be loaded: {error}", stacklevel=2)
+        except KeyboardInterrupt:
+            raise
+        # Another package may fail in any way, and may end the process.
+        except BaseException as error:
+            said = f"{type(error).__name__}: {error}"
+            warnings.warn(f"the laws {entry.name} ({entry.value}) cannot be loaded: {said}", stacklevel=2)
             continue
         _add(module, "")
     _own.update(named)  # modules named by the user take precedence
@@ -112,6 +117,11 @@ def require_sound(law: type[Law]) -> None:
         raise InvalidValue(f"law {law.name}: must have another name than a built-in law, got {law.name!r}; rename it")
     if not set(law.keys) <= set(_KEYS):
         raise InvalidValue(f"law {law.name}: keys must be of {', '.join(_KEYS)}, got {', '.join(law.keys)}")
+    if {"restitution", "yield_pressure"} <= set(law.keys):
+        raise InvalidValue(
+            f"law {law.name}: keys must have one of restitution and yield_pressure, which share a random number, got "
+            "both; leave one out"
+        )
     for name, signature in zip(_VERBS, VERBS, strict=True):
         verb: Any = getattr(law, name)
         if verb is None and name != "force":

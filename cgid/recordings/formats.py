@@ -96,6 +96,8 @@ class OutsideFormat:
         with library_errors(source, f"the reader {self.name} failed", "choose another by --format"):
             try:
                 yield
+            except SystemExit as error:
+                raise RuntimeError(f"SystemExit: {error}") from None
             except BadData as error:  # the reader does not know the name that the user gave
                 raise error if source in str(error) else BadData(f"{source}: {error}") from None
 
@@ -134,9 +136,12 @@ def outside_formats() -> list[OutsideFormat]:
     for entry in sorted(entry_points(group=READERS), key=lambda one: one.name):
         try:
             formats.append(OutsideFormat(entry.name, entry.load()))
-        # Another package may fail in any way.
-        except Exception as error:
-            warnings.warn(f"the reader {entry.name} ({entry.value}) cannot be loaded: {error}", stacklevel=2)
+        except KeyboardInterrupt:
+            raise
+        # Another package may fail in any way, and may end the process.
+        except BaseException as error:
+            said = f"{type(error).__name__}: {error}"
+            warnings.warn(f"the reader {entry.name} ({entry.value}) cannot be loaded: {said}", stacklevel=2)
     return formats
 
 

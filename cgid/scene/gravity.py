@@ -18,7 +18,7 @@ from cgid.counting import count
 from cgid.errors import InvalidValue
 from cgid.physics import Elastic, HuntCrossley, Impact, Law, Sphere, ThinPlate
 from cgid.physics.bodies import Target, reduced_modulus, reduced_radius
-from cgid.physics.curves import is_builtin
+from cgid.physics.curves import is_builtin, own_code
 from cgid.physics.impact import Contacts
 from cgid.physics.laws import STIFFNESS_THEORIES, named, speed_of_fall, stiffness_of
 from cgid.physics.materials import YIELD_OVER_STRENGTH, Material
@@ -101,7 +101,21 @@ def _largest_loss(section: ImpactSection, population: Population) -> Law:
     if population.strength is not None:
         lowest["yield_pressure"] = YIELD_OVER_STRENGTH * population.strength.extremes[0]
     more = {"law": section.law} if law is HuntCrossley else {}
-    return unchecked(law, **lowest, **more) if is_builtin(law) else law(**lowest)
+    if is_builtin(law):
+        return unchecked(law, **lowest, **more)
+    with own_code(law):
+        return law(**lowest)
+
+
+def problem_of_law(section: ImpactSection, target: Target, population: Population) -> str | None:
+    """Return an error message if a custom law of this population cannot be used, else None."""
+    if is_builtin(named(population.dissipation or section.dissipation)):
+        return None
+    try:
+        heaviest_impact(section, target, population).curves.require_rebound()
+    except InvalidValue as error:
+        return f"its slowest, largest and softest impact: {error}"
+    return None
 
 
 def problem_of_weight(section: ImpactSection, target: Target, population: Population) -> str | None:

@@ -16,7 +16,7 @@ from cgid.errors import InvalidValue
 from cgid.measure.modes import Modes
 from cgid.physics import HuntCrossley, Impact, Law, Sphere, laws
 from cgid.physics.coupled import ModalContacts, ModalImpact
-from cgid.physics.curves import is_builtin
+from cgid.physics.curves import is_builtin, own_code
 from cgid.physics.impact import Contacts
 from cgid.physics.materials import Material
 from cgid.physics.plates import PanelShapes
@@ -236,7 +236,8 @@ def _dissipation(scene: Scene, values: Mapping[str, Floats], rows: NDArray[np.in
         has = np.isfinite(viscous)
         given["viscous_restitution"] = np.where(has, viscous, 1.0) if has.any() else None
     if not is_builtin(law):
-        return law(**given)
+        with own_code(law):
+            return law(**given)
     return unchecked(law, **given, **({"law": scene.impact.law} if law is HuntCrossley else {}))
 
 

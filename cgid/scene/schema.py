@@ -20,7 +20,7 @@ from cgid.physics.own_laws import add_laws, own_law, sources
 from cgid.physics.tail_beam import TailBeam
 from cgid.scene.background import BackgroundSection, with_spectrum
 from cgid.scene.distributions import DISTRIBUTION_NAMES, Section, quantity_of
-from cgid.scene.gravity import problem_of_weight, problem_on_plate
+from cgid.scene.gravity import problem_of_law, problem_of_weight, problem_on_plate
 from cgid.scene.sections import (
     DISSIPATIONS,
     PLASTIC,
@@ -93,8 +93,10 @@ class Scene(Section):
         if not problems:  # an invalid beam cannot be a target
             thickness = "impact.target.thickness" if self.tail_beam is None else "tail_beam.thickness"
             for index, population in enumerate(self.populations):
-                problem = problem_on_plate(self.impact, self.body, population, thickness) or problem_of_weight(
-                    self.impact, self.body, population
+                problem = (
+                    problem_of_law(self.impact, self.body, population)
+                    or problem_on_plate(self.impact, self.body, population, thickness)
+                    or problem_of_weight(self.impact, self.body, population)
                 )
                 if problem is not None:
                     problems.append(f"populations.{index}: {problem}")
