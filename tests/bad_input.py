@@ -695,6 +695,7 @@ _COMMANDS = r"""
 2 | check | --list
 66 | verify nothing.h5 | nothing.h5
 2 | verify nothing.h5 --scene reference | --scene
+65 | verify two.h5 --laws exits.py | SystemExit
 65 | check reference.toml --laws exits.py | SystemExit
 65 | check reference.toml --laws lawless.py | must have a class
 65 | check reference.toml --laws no/law.py | no/law.py

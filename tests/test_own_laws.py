@@ -13,6 +13,7 @@ from numba import njit
 from scipy.integrate import solve_ivp
 
 from benchmarks import own_laws as referee
+from cgid.cli.main import run
 from cgid.errors import BadData, CannotCreate, InvalidValue
 from cgid.physics import Elastic, HalfSpace, HuntCrossley, Impact, Law, ModalImpact, Sphere, ThinPlate, own_laws
 from cgid.physics.curves import MAX_WEIGHT
@@ -22,6 +23,9 @@ from cgid.recordings import open_recording
 from cgid.recordings.formats import outside_formats
 from cgid.scene import synthesise
 from cgid.scene.generation import generate
+from cgid.scene.recordings import generate_recordings
+from cgid.scene.repair import changed
+from cgid.store.verification import verify
 from tests.plan_scenes import scene_of
 
 ROOT = Path(__file__).parents[1]
@@ -272,3 +276,73 @@ def test_a_heavy_sphere_keeps_its_energy_or_is_refused(tolerance):
     assert impact.restitution == pytest.approx(1, abs=max(3e-8, 0.2 * tolerance))
     with pytest.raises(InvalidValue, match=r"must be at most 10000 .*, got 10100; raise the velocity"):
         coal(Elastic(), 1e-3, gravity=1.01 * MAX_WEIGHT / unit, tolerance=tolerance)
+
+
+# ---- identity by result ---------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def read_cone(cone):
+    """Return the file from which the cone's module now reads a factor of its slope."""
+    factor = cone.parent / "factor.txt"
+    factor.write_text("1.0")
+    cone.write_text(
+        CONE.replace(
+            "slope = ", f"from pathlib import Path\n        slope = float(Path({str(factor)!r}).read_text()) * "
+        )
+    )
+    own_laws.add_laws(str(cone))
+    return factor
+
+
+def test_a_law_that_has_changed_unnoticed_completes_no_dataset(read_cone, tmp_path):
+    output = tmp_path / "data"
+
+    def made():
+        return generate(scene_of_cones(), output, 300, shard_signals=100, resume=True)
+
+    whole = {path.name: path.read_bytes() for path in made().glob("*.h5")}
+    (output / "shard-00000.h5").unlink()
+    assert {path.name: path.read_bytes() for path in made().glob("*.h5")} == whole
+    (output / "shard-00001.h5").unlink()
+    read_cone.write_text("1.001")
+    with pytest.raises(BadData, match=r"shard-00000.h5: its signals must follow.*module of cone"):
+        made()
+    assert sorted(path.name for path in output.glob("*.h5")) == ["shard-00000.h5", "shard-00002.h5"]
+    read_cone.write_text("1.0")
+    assert {path.name: path.read_bytes() for path in made().glob("*.h5")} == whole
+
+
+def test_verify_makes_signals_of_a_law_again(read_cone, cone, tmp_path):
+    output, single = tmp_path / "data", tmp_path / "one.h5"
+    generate(scene_of_cones(), output, 300, shard_signals=100)
+    generate(scene_of_cones(), single, 40)
+    command = ["verify", str(output), str(single), "--laws", str(cone)]
+    assert run(command) == 0
+    assert not changed(verify(output))
+    (output / "shard-00001.h5").unlink()
+    assert run([*command, "--repair"]) == 0
+    assert run(command) == 0
+    read_cone.write_text("1.001")
+    assert run(command) == 65
+    assert {finding.file.name for finding in changed(verify(output))} == {f"shard-0000{k}.h5" for k in range(3)}
+    assert run(["verify", str(output)]) == 0  # the bytes are whole
+    (output / "shard-00001.h5").unlink()
+    assert run([*command, "--repair"]) == 65
+    assert not (output / "shard-00001.h5").exists()
+
+
+@pytest.mark.long
+def test_a_law_that_has_changed_completes_no_recordings(read_cone, tmp_path):
+    scene = scene_of(
+        {"dissipation": "cone"}, {"restitution": 0.5}, {}, sampling={"sampling_rate": 51200.0},
+        stream={"duration": 1.0, "arrivals": {"rate": 30.0}},
+    )  # fmt: skip
+    output = generate_recordings(scene, tmp_path / "heard", 2)
+    (output / "recording-00001.h5").unlink()
+    read_cone.write_text("1.001")
+    with pytest.raises(BadData, match=r"recording-00000.h5: its signals must follow"):
+        generate_recordings(scene, output, 2, resume=True)
+    read_cone.write_text("1.0")
+    generate_recordings(scene, output, 2, resume=True)
+    assert not changed(verify(output))

@@ -38,6 +38,7 @@ _EXCEPTIONS = {
     "ceiling --drop-height": "Signals",
     "check --seed": "Task",
     "check --laws": "Task",
+    "verify --laws": "Task",
     "export-model --to": "Task",
 }
 #: Heading -> the commands below it.

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
-from functools import wraps
+from functools import partial, wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -165,12 +165,13 @@ class Reading:
 # -- options, each described once, and groups of them -----------------------------------------------------
 
 
-def _add_laws(_context: click.Context, _option: click.Parameter, modules: tuple[str, ...]) -> None:
+def _add_laws(_context: click.Context, _option: click.Parameter, modules: tuple[str, ...]) -> tuple[str, ...]:
     if modules:
         from cgid.physics.own_laws import add_laws
 
         for module in modules:
             add_laws(module)
+    return modules
 
 
 def _options(*options: Callable[[Any], Any]) -> Callable[[F], F]:
@@ -221,15 +222,16 @@ worker_options = _options(
         help="Use the workers of a dask cluster with this address, such as tcp://192.168.0.7:8786.",
     ),
 )
-laws_option = click.option(
+_laws_option = partial(
+    click.option,
     "--laws",
     metavar="MODULE",
     multiple=True,
     is_eager=True,
-    expose_value=False,
     callback=_add_laws,
     help="Add the contact laws of your own module, by its name or the path of its file.",
 )
+laws_option, given_laws_option = _laws_option(expose_value=False), _laws_option()
 #: Options for reading a recording: field of `Reading` -> option.
 _READING: dict[str, Callable[[Any], Any]] = {
     "sampling_rate": click.option(

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from cgid.cli.help import Command
-from cgid.cli.options import PATH, SCENE, Reading, json_option, reading_options_for
+from cgid.cli.options import PATH, SCENE, Reading, given_laws_option, json_option, reading_options_for
 from cgid.cli.output import FileErrors, print_json, progress_bar, say
 from cgid.terminal import counted
 
@@ -26,18 +26,24 @@ _NO_SUM = "no checksum, "
 @click.argument("data", type=PATH, nargs=-1, required=True, metavar="DATA...")
 @click.option("--repair", is_flag=True, help="Regenerate damaged files, and remove leftovers of stopped runs.")
 @click.option("--scene", type=SCENE, help="Use this scene file of a dataset, if it names a recorded background.")
+@given_laws_option
 @reading_options_for("variable", "format")
 @json_option
-def verify(data: tuple[str, ...], repair: bool, scene: str | None, as_json: bool, reading: Reading) -> int:
+def verify(
+    data: tuple[str, ...], repair: bool, scene: str | None, laws: tuple[str, ...], as_json: bool, reading: Reading
+) -> int:
     """Find damage in DATA: datasets (folders or files), recordings, tables, models; the exit code is 65 then.
 
     The files of a folder are compared with its SHA256SUMS, single files with their own checksums. A recording of
     another program (TDMS, WAV, CSV, ...) has none: it is read to its end, as are all in a folder. With --repair damaged
     or missing files of a folder are regenerated from its description, to the same bytes, and nothing else is changed;
     for a single file the command is printed. Files that do not belong to a dataset are reported, but are not damage.
+    With --laws the first signals of each file of a dataset with contact laws of one's own are made again, and must be
+    the stored ones within 1e-6 of their peaks: what a law's module reads or imports is in no checksum. --repair needs
+    --laws for such a dataset.
     """
-    if scene is not None and not repair:
-        raise click.UsageError("--scene needs --repair, for which it is the source; give both or neither")
+    if scene is not None and not (repair or laws):
+        raise click.UsageError("--scene needs --repair or --laws, for which it is the source; give both or neither")
     from cgid.cli.info import is_model
 
     given = None
@@ -50,11 +56,11 @@ def verify(data: tuple[str, ...], repair: bool, scene: str | None, as_json: bool
     for path in errors.each(file for one in data for file in _recordings_of(one) or [one]):
         with errors:
             if not _is_file(path):
-                _verify_data(path, repair, given, as_json)
+                _verify_data(path, repair, given, bool(laws), as_json)
             elif is_model(path):
                 _verify_model(path, as_json)
             elif not _is_foreign(path):
-                _verify_data(path, repair, given, as_json)
+                _verify_data(path, repair, given, bool(laws), as_json)
             elif not _verify_rows(path, as_json):
                 _verify_foreign(path, reading, as_json)
     return errors.code
@@ -165,7 +171,7 @@ def _read(path: str, reading: Reading) -> tuple[RecordingFile, int]:
     return recording, n_samples
 
 
-def _verify_data(path: str, repair: bool, scene: Any, as_json: bool) -> None:
+def _verify_data(path: str, repair: bool, scene: Any, laws: bool, as_json: bool) -> None:
     from cgid.errors import BadData, CgidError
     from cgid.store.verification import verify as find
 
@@ -189,7 +195,16 @@ def _verify_data(path: str, repair: bool, scene: Any, as_json: bool) -> None:
             if finding.problem != "foreign":
                 line["repaired"] = finding.file not in still
                 line["told"] = "made again" if line["repaired"] else note if finding.file == about else ""
+    if laws and not left:
+        from cgid.scene.repair import changed
+
+        with progress_bar(None, "files", "making again") as progress:
+            left = changed(find(path) if repair else report, scene, progress)
+        lines += [_line(finding.file, finding.problem, finding.what) for finding in left]
     _tell(path, report.kind, report.n_files, lines, not left, as_json)
+    if left and left[0].problem == "changed":
+        names = f"{len(left)} of its files do" if len(left) > 1 else f"{left[0].file.name} does"
+        raise BadData(f"{path}: must follow from its scene and laws, {names} not; give the laws that it was made with")
     if left:
         files = f"{len(left)} of its files are" if len(left) > 1 else f"{left[0].file.name} is"
         hint = "see above how to make them again" if repair else "cgid verify --repair regenerates what it can"

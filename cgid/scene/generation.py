@@ -15,13 +15,14 @@ from dataclasses import dataclass, replace
 from functools import partial
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, Literal, NamedTuple, TypeVar
+from typing import Any, Literal, NamedTuple, TypeVar, cast
 
 import numpy as np
+from numpy.typing import NDArray
 from threadpoolctl import threadpool_info
 
 from cgid import __version__, validation
-from cgid.errors import InvalidValue
+from cgid.errors import BadData, InvalidValue
 from cgid.files import require_room, write_whole
 from cgid.scene.draws import BLOCK, parameter_units, require_seed
 from cgid.scene.plan import Plan
@@ -32,6 +33,7 @@ from cgid.store.dataset import describe_dataset, shard_content
 from cgid.store.description import COMPRESSIONS, DIGEST, FORMAT, SCHEMA_VERSION
 from cgid.store.folder import Description
 from cgid.store.hdf5 import ShardPlan, library, require
+from cgid.store.reading import Dataset
 from cgid.store.run import Run, begun, check_output, is_single_file, require_description
 from cgid.store.table import TableHeader, check_table_output, table_writer
 from cgid.workers import SERIAL, Workers, workers
@@ -40,6 +42,8 @@ from cgid.workers import SERIAL, Workers, workers
 SHARD_SIGNALS = 4096
 #: Maximum number of signals of a dataset or table.
 MAX_SIGNALS = 10**9
+#: Largest error of a signal made again, over its peak; processors differ less.
+SAME = 1e-6
 #: Limits of the signals made in advance: memory [bytes], but at least one block, and number of blocks.
 _AHEAD_BYTES, _AHEAD_BLOCKS = 32 << 20, 16
 #: Largest size of a number in a table, and in CSV with its comma [bytes].
@@ -113,7 +117,7 @@ def generate(
         The output exists or cannot be made, another run writes there, the run to resume had other options, or a worker
         does not share the folder.
     BadData
-        The run to resume is damaged.
+        The run to resume is damaged, or its signals do not follow from the scene and its laws any more.
     ClusterFailed
         The scheduler does not answer, has no workers, or lost them.
     MissingExtra
@@ -244,7 +248,12 @@ def make_shards(
     *,
     overwrite: bool = True,
 ) -> None:
-    """Make the missing shards of a run, given by their numbers, and list their sums."""
+    """Make the missing shards of a run, given by their numbers, and list their sums.
+
+    Raises `BadData` if the first signals of a whole shard do not follow from the scene any more.
+    """
+    if missing and run.first_whole is not None:
+        require_shard(run.first_whole, scene, seed)
     place, digest = (run.output.parent, None) if run.is_single else (run.output, run.description.sha256)
     names = [run.output.name] if run.is_single else run.description.names
     shards = [_Shard(names[number], **run.description.part(number)) for number in missing]
@@ -259,6 +268,36 @@ def make_shards(
             run.add(shard.file, shard.sha256)
             if progress is not None and not here:
                 progress(shard.n_signals)
+
+
+def require_shard(file: Path, scene: Scene, seed: int) -> None:
+    """Raise `BadData` unless the first signals of a whole shard follow from the scene, made again."""
+    dataset = Dataset(file)
+    first, dtype = int(dataset.header.attributes.get("first_signal", 0)), cast(Any, dataset.header.dtype)
+    # A block, since each population may have a law of its own.
+    n = min(BLOCK, len(dataset))
+    made = [batch.signals for batch in synthesise(scene, n, seed, first=first, dtype=dtype)]
+    require_same_samples(file, next(dataset.batches(n)).signals, np.concatenate(made), scene)
+
+
+def require_same_samples(file: Path, stored: NDArray[Any], made: NDArray[Any], scene: Scene) -> None:
+    """Raise `BadData` unless signals (n, n_samples) of a file are those made again, within `SAME` of their peaks.
+
+    The description of a folder names the module of a custom law, but not what that imports or reads.
+    """
+    for signal, again in zip(stored.astype(np.float64), made.astype(np.float64), strict=True):
+        peak, error = np.abs(signal).max(initial=0), np.abs(signal - again).max(initial=0)
+        allowed = SAME * peak
+        if scene.sensor.bits is not None or scene.draws("bits"):  # a sample may fall on the next number
+            allowed += 1.001 * np.diff(np.unique(signal)).min(initial=peak)
+        if not error <= allowed:
+            cause = "a library, or what the scene reads,"
+            if scene.own_laws:
+                cause = f"the module of {', '.join(scene.own_laws)}, or what it imports or reads,"
+            raise BadData(
+                f"{file}: its signals must follow from the scene, made again they differ by {error / peak:.2g} of the "
+                f"peak; {cause} has changed: restore it, or generate all again with --overwrite"
+            )
 
 
 def _anywhere(work: _Work) -> _Work:

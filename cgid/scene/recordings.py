@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, cast
 
 import numpy as np
 
@@ -14,7 +14,7 @@ from cgid.errors import InvalidValue
 from cgid.files import require_room
 from cgid.scene.distributions import MIN_RECORDING
 from cgid.scene.draws import require_seed
-from cgid.scene.generation import attributes_of, in_order
+from cgid.scene.generation import attributes_of, in_order, require_same_samples
 from cgid.scene.noise import background_of
 from cgid.scene.rocks import arrivals_of
 from cgid.scene.schema import Scene, load_scene, samples_of
@@ -22,6 +22,7 @@ from cgid.scene.stream import impact_units, joined, parts_of_recording
 from cgid.store.description import DIGEST, MAX_RECORDING, RECORDING_FORMAT
 from cgid.store.folder import Description, describe, sha256_of
 from cgid.store.hdf5 import RecordingPlan, writing
+from cgid.store.reading import Recording
 from cgid.store.run import Run, begun, check_output, is_single_file
 from cgid.terminal import counted
 
@@ -117,7 +118,8 @@ def generate_recordings(
     CannotCreate
         The output exists, cannot be created or is in use by another run, or the run to resume had other options.
     NoInput, BadData
-        The recorded background is unusable, or the output to resume is damaged.
+        The recorded background is unusable, the output to resume is damaged, or its samples do not follow from the
+        scene and its laws any more.
     WriteFailed
         The disk is full; finished recordings of a folder stay, and the run can be resumed.
     """
@@ -171,12 +173,31 @@ def make_recordings(
     *,
     overwrite: bool = True,
 ) -> None:
-    """Make the missing recordings of a run, given by their numbers, and list their sums."""
+    """Make the missing recordings of a run, given by their numbers, and list their sums.
+
+    Raises `BadData` if the first impacts of a whole recording do not follow from the scene any more.
+    """
+    if missing and run.first_whole is not None:
+        require_recording(run.first_whole, scene, seed)
     for number in missing:
         file = run.output if run.is_single else run.output / run.description.name(number)
         write_recording(file, plan, scene, seed, number, progress, overwrite=overwrite)
         if not run.is_single:
             run.add(file.name, sha256_of(file))
+
+
+def require_recording(file: Path, scene: Scene, seed: int) -> None:
+    """Raise `BadData` unless a whole recording follows from the scene, as far as its first impacts."""
+    recording = Recording(file)
+    number, dtype = int(recording.attributes.get("recording", 0)), cast(Any, recording.dtype)
+    samples, n_impacts = [np.empty(0, dtype)], 0
+    for made, impacts in parts_of_recording(scene, seed, number, dtype=dtype):
+        samples.append(made)
+        if n_impacts and made.size:
+            break
+        n_impacts += len(impacts["time"])
+    again = np.concatenate(samples)
+    require_same_samples(file, recording.samples(0, again.size)[None], again[None], scene)
 
 
 def write_recording(

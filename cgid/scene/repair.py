@@ -8,6 +8,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from cgid.errors import BadData
 from cgid.files import require_room
 from cgid.scene import generation, recordings
@@ -15,9 +17,9 @@ from cgid.scene.schema import Scene, stored_scene
 from cgid.store.description import DIGEST, FORMAT, RECORDING_FORMAT
 from cgid.store.folder import DESCRIPTION, Description, read_folder, require_same
 from cgid.store.run import begun
-from cgid.store.verification import Verified, examine_file
+from cgid.store.verification import Finding, Verified, examine_file
 
-__all__ = ["repair"]
+__all__ = ["changed", "repair"]
 
 Progress = Callable[[int], object]
 
@@ -25,8 +27,7 @@ Progress = Callable[[int], object]
 def repair(verified: Verified, scene: Scene | None = None, progress: Progress | None = None) -> None:
     """Regenerate damaged and lost files of a folder, list the sums of complete files, and remove leftovers.
 
-    An
-    unfinished run is not completed, and files of another description are not replaced.
+    An unfinished run is not completed, and files of another description are not replaced.
 
     Parameters
     ----------
@@ -40,7 +41,7 @@ def repair(verified: Verified, scene: Scene | None = None, progress: Progress | 
     Raises
     ------
     BadData
-        It is not a folder of this version with a valid description.
+        It is not a folder of this version with a valid description, or its whole files do not follow from that here.
     CannotCreate
         Its files do not follow from the description here, a run writes into the folder, or the disk is full.
     WriteFailed
@@ -64,12 +65,63 @@ def repair(verified: Verified, scene: Scene | None = None, progress: Progress | 
             make(run, missing=[number for number in run.missing if names[number] in lost], progress=progress)
 
 
+def changed(verified: Verified, scene: Scene | None = None, progress: Progress | None = None) -> tuple[Finding, ...]:
+    """Return the whole files of a dataset or recording whose first signals its custom laws do not make any more.
+
+    Parameters
+    ----------
+    verified : Verified
+        The result of `cgid.store.verification.verify`.
+    scene : Scene, optional
+        As for `repair`.
+    progress : callable, optional
+        Called with the number of files made again since the last call.
+
+    Returns
+    -------
+    tuple of Finding
+        None where the scene has no custom laws.
+
+    Raises
+    ------
+    BadData
+        A law of the scene is unknown, or the scene or seed is missing.
+    """
+    path, lost = verified.path, {finding.file for finding in verified.findings}
+    if path.is_dir():
+        description = read_folder(path).description
+        kind, about = description.kind, description.content["attributes"]
+        files = [path / name for name in description.names if (path / name).exists()]
+    else:
+        kind, _, about = examine_file(path)
+        files = [path]
+    if "laws" not in about:
+        return ()
+    of_scene, seed = _scene_of(path, about, scene), _seed_of(path, about)
+    require = recordings.require_recording if kind == RECORDING_FORMAT else generation.require_shard
+    findings = []
+    for file in files:
+        try:
+            if file not in lost:
+                require(file, of_scene, seed)
+        except BadData as error:
+            findings.append(Finding(file=file, problem="changed", what=str(error).removeprefix(f"{file}: ")))
+        if progress is not None:
+            progress(1)
+    return tuple(findings)
+
+
+def _seed_of(file: Path, attributes: Any) -> int:
+    seed = attributes.get("seed")
+    if not isinstance(seed, int | np.integer) or isinstance(seed, bool) or seed < 0:
+        raise BadData(f"{file}: seed must be a whole number of 0 or more; generate the files again")
+    return int(seed)
+
+
 def _maker(path: Path, description: Description, given: Scene | None, n_files: int) -> Callable[..., None]:
     """Return the function that makes the files of a folder; raises `BadData` if this cgid would make different ones."""
     file, content, attributes = path / DESCRIPTION, description.content, description.content["attributes"]
-    seed, dtype = attributes.get("seed"), content["dtype"]
-    if type(seed) is not int or seed < 0:
-        raise BadData(f"{file}: seed must be a whole number of 0 or more; generate the files again")
+    seed, dtype = _seed_of(file, attributes), content["dtype"]
     scene = _scene_of(file, attributes, given)
     plan: Any
     make: Callable[..., None]

@@ -60,6 +60,13 @@ class Run:
         """Whether the output is one file, without sums."""
         return self._sums is None
 
+    @property
+    def first_whole(self) -> Path | None:
+        """The first file of a folder that is complete at the begin, None without one."""
+        missing = {*range(self.description.n_files)} if self.is_single else {*self.missing}
+        names = enumerate(self.description.names)
+        return next((self.output / name for number, name in names if number not in missing), None)
+
     def _text(self) -> bytes:
         sums = self._sums or {}
         listed = {name: sums[name] for name in self.description.names if name in sums}

@@ -82,7 +82,10 @@ def why_incomplete(folder: Folder, number: int) -> str:
 
 @dataclass(frozen=True, kw_only=True)
 class Finding:
-    """A problem with a file: "damaged", "missing" or "unfinished"; "leftover" and "foreign" are harmless."""
+    """A problem with a file: "damaged", "missing", "unfinished" or "changed"; "leftover" and "foreign" are harmless.
+
+    "changed" is what its custom laws do not make any more, see `cgid.scene.repair.changed`.
+    """
 
     file: Path
     problem: str
