@@ -87,7 +87,7 @@ class Commands(Output):
         with self._changed:
             if record["kind"] in ("shut", "open"):
                 self._take(record["kind"], record)
-            elif record["kind"] == "state":
+            if record["kind"] in ("shut", "open", "state"):
                 self._take_blind()
 
     def statuses(self) -> list[dict[str, Any]]:
