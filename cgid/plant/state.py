@@ -95,7 +95,7 @@ class PlantState:
         self.ended = False
         self.outputs: list[Output] = []
         self.waveform: Waveform | None = None
-        self._beaten_at = self._begun_at = time.monotonic()
+        self._beaten_at = time.monotonic()
         self._behind: Callable[[], float] = lambda: 0.0
         self._waited: Callable[[], float] = lambda: since(self._beaten_at)
         self._blind_after, self._delay = math.inf, 0.0
