@@ -202,7 +202,7 @@ def test_json_keeps_the_keys_that_scripts_read(
     monkeypatch.chdir(ROOT)
     assert run(["predict", "datasets/sample.csv", "--json"]) == 0
     first = json.loads(capsys.readouterr().out.splitlines()[0])
-    assert first["version"] == 4
+    assert first["version"] == 5
     assert first["probabilities"].keys() == {"coal", "gangue"}
     keys = {"kind", "source", "channel", "label", "novelty", "time_s", "end_s", "most_likely", "in_training_range"}
     assert keys <= first.keys()

@@ -476,11 +476,12 @@ def test_a_quiet_pause_is_not_blind_and_a_sensor_that_never_gave_a_sample_is() -
     samples[0, :20_000] *= np.where(np.arange(20_000) % 1000 < 900, 30.0, 1.0)
     samples[2, 20_000:] *= 0.01
     samples[2, 20_000::1500] = 5.0  # quiet, but hit: it is alive
-    sensors = SensorWatch(3, 1000.0)
-    watch = CavingWatch(MODEL, ["1", "2", "3"], PredictionSettings(share_step=0.5), sensors=sensors)
-    sensors.feed(samples)
-    told = [one.state for one in watch.feed([], 40.0) if one.kind == "state"]
-    assert [(one.share.channel, one.time, one.since) for one in told] == [("2", 5.0, 0.0)]
+    for step in (0.5, 300.0):  # also where windows are long
+        sensors = SensorWatch(3, 1000.0)
+        watch = CavingWatch(MODEL, ["1", "2", "3"], PredictionSettings(share_step=step), sensors=sensors)
+        sensors.feed(samples)
+        told = [one.state for one in watch.feed([], 40.0) if one.kind == "state"]
+        assert [(one.share.channel, one.time, one.since) for one in told] == [("2", 5.0, 0.0)]
 
 
 def test_gangue_may_be_written_in_other_letters() -> None:

@@ -6,6 +6,7 @@ Prometheus, commands, and the report.
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -43,6 +44,10 @@ class Ground(StrEnum):
     WRONG_SCALE = "wrong_scale"  # the levels are not those of the training
     MOSTLY_UNKNOWN = "mostly_unknown"  # most impacts of the last minutes are unknown
     STOPPED = "stopped"  # no samples arrive
+
+
+#: Grounds are looked at this often at least [s].
+_LONGEST_STEP = 1.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -136,7 +141,10 @@ class CavingWatch:
     ) -> None:
         shares = settings.shares
         gangue = as_in(model, shares.gangue)
-        self._gangue, self._step, self._blind_after = gangue, shares.step, settings.blinded_after
+        self._gangue, self._blind_after = gangue, settings.blinded_after
+        # Grounds are looked at in between, where the windows advance slowly.
+        self._every = max(math.ceil(shares.step / _LONGEST_STEP), 1)
+        self._step = shares.step / self._every
         self.diagnosis = Diagnosis(model, live=True) if diagnosis is None else diagnosis
         #: Fraction above which continuing costs more than shutting; None for a model without gangue or another label.
         self.threshold: float | None = None
@@ -181,7 +189,7 @@ class CavingWatch:
         reports: list[Report] = []
         while (end := (self._steps + 1) * self._step) <= until:
             self._steps += 1
-            reports += self._at(end)
+            reports += self._at(end, in_between=bool(self._steps % self._every))
         return reports
 
     def finish(self, duration: float) -> list[Report]:
@@ -208,7 +216,7 @@ class CavingWatch:
         """Return the latest record of each support."""
         return [one.state for one in self._supports.values() if one.state is not None]
 
-    def _at(self, end: float) -> Iterator[Report]:
+    def _at(self, end: float, *, in_between: bool = False) -> Iterator[Report]:
         while self._waiting and self._waiting[0].time <= end:
             answer = self._waiting.popleft()
             self.diagnosis.add((answer,))
@@ -223,7 +231,9 @@ class CavingWatch:
                 self.diagnosis.add((), turned)
         self._changes += self.diagnosis.changes(end)
         for name, support in self._supports.items():
-            yield from support.at(support.window.at(end), *self._ground(name, support, end))
+            ground, since, reason = self._ground(name, support, end)
+            if not in_between or ground != (Ground.SEEN if support.state is None else support.state.ground):
+                yield from support.at(support.window.at(end), ground, since, reason)
 
     def _ground(self, name: str, support: _Support, end: float) -> tuple[Ground, float, str]:
         """Return the ground of a support, its begin if it is new [s], and the reason."""
