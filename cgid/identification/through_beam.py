@@ -40,8 +40,8 @@ _BY_NOISE = 1.28
 _MIN_QUIET, _MAX_QUIET = 64, 256
 #: Samples at a limit are equal within this, and are at least this many.
 _SAME, _SHARED, _TOLERANCE = 1e-6, 2, 0.01
-#: Minimum noise over the signal.
-_FLOOR = 1e-3
+#: Minimum noise over the signal: of white noise, and of what an autoregression leaves, for single precision.
+_FLOOR, _LEAST = 1e-3, 1e-6
 
 
 def clipped_samples(frames: Floats, shared: int = _SHARED) -> NDArray[np.bool_] | None:
@@ -200,7 +200,7 @@ class ThroughBeam:
         noise = self._noise(frames, quiet, vibrations, limit)
         found = Observations(frames, noise, limit=limit)
         if limit is None:
-            colour = ar_noise_of(frames, quiet, np.zeros(len(frames)), 1)
+            colour = ar_noise_of(frames, quiet, _LEAST * np.sqrt(np.mean(np.square(frames), axis=1)), 1)
             clipped = clipped_samples(frames)
             frames, noise, error = self._settled(frames, quiet.astype(np.intp), noise, colour)
             found = Observations(frames, noise, colour.coefficients, colour.innovation, error, clipped)

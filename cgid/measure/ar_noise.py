@@ -27,6 +27,8 @@ _MARGIN = 6.0
 _TESTED, _SUSPICION = 4, 9.5
 #: Exponents, fractions of white noise, and samples per period of the slowest noise.
 _EXPONENTS, _WHITE, _PERIOD = np.arange(0.25, 2.01, 0.25), np.array([0.0, 0.1, 0.3, 0.6]), 4096
+#: Minimum fraction of white noise: a counter, a sawtooth or a ramp follows exactly from its past, which no noise does.
+_LEAST_WHITE = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,8 +79,9 @@ def ar_noise_of(samples: NDArray[np.floating], n_quiet: Floats, floor: Floats, r
         if run > 1:
             seen = seen.reshape(rows.size, length, run).mean(axis=2)
         seen -= seen.mean(axis=1, keepdims=True)
-        white = floor[rows] ** 2 / run + 1e-300
-        power = np.mean(seen**2, axis=1) + white
+        power = np.mean(seen**2, axis=1)
+        white = floor[rows] ** 2 / run + _LEAST_WHITE * power + 1e-300
+        power += white
         lags = [np.einsum("nt,nt->n", seen[:, lag:], seen[:, :-lag]) / length / power for lag in range(1, _TESTED + 1)]
         colour.innovation[rows] = np.sqrt(power)
         suspect = np.flatnonzero(length * np.sum(np.square(lags), axis=0) > _SUSPICION)
