@@ -83,8 +83,10 @@ class Workers:
         # A list is sent with its part; joblib may leave other arguments on one worker, with which they would be lost.
         tasks = (joblib.delayed(_do)([versions, function, given, part]) for part in _until_failure(parts, failures))
         way = "generator" if ordered else "generator_unordered"
-        results = joblib.Parallel(batch_size=1, return_as=way, **executor)(tasks)
+        results: Any = None
         try:
+            with _deaf_children():
+                results = joblib.Parallel(batch_size=1, return_as=way, **executor)(tasks)
             for result in results:  # noqa: UP028 - `yield from` would pass on an interruption before the warning is off
                 yield result
             if failures:
@@ -96,7 +98,8 @@ class Workers:
         finally:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore", UserWarning)  # joblib warns of cancelled work, which is intended
-                results.close()
+                if results is not None:
+                    results.close()
 
     def _sent(self, common: Any) -> Any:
         """Return a reference to the common data for each part of a cluster's work."""
@@ -123,7 +126,8 @@ class Workers:
         running: deque[Future[Result]] = deque()
         try:
             for part in parts:
-                running.append(executor.submit(_do, [None, function, common, part]))
+                with _deaf_children():
+                    running.append(executor.submit(_do, [None, function, common, part]))
                 if len(running) > 2 * self.jobs:
                     yield running.popleft().result()
             while running:
@@ -294,6 +298,33 @@ def _do(task: list[Any]) -> Any:
             signal.signal(number, signal.SIG_IGN)
     with joblib.parallel_config(backend="sequential"):  # a part is not itself spread over the cluster
         return function(common, part)
+
+
+@contextmanager
+def _deaf_children() -> Iterator[None]:
+    """Start processes that Ctrl-C does not reach, from their first instruction; ours follows at the end."""
+    # A process inherits the mask of the thread that starts it. Windows has no masks, and `_do` is what it has.
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    from multiprocessing import resource_tracker
+
+    resource_tracker.ensure_running()  # it clears the mask when it starts
+    noted: list[int] = []
+    # Another thread of this process may take the signal, and Python would act here.
+    is_main = threading.current_thread() is threading.main_thread()
+    handler = signal.getsignal(signal.SIGINT)
+    if is_main:
+        signal.signal(signal.SIGINT, lambda number, _: noted.append(number))
+    mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, mask)
+        if is_main:
+            signal.signal(signal.SIGINT, handler)
+        if noted:
+            signal.raise_signal(signal.SIGINT)
 
 
 @contextmanager

@@ -6,12 +6,17 @@ import dataclasses
 import hashlib
 import os
 import re
+import signal
+import subprocess
+import sys
+import time
 from collections.abc import Iterator
 from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import psutil
 import pytest
 from distributed import Client, LocalCluster
 
@@ -26,6 +31,8 @@ from cgid.store import Dataset
 from cgid.validation import positive
 from cgid.workers import SERIAL, Workers, workers
 from tests.mortal import fatal
+
+ROOT = Path(__file__).parents[1]
 
 #: Quick to measure, and with a signal's share of the folds that calibrate.
 FEATURES = "peak_force,impulse"
@@ -216,6 +223,41 @@ def test_ctrl_c_on_a_cluster_leaves_whole_shards_alone(reference_scene: Scene, a
 
 
 # ---- last, for the processes that take the place of dead ones must load everything anew ------------------------------
+
+
+def blocked(_common: None, _part: int) -> set[int]:
+    return set(signal.pthread_sigmask(signal.SIG_BLOCK, []))
+
+
+@pytest.mark.skipif(not hasattr(signal, "pthread_sigmask"), reason="Windows has no masks of signals")
+@pytest.mark.parametrize("each", ["each", "each_in_step"])
+def test_ctrl_c_never_reaches_a_worker(each: str) -> None:
+    """The mask is inherited: it holds from the first instruction of the process, before it imports anything."""
+    with workers(2) as crew:
+        assert all(signal.SIGINT in mask for mask in getattr(crew, each)(blocked, None, range(4)))
+    assert signal.SIGINT not in signal.pthread_sigmask(signal.SIG_BLOCK, [])
+
+
+@pytest.mark.long
+@pytest.mark.skipif(os.name != "posix", reason="a process group")
+@pytest.mark.parametrize("command", ["generate reference -n 300000 -o {}/data", "train caving -n 300000 -o {}/m.npz"])
+def test_ctrl_c_while_workers_start_is_one_line(command: str, tmp_path: Path) -> None:
+    """Sent to the group, as a terminal does, at more and more moments after the first worker is there."""
+    for delay in (0.0, 0.1, 0.2, 0.4, 0.8):
+        arguments = [sys.executable, "-m", "cgid", *command.format(tmp_path).split(), "--jobs", "2", "--overwrite"]
+        process = subprocess.Popen(arguments, cwd=ROOT, stderr=subprocess.PIPE, text=True, start_new_session=True)
+        try:
+            while process.poll() is None and not psutil.Process(process.pid).children():
+                time.sleep(0.005)
+            time.sleep(delay)
+            os.killpg(process.pid, signal.SIGINT)
+            err = process.communicate(timeout=300)[1]
+        finally:
+            process.kill()
+            process.communicate()
+        # Python ends by the signal itself if it came within `exec`, as of a dataclass that is being imported.
+        assert process.returncode in (128 + signal.SIGINT, -signal.SIGINT), err
+        assert err.split() == ["cgid:", "interrupted;", "no", "partial", "files", "remain"], err
 
 
 @pytest.mark.long
