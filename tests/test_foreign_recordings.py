@@ -381,17 +381,19 @@ def test_tdms_never_closed_by_labview_and_a_false_index_beside_it(tmp_path):
     assert np.array_equal(found, SAMPLES) and "never closed" in recording.warnings[0]
 
 
-@pytest.mark.parametrize("declared", [10**12, 2**62, 2**64 - 1])
+@pytest.mark.parametrize("declared", [N + 1, 10**10, 10**12, 2**62, 2**64 - 1])
 def test_hostile_counts_of_tdms_are_refused_or_end_with_the_file(tmp_path, declared):
     path = write_tdms(tmp_path / "huge.tdms", whole(SAMPLES[:1], parts=1))
     content = path.read_bytes()
     path.write_bytes(content.replace(struct.pack("<IQ", 1, N), struct.pack("<IQ", 1, declared)))
     try:
-        _, found = read(path)
+        recording, found = read(path)
     except CgidError as error:
-        assert "\n" not in str(error)
+        assert "\n" not in str(error) and declared > 10**10
     else:
         assert np.array_equal(found, SAMPLES[:1, : found.shape[1]]) and found.shape[1] <= N
+        (warning,) = recording.warnings
+        assert f"declares {declared} samples" in warning and f"{found.shape[1]} follow" in warning
 
 
 # ---- universal files ----

@@ -55,6 +55,17 @@ class _Tdms:
         finally:
             log_manager.set_level(level)
 
+    def shortfalls(self) -> Iterator[str]:
+        """Yield a warning for each channel of which the last segment declares more samples than it contains."""
+        with self.library_errors():
+            statuses = self.tdms.file_status.channel_statuses or {}
+        for path, status in statuses.items():
+            if status.read_length < status.expected_length:
+                yield (
+                    f"the header of channel {path} declares {status.expected_length} samples in its last part and "
+                    f"{status.read_length} follow; these were read, the file may be damaged"
+                )
+
     def blocks(self, channel: Any, length: int) -> Iterator[NDArray[Any]]:
         """Yield the samples of a channel, (1, at most `length`)."""
         with self.library_errors():
@@ -89,6 +100,8 @@ def read_tdms(path: Path, source: str, variable: str | None) -> Blocks:
     warnings: list[str] = []
     if file.is_cut:
         warnings.append("the TDMS file is cut off or was never closed; the complete samples of its last part were read")
+    else:
+        warnings += file.shortfalls()
     variables: list[Variable] = []
     with file.library_errors():
         statements: dict[str, dict[str, Value]] = {"": _values(file.tdms.properties)}
