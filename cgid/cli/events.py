@@ -5,13 +5,22 @@ from __future__ import annotations
 import os
 import shlex
 from collections.abc import Iterator, Sequence
+from itertools import compress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from cgid.cli.help import Command
-from cgid.cli.options import PATH, Reading, overwrite_option, reading_options, strict_option
+from cgid.cli.options import (
+    OUTPUT,
+    PATH,
+    Reading,
+    overwrite_option,
+    reading_options,
+    require_no_input_written,
+    strict_option,
+)
 from cgid.cli.output import FileErrors, say, say_error, warn
 from cgid.errors import BadData, CgidError, InvalidValue, MissingOption
 from cgid.terminal import counted
@@ -23,6 +32,8 @@ if TYPE_CHECKING:
 
 #: An interval begins this long before its impact, because channels may measure it at different times [s].
 _BEFORE = 2e-3
+#: Impacts are found without the channels that lack more than this fraction of their samples.
+_MOST_MISSING = 0.01
 
 
 @click.command(
@@ -31,7 +42,9 @@ _BEFORE = 2e-3
     example="cgid events datasets/sample.csv -o events.csv",
 )
 @click.argument("files", type=PATH, nargs=-1, required=True, metavar="FILE...")
-@click.option("-o", "--output", type=PATH, required=True, help="Write this table, ending in .csv, or to stdout for -.")
+@click.option(
+    "-o", "--output", type=OUTPUT, required=True, help="Write this table, ending in .csv, or to stdout for -."
+)
 @overwrite_option
 @strict_option
 @reading_options
@@ -43,12 +56,15 @@ def events(files: tuple[str, ...], output: str, overwrite: bool, strict: bool, r
     channels is one row.
     """
     from cgid.files import check_new, write_whole
-    from cgid.identification.manifest import manifest_text, recordings_in
+    from cgid.identification.manifest import manifest_text, recordings_in, require_labels_kept
 
     path = None if output == "-" else check_new(Path(output), "a table of impacts", (".csv",), overwrite=overwrite)
     folder = Path() if path is None else path.parent
     rows: list[dict[str, str]] = []
     every = [str(one) for file in files for one in (recordings_in(Path(file)) if Path(file).is_dir() else [file])]
+    require_no_input_written(every)
+    if path is not None:
+        require_labels_kept(path)
     # A recording named twice, such as by its folder, is read once.
     once = {os.path.realpath(file): file for file in reversed(every)}
     _require_trainable(list(reversed(once.values())), reading)
@@ -144,12 +160,22 @@ def found_impacts(
     """Return the impacts of a recording, whose samples are multiplied first; raises `BadData` if there is none."""
     from cgid.identification.detection import ImpactDetector
 
-    n_channels, factor = len(recording.channels), -factor if reading.invert else factor
-    rate, dead_time = recording.sampling_rate, reading.dead_time
-    detector = ImpactDetector(rate, n_channels, kind=kind, dead_time=dead_time, joint=joint, gaps=True)
-    events: list[Event] = []
-    for block in recording.blocks_with_gaps(joint=joint):
-        events += detector.feed(block * factor)
+    rows, factor = list(range(len(recording.channels))), -factor if reading.invert else factor
+    while True:
+        detector = ImpactDetector(
+            recording.sampling_rate, len(rows), kind=kind, dead_time=reading.dead_time, joint=joint, gaps=True
+        )
+        gaps, events = recording.gaps(rows, joint=joint), []
+        for block in gaps.marked(block[rows] for block in recording.blocks(gaps=True)):
+            events += detector.feed(block * factor)
+        lacking = gaps.lacking(_MOST_MISSING)
+        if not joint or not lacking.any() or lacking.all():
+            break
+        # A lost channel would end or cut the impacts of all others.
+        names = ", ".join(recording.channels[row].name for row in compress(rows, lacking))
+        warn(f"{recording.source}: channel {names} is left out, it lacks too many samples")
+        rows = list(compress(rows, ~lacking))
+    gaps.require(recording.source)
     events += detector.finish()
     for warning in recording.warnings:
         warn(warning)
@@ -172,17 +198,20 @@ def _peak(event: Event) -> Any:
 def write_template(data: tuple[str, ...], path: Path, reading: Reading, *, overwrite: bool) -> int:
     """Write a manifest with a row for each recording, with a label if its folder is one."""
     from cgid.files import check_new, write_whole
-    from cgid.identification.manifest import manifest_text, path_from, recordings_in, row_of
+    from cgid.identification.manifest import manifest_text, path_from, recordings_in, require_labels_kept, row_of
 
+    every = [(Path(item), recordings_in(Path(item)) if Path(item).is_dir() else [Path(item)]) for item in data]
+    require_no_input_written(file for _, files in every for file in files)
     check_new(path, "a manifest", (".csv",), overwrite=overwrite)
     rows, code = [], 0
-    for item in data:
-        folder = Path(item) if Path(item).is_dir() else Path(item).parent
-        for file in recordings_in(folder) if Path(item).is_dir() else [Path(item)]:
+    for item, files in every:
+        folder = item if item.is_dir() else item.parent
+        for file in files:
             content, failed = _content(file, reading)
             code = code or failed
             given = {"rate": reading.sampling_rate, "unit": reading.unit, "content": content}
             rows.append({**row_of(file, folder), "path": path_from(path.parent, file), **given})
+    require_labels_kept(path, rows)
     text = manifest_text(rows, ("group", "rate", "unit") if code else ("group",))
     write_whole(path, text.encode("utf-8" if text.isascii() else "utf-8-sig"), overwrite=overwrite)
     empty = sum(not row["label"] for row in rows)

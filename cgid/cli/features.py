@@ -116,11 +116,12 @@ class _Rows:
 
     def signals(self, path: str, reading: Reading) -> None:
         """Print the impacts of all channels of a recording, or of one signal of a dataset."""
-        signals = reading.signals(path)
+        errors: list[BadData] = []
+        signals = reading.signals(path, errors)
+        n_channels = len(signals) + len(errors)
         for warning in signals[0].warnings:
             warn(warning)
         results: list[tuple[Signal, list[Column], list[_Impact]]] = []
-        errors: list[BadData] = []
         for signal in signals:
             try:
                 results.append((signal, *self._measured(signal, reading.dead_time)))
@@ -136,7 +137,7 @@ class _Rows:
                 )
             except BadData as error:
                 errors.append(error)
-        if len(errors) == len(signals):
+        if len(errors) == n_channels:
             raise errors[0]
         # A channel without impacts must not hide the others.
         _warn([str(error) for error in errors], path, "channel")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from contextlib import suppress
-from itertools import compress
 from pathlib import Path
 from typing import Any
 
@@ -154,6 +153,7 @@ _NOT_COUNTED = "not counted, since pulses and vibrations differ; give --unit, su
 
 def _channels(recording: Any, as_json: bool) -> dict[str, Any]:
     """Return the statistics of each channel; a long recording has no median, which needs all samples, but a mean."""
+    # A channel with samples that are no numbers is described by the others; the rest of the recording may be sound.
     import numpy as np
 
     from cgid.errors import BadData
@@ -162,31 +162,44 @@ def _channels(recording: Any, as_json: bool) -> dict[str, Any]:
     from cgid.signals import channel_name
 
     names, rate = recording.channels, recording.sampling_rate
-    limit = None
+    blocks, is_short = recording.blocks(gaps=True), False
     if recording.n_samples is not None and recording.n_samples * len(names) <= MAX_SAMPLES:
-        limit = np.stack([signal.samples for signal in recording.signals()])
+        blocks, is_short = iter([np.concatenate(list(blocks), axis=1)]), True
     lowest, highest = np.full(len(names), np.inf), np.full(len(names), -np.inf)
-    total, n_samples, dtype = np.zeros(len(names)), 0, ""
+    total, n_read, n_samples, dtype = np.zeros(len(names)), np.zeros(len(names), int), 0, ""
+    median = np.full(len(names), np.nan)
     # A channel of unknown quantity may contain pulses or vibrations.
     is_known = [channel.quantity not in (None, "level") for channel in names]
-    detectors = [ImpactDetector(rate, kind=kind_for(channel.quantity)) for channel in names]
+    detectors = [ImpactDetector(rate, kind=kind_for(channel.quantity), gaps=True) for channel in names]
     impacts = [0] * len(names)
-    for block in recording.blocks() if limit is None else [limit]:
-        lowest, highest = np.minimum(lowest, block.min(axis=1)), np.maximum(highest, block.max(axis=1))
-        total += block.sum(axis=1, dtype=np.float64)
+    for block in blocks:
         n_samples, dtype = n_samples + block.shape[1], block.dtype.name
-        for row, detector in compress(enumerate(detectors), is_known):
-            # A short recording is described even if its numbers are too large to detect impacts.
-            with suppress(*(() if limit is None else (BadData,))):
-                impacts[row] += len(detector.feed(block[row]))
+        for row, samples in enumerate(block):
+            there = samples[np.isfinite(samples)]
+            n_read[row] += there.size
+            if not there.size:
+                continue
+            lowest[row], highest[row] = min(lowest[row], there.min()), max(highest[row], there.max())
+            with np.errstate(over="ignore", invalid="ignore"):
+                total[row] += there.sum(dtype=np.float64)
+                median[row] = np.median(there) if is_short else np.nan
+            # A channel is described even if its numbers are too large to detect impacts.
+            with suppress(BadData):
+                if is_known[row]:
+                    impacts[row] += len(detectors[row].feed(np.where(np.isfinite(samples), samples, np.nan)))
+    if not n_read.any():
+        raise BadData(f"{recording.source}: samples must be finite, none is; check sensor, cable and sample format")
+    lowest[n_read == 0] = highest[n_read == 0] = total[n_read == 0] = np.nan
     described = {}
     for row, (channel, detector) in enumerate(zip(names, detectors, strict=True)):
         impacts[row] += len(detector.finish())
         if is_known[row] and not impacts[row] and INVERT_HINT in detector.why_silent():
             warn(f"{channel_name(recording.source, channel.name)}: no impact: {INVERT_HINT}")
-        middle = {"mean": total[row] / n_samples} if limit is None else {"median": np.median(limit[row])}
+        middle = {"median": median[row]} if is_short else {"mean": total[row] / max(n_read[row], 1)}
+        missing = n_samples - int(n_read[row])
         described[f"channel {channel.name}"] = {
             "samples": n_samples,
+            **({"not_finite": missing} if missing else {}),
             "sampling_rate_hz": rate,
             "duration_s": n_samples / rate,
             "quantity": channel.quantity or "unknown",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial, wraps
@@ -13,7 +13,7 @@ import click
 from click.shell_completion import CompletionItem
 
 from cgid.cli.output import say_error, warn
-from cgid.errors import CgidError, InvalidValue, NoInput
+from cgid.errors import BadData, CgidError, InvalidValue, NoInput
 from cgid.shipped import MODELS, SCENES
 from cgid.signals import Signal, channel_name
 
@@ -26,6 +26,8 @@ if TYPE_CHECKING:
 F = TypeVar("F", bound=Callable[..., Any])
 #: Maximum dead time [ms]; no ring-down lasts longer.
 MAX_DEAD_TIME = 1e4
+#: Largest size and number of keys of a TOML file that is searched for names of files.
+_MAX_TOML = 16 << 20
 
 
 class PathName(click.types.StringParamType):
@@ -49,7 +51,70 @@ class PathName(click.types.StringParamType):
         return [CompletionItem(incomplete, type="file"), *map(CompletionItem, names)]
 
 
+class OutputName(PathName):
+    """The path of a file that the command writes; `beside` returns those that it writes with it."""
+
+    def __init__(self, beside: Callable[[Path], Iterable[Path]] = lambda path: ()) -> None:
+        super().__init__()
+        self.beside = beside
+
+
 PATH, SCENE, MODEL = PathName(), PathName(SCENES), PathName(MODELS)
+OUTPUT = OutputName()
+
+
+def require_no_input_written(inputs: Iterable[str | Path] = ()) -> None:
+    """Raise `CannotCreate` if a file that the current command writes is one of its inputs, or of more `inputs`.
+
+    Every command checks its arguments, and the files that they name, before it runs.
+    """
+    from cgid.files import require_not_input
+
+    context = click.get_current_context()
+    inputs = list(inputs)
+    written: list[Path] = []
+    for parameter in context.command.params:
+        value, kind = context.params.get(parameter.name or ""), parameter.type
+        names = [value] if isinstance(value, str) else value or ()
+        if isinstance(kind, OutputName):
+            paths = [Path(name) for name in names if name != "-"]
+            written += [*paths, *(other for path in paths for other in kind.beside(path))]
+        elif isinstance(kind, PathName):
+            inputs += [part for name in names for part in (name, *_named_by(name))]
+    for path in written:
+        require_not_input(path, inputs)
+
+
+def _named_by(name: str) -> Iterator[Path]:
+    """Yield the files that an input names: those of a folder, of a manifest, and the tables of a scene."""
+    from cgid.identification.manifest import is_manifest, named_recordings
+
+    path = Path(name)
+    try:
+        if path.is_dir():
+            from cgid.store.folder import is_dataset_folder
+
+            if is_dataset_folder(path):
+                yield from path.iterdir()
+            else:
+                yield from named_recordings(path)
+        elif path.suffix.lower() == ".csv" and is_manifest(path):
+            yield from named_recordings(path)
+        elif path.suffix.lower() == ".toml":
+            from cgid.files import parse_toml, read_regular
+
+            content = parse_toml(read_regular(path, "TOML", _MAX_TOML).decode(), _MAX_TOML)
+            yield from (path.parent / text for text in _texts_in(content))
+    except (CgidError, OSError, ValueError):
+        return  # the command reports it
+
+
+def _texts_in(value: Any) -> Iterator[str]:
+    if isinstance(value, str):
+        yield value
+    elif isinstance(value, dict | list):
+        for part in value.values() if isinstance(value, dict) else value:
+            yield from _texts_in(part)
 
 
 def given_flags(context: click.Context) -> dict[str, str]:
@@ -149,8 +214,8 @@ class Reading:
             raise InvalidValue(f"{path}: --index picks a signal of a dataset (HDF5), this is a recording; leave it out")
         return open_recording(path, channel=self.channel or None, variable=self.variable, **self.common)
 
-    def signals(self, path: str) -> list[Signal]:
-        """Return the signals of a recording, or the chosen signal of a dataset."""
+    def signals(self, path: str, faults: list[BadData] | None = None) -> list[Signal]:
+        """Return the signals of a recording, or the chosen signal of a dataset; `faults` gets unreadable channels."""
         from cgid.recordings import is_dataset
 
         if is_dataset(path):
@@ -158,7 +223,11 @@ class Reading:
 
             signals = [Dataset(path).signal(self.index or 0)]
         else:
-            signals = self.recording(path).signals()
+            signals, errors = self.recording(path).signals_and_faults()
+            if errors and (faults is None or not signals):
+                raise errors[0]
+            if faults is not None:
+                faults += errors
         return [signal.inverted() for signal in signals] if self.invert else signals
 
 
@@ -304,6 +373,7 @@ plant_options = _bundle(
         "prometheus": click.option("--prometheus", metavar="[HOST]:PORT", help="Serve metrics at /metrics."),
         "live": click.option(
             "--live",
+            type=OUTPUT,
             metavar="[HOST]:PORT|FILE",
             help="Show waveform, gangue fraction and decision on a page, or in FILE.html.",
         ),

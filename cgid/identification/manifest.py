@@ -19,9 +19,10 @@ from pathlib import Path
 from typing import Any
 
 from cgid import validation
-from cgid.errors import BadData, CgidError, InvalidValue, NoInput
+from cgid.errors import BadData, CannotCreate, CgidError, InvalidValue, NoInput
 from cgid.files import parse_toml, read_regular
 from cgid.recordings.chain import Chain, Gain
+from cgid.terminal import counted, spreadsheet_cell, text_of_cell
 from cgid.units import quantity_of
 from cgid.validation import shown
 
@@ -338,8 +339,8 @@ def _text(path: Path) -> str:
         raise BadData(f"{path}: a manifest must be UTF-8 text, byte {error.start} is not; save it as UTF-8") from None
 
 
-def _csv_rows(path: Path) -> tuple[list[Row], tuple[str, ...] | None]:
-    """Return the rows of a CSV manifest with their line numbers, and None: it lists no labels."""
+def _csv_table(path: Path) -> tuple[list[list[str]], str]:
+    """Return the cells of a CSV manifest, line by line, empty for comments; and their separator."""
     # Not `splitlines`, which also splits at other characters that a path may contain.
     split = re.split("\r\n?|\n", _text(path))
     lines = [line if line.strip() and not line.lstrip().startswith("#") else "" for line in split]
@@ -349,11 +350,17 @@ def _csv_rows(path: Path) -> tuple[list[Row], tuple[str, ...] | None]:
         table = list(csv.reader(io.StringIO("\n".join(lines)), delimiter=separator))
     except csv.Error as error:
         raise BadData(f"{path}: a manifest must be a CSV table ({error}); save it again") from None
+    return table, separator
+
+
+def _csv_rows(path: Path) -> tuple[list[Row], tuple[str, ...] | None]:
+    """Return the rows of a CSV manifest with their line numbers, and None: it lists no labels."""
+    table, separator = _csv_table(path)
     by_title = {title.lower(): name for name, title in _TITLES.items()}
     names: list[str] = []
     rows: list[Row] = []
     for number, cells in enumerate(table, 1):
-        cells = [cell.strip() for cell in cells]
+        cells = [text_of_cell(cell.strip()) for cell in cells]
         if not any(cells):
             continue
         if not names:
@@ -490,7 +497,7 @@ def manifest_text(rows: Sequence[Mapping[str, Any]], columns: Sequence[str] = ()
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
     writer.writerow([_TITLES.get(name, name) for name in columns])
-    writer.writerows([row.get(name, "") for name in columns] for row in rows)
+    writer.writerows([spreadsheet_cell(str(row.get(name) or "")) for name in columns] for row in rows)
     return stream.getvalue()
 
 
@@ -502,3 +509,40 @@ def path_from(folder: Path, file: str | Path) -> str:
         path = Path(file).absolute().as_posix()
     # A comment begins with #, and blanks around a cell do not count.
     return f"./{path}" if path.startswith("#") or path != path.lstrip() else path
+
+
+def named_recordings(item: Path) -> list[Path]:
+    """Return the recordings that a manifest, or a folder of recordings, names, as far as it can be read."""
+    manifests = [item / name for name in _NAMES if (item / name).is_file()] if item.is_dir() else [item]
+    if not manifests:
+        return recordings_in(item)
+    found: list[Path] = []
+    for path in manifests:
+        rows = [cells for cells in _csv_table(path)[0] if any(cells)] if path.suffix.lower() == ".csv" else []
+        titles = [cell.strip().lower() for cell in rows[0]] if rows else []
+        if "path" in titles:
+            column = titles.index("path")
+            found += [path.parent / text_of_cell(row[column].strip()) for row in rows[1:] if len(row) > column]
+        elif not rows:
+            found += [path.parent / str(row.get("path")) for _, row in _toml_rows(path)[0]]
+    return found
+
+
+def require_labels_kept(path: Path, rows: Sequence[Mapping[str, Any]] = ()) -> None:
+    """Raise `CannotCreate` if `rows`, written over an existing table, would lose labels that a person filled in."""
+    try:
+        table = [cells for cells in _csv_table(path)[0] if any(cells)]
+    except CgidError:
+        return  # there is none, or it is no table
+    titles = [cell.strip().lower() for cell in table[0]] if table else []
+    if not {"path", "label"} <= set(titles):
+        return
+    at = titles.index("path"), titles.index("label")
+    filled = [tuple(text_of_cell(cells[k].strip()) for k in at) for cells in table[1:] if len(cells) > max(at)]
+    kept = {(row["path"], row["label"]) for row in rows}
+    lost = [label for file, label in filled if label and (file, label) not in kept]
+    if lost:
+        raise CannotCreate(
+            f"{path}: must not contain labels to be replaced, got {counted(len(lost), 'label')}, the first is "
+            f"{shown(lost[0])}; choose another name, or remove the table first"
+        )

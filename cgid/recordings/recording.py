@@ -404,22 +404,34 @@ class RecordingFile:
         BadData
             As `blocks`, or the recording does not fit in memory.
         """
+        signals, faults = self.signals_and_faults()
+        if faults:
+            raise faults[0]
+        return signals
+
+    def signals_and_faults(self) -> tuple[list[Signal], list[BadData]]:
+        """Return one `Signal` for each channel whose samples are all finite, and an error for each other channel."""
         try:
             samples = self._all_samples()
         except MemoryError:
             raise BadData(f"{self.source}: the recording must fit in memory and does not; cut it into parts") from None
-        return [
-            Signal(
-                samples=row,
-                sampling_rate=self.sampling_rate,
-                unit=channel.unit,
-                source=self.source,
-                channel=channel.name,
-                start_time=self.start_time,
-                warnings=self.warnings,
-            )
-            for row, channel in zip(samples, self.channels, strict=True)
-        ]
+        signals, faults = [], []
+        for row, channel in zip(samples, self.channels, strict=True):
+            try:
+                signal = Signal(
+                    samples=row,
+                    sampling_rate=self.sampling_rate,
+                    unit=channel.unit,
+                    source=self.source,
+                    channel=channel.name,
+                    start_time=self.start_time,
+                    warnings=self.warnings,
+                )
+            except BadData as error:
+                faults.append(error)
+            else:
+                signals.append(signal)
+        return signals, faults
 
     def _blocks(self, length: int) -> Iterator[NDArray[Any]]:
         count = 0
