@@ -13,7 +13,7 @@ import secrets
 import shutil
 import stat
 import time
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -203,6 +203,25 @@ def check_new(path: Path, what: str, endings: Collection[str], *, overwrite: boo
         if path.is_dir() or (path.exists() and not overwrite):
             raise CannotCreate(f"{path}: exists already; choose another name or give --overwrite")
     return path
+
+
+def require_not_input(output: str | Path, inputs: Iterable[str | Path]) -> None:
+    """Raise `CannotCreate` if a file to be written is one of those to be read, by whatever name; call before any work.
+
+    An input "-" is the standard input. Links count, too: what they name would be replaced, or is what the user means.
+    """
+    try:
+        written = os.stat(output)  # noqa: PTH116 - also a name with a zero byte
+    except (OSError, ValueError):
+        return  # a new file is none of them
+    for one in inputs:
+        try:
+            read = os.fstat(0) if one == "-" else os.stat(one)  # noqa: PTH116
+        except (OSError, ValueError):
+            continue
+        if os.path.samestat(written, read):
+            name = "the standard input" if one == "-" else str(one)
+            raise CannotCreate(f"{output}: must not be one of the inputs, it is {name}; choose another name")
 
 
 @contextmanager

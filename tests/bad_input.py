@@ -703,6 +703,12 @@ _COMMANDS = r"""
 65 | export reference.toml -o new.h5 | reference.toml
 73 | export two.h5 -o two.h5 --overwrite | two.h5
 73 | export two.h5 -o truncated.h5 | truncated.h5
+73 | features good.csv -o ./good.csv --overwrite | one of the inputs
+73 | predict good.csv --report good.csv | one of the inputs
+73 | train m_same.csv -o new.npz --from model.npz --template m_same.csv --overwrite | one of the inputs
+73 | generate reference.toml -o reference.toml --overwrite | one of the inputs
+73 | events good.csv -o m_same.csv --overwrite | 2 labels
+73 | train good.csv --template m_same.csv --overwrite | 2 labels
 73 | export two.h5 -o new.csv | new.csv
 65 | export truncated.h5 -o new.h5 | truncated.h5
 66 | export-model gone.npz --to c -o new.c | gone.npz

@@ -9,10 +9,12 @@ import subprocess
 import sys
 from pathlib import Path
 
+import click
 import numpy as np
 import pytest
 
-from cgid.cli.main import run
+from cgid.cli.main import cli, run
+from cgid.cli.options import OutputName
 from cgid.errors import MissingExtra
 from cgid.shipped import SCENES
 from tests.bad_input import CASES, Case, make_files
@@ -230,15 +232,98 @@ def test_closed_pipe_is_no_error() -> None:
 @pytest.mark.parametrize(
     ("command", "code", "n_lines", "says"),
     [
-        ("predict --sample >&-", 0, 2, "6 impacts: coal 3, gangue 3 in 0.12 s"),
+        ("predict --sample >&-", 74, 1, "standard output is closed"),
+        ("predict --sample --json >&-", 74, 1, "standard output is closed"),
+        ("check --list >&-", 74, 1, "standard output is closed"),
+        ("predict --help >&-", 74, 1, "standard output is closed"),
+        ("predict --sample -o - >&-", 74, 1, "standard output is closed"),
+        ("predict --sample -o {folder}/rows.csv >&-", 0, 3, "wrote"),
+        ("tap {folder}/none.csv -o {folder}/modes.csv >&-", 66, 1, "none.csv"),
         ("predict - <&-", 66, 1, "stdin: the standard input must be open"),
         ("monitor - <&-", 66, 1, "stdin: the standard input must be open"),
     ],
 )
-def test_closed_streams_are_no_crash(command: str, code: int, n_lines: int, says: str) -> None:
-    done = subprocess.run(["bash", "-c", f"{sys.executable} -m cgid {command}"], capture_output=True, text=True)
+def test_closed_streams_are_no_crash(command: str, code: int, n_lines: int, says: str, tmp_path: Path) -> None:
+    """An answer that goes nowhere is no success; with a file for it, or another output, a closed stdout is."""
+    command = f"{sys.executable} -m cgid {command.format(folder=tmp_path)}"
+    done = subprocess.run(["bash", "-c", command], capture_output=True, text=True)
     assert done.returncode == code, done.stderr
     assert says in done.stderr and done.stderr.count("\n") == n_lines
+
+
+#: Commands that write what they read; `{}` are names of the same file.
+OVER_INPUTS = (
+    ("features r.csv -o {}", "r.csv"),
+    ("predict r.csv -o {}", "r.csv"),
+    ("predict - -o {}", "r.csv"),
+    ("events r.csv -o {}", "r.csv"),
+    ("tap r.csv -o {}", "r.csv"),
+    ("tap r.csv --taps taps.csv -o {}", "taps.csv"),
+    ("predict r.csv --report {}", "r.csv"),
+    ("plot r.csv -o {}", "r.csv"),
+    ("calibrate r.csv --scene scene.toml -o {}", "scene.toml"),
+    ("calibrate r-modes.csv --scene tail_beam -o r.toml", "r-modes.csv"),
+    ("calibrate r.csv --scene scene.toml -o my.toml", "my-modes.csv"),
+    ("generate scene.toml --parameters-only -n 9 -o {}", "scene.toml"),
+    ("generate scene.toml --parameters-only -n 9 -o {}", "my-modes.csv"),
+    ("train m.csv -o {}", "a.npz"),
+    ("train m.csv -o {}", "m.csv"),
+    ("train m.toml -o {}", "a.npz"),
+    ("train labelled -o {}", "labelled/coal/a.npz"),
+    ("train m.csv --from base.npz -o {}", "base.npz"),
+    ("train a.npz --template {}", "a.npz"),
+    ("train . --template {}", "r.csv"),
+    ("export data.h5 -o {}", "data.h5"),
+    ("export folder -o {}", "folder/shard-00000.h5"),
+    ("export-model base.npz --to c -o {}", "base.npz"),
+    ("monitor r.csv --live {}", "r.csv"),
+)
+
+
+@pytest.mark.parametrize(("command", "victim"), OVER_INPUTS)
+@pytest.mark.parametrize("way", ["itself", "../", "symlink", "hard link", "absolute"])
+def test_no_command_writes_over_what_it_reads(
+    command: str, victim: str, way: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:  # fmt: skip
+    """Refused before any work, so the files need no content."""
+    monkeypatch.chdir(tmp_path)
+    for folder in ("folder", "labelled/coal", "labelled/gangue"):
+        Path(folder).mkdir(parents=True)
+    for name in ("r.csv", "taps.csv", "r-modes.csv", "my-modes.csv", "base.npz", "data.h5", "folder/shard-00000.h5"):
+        Path(name).write_text("0,1\n")
+    for name in ("a.npz", "labelled/coal/a.npz", "labelled/gangue/b.npz"):
+        np.savez(name, x=np.zeros(9))
+    Path("m.csv").write_text("path,label\na.npz,coal\n")
+    Path("m.toml").write_text('[[recording]]\npath = "a.npz"\nlabel = "coal"\n')
+    Path("scene.toml").write_text('[tail_beam]\nmodes = "my-modes.csv"\n')
+    path = Path(victim)
+    name = victim
+    if "link" in way:
+        name = f"other{path.suffix}"
+        (Path(name).symlink_to if way == "symlink" else Path(name).hardlink_to)(path)
+    elif way == "../":
+        name = f"../{tmp_path.name}/{victim}"
+    elif way == "absolute":
+        name = str(path.absolute())
+    before = {file: file.read_bytes() for file in tmp_path.rglob("*") if file.is_file()}
+    known = os.fstat
+    monkeypatch.setattr("os.fstat", lambda number: known(number) if number else Path("r.csv").stat())  # stdin
+    for overwrite in [[], ["--overwrite"]] if "monitor" not in command else [[]]:
+        assert run([*command.format(name).split(), *overwrite]) == 73
+        said = capsys.readouterr().err
+        assert "must not be one of the inputs" in said and said.count("\n") == 1
+    assert {file: file.read_bytes() for file in tmp_path.rglob("*") if file.is_file()} == before
+
+
+def test_every_option_that_writes_is_known_to_the_check_of_inputs() -> None:
+    """By the help text, which begins with the verb; `tap --scene` says what is written, not where."""
+    for command in cli.commands.values():
+        for option in command.params:
+            text = getattr(option, "help", None) or ""
+            names_a_file = isinstance(option.type, click.types.StringParamType)
+            if text.startswith(("Write", "Plot the", "Show waveform")) and names_a_file and option.name != "scene_name":
+                assert isinstance(option.type, OutputName), (command.name, option.name)
 
 
 def test_predict_imports_nothing_heavy() -> None:

@@ -8,8 +8,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cgid.errors import BadData, CgidError
-from cgid.identification.manifest import folder_manifest, is_manifest, manifest_text, path_from, read_manifest
+from cgid.errors import BadData, CannotCreate, CgidError
+from cgid.identification.manifest import (
+    folder_manifest,
+    is_manifest,
+    manifest_text,
+    path_from,
+    read_manifest,
+    require_labels_kept,
+)
 
 ROOT = Path(__file__).parents[1]
 
@@ -246,3 +253,49 @@ def test_labels_in_other_letters_are_one_label(tmp_path: Path) -> None:
 def test_labels_that_differ_in_more_stay_apart(tmp_path: Path) -> None:
     text = "path,label\na.wav,hard coal\nb.wav,hard-coal\nc.wav,hardcoal\n"
     assert read_manifest(written(tmp_path, text)).labels == ("hard coal", "hard-coal", "hardcoal")
+
+
+# -- what a spreadsheet makes of it ------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "name", ["=cmd|' /C calc'!A0.csv", "+x.csv", "-x.csv", "@sum.csv", "'=x.csv", "\t=x.csv", "#x.csv"]
+)
+def test_a_name_is_no_formula_and_is_read_back(name: str, tmp_path: Path) -> None:
+    rows = [
+        {
+            "path": path_from(tmp_path, tmp_path / name),
+            "label": "coal",
+            "group": "-1",
+            "channel": "=left",
+            "gain": "-3 dB",
+        }
+    ]
+    cells = manifest_text(rows).splitlines()[1].split(",")
+    assert not any(cell.startswith(("=", "+", "@", "\t")) for cell in cells)
+    assert "-1" in cells  # a number
+    (one,) = read_manifest(written(tmp_path, manifest_text(rows))).annotations
+    assert one.path.resolve() == (tmp_path / name).resolve()
+    assert (one.group, one.channels, one.gain) == ("-1", ("=left",), pytest.approx(10 ** (-3 / 20)))
+
+
+@pytest.mark.parametrize(
+    ("content", "lost"),
+    [
+        ("path,label\na.wav,coal\n", 1),
+        ("# ours\nnote;Path;LABEL\nx;a.wav;coal\n;b.wav;\n;c.wav;stone\n", 2),
+        ("path,label\na.wav,\n", 0),
+        ("path,note\na.wav,coal\n", 0),
+        ("0,1\n2,3\n", 0),
+        ("", 0),
+    ],
+)
+def test_labels_that_a_person_filled_in_are_not_replaced(content: str, lost: int, tmp_path: Path) -> None:
+    path = written(tmp_path, content)
+    if lost:
+        with pytest.raises(CannotCreate, match=rf"got {lost} label.*choose another name"):
+            require_labels_kept(path)
+    else:
+        require_labels_kept(path)
+    require_labels_kept(path, [{"path": "a.wav", "label": "coal"}, {"path": "c.wav", "label": "stone"}])
+    require_labels_kept(tmp_path / "none.csv")

@@ -21,6 +21,7 @@ from scipy.io import wavfile
 from cgid.cli.main import run
 from cgid.cli.output import finite
 from cgid.cli.table import ENDINGS, TableOutput, numbers
+from cgid.identification.manifest import read_manifest
 from cgid.identification.model import Model
 from cgid.identification.stream import identify_recording
 from cgid.recordings import open_recording
@@ -162,6 +163,24 @@ def test_names_are_quoted_and_cannot_command_the_terminal(tmp_path: Path) -> Non
     assert set(table["source"]) == {str(evil).replace("\x1b", r"\x1b").replace("\r", r"\r")}
     assert run(["predict", str(evil), *RAW, "-o", str(tmp_path / "rows.csv")]) == 0
     assert set(pandas.read_csv(tmp_path / "rows.csv")["source"]) == {str(evil)}
+
+
+@pytest.mark.parametrize("name", ["=cmd|calc!A0.npy", "+a.npy", "-a.npy", "@a.npy", "\ta.npy", "'=a.npy"])
+def test_no_cell_is_a_formula(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Neither in the tables of answers and features nor in one of impacts, which names the file again."""
+    monkeypatch.chdir(tmp_path)
+    np.save(name, stream(["coal", "gangue"], 0.02))
+    for command in ("predict", "features", "events"):
+        assert run([command, *RAW, "-o", f"{command}.csv", "--", name]) == 0
+        cells = pandas.read_csv(f"{command}.csv").iloc[:, 0].tolist()
+        # A manifest names a file in this folder, too, where blanks at the beginning of a cell do not count.
+        assert cells == [f"./{name}" if command == "events" and name[0] == "\t" else f"'{name}"] * 2
+    text = Path("events.csv").read_text().replace(",,", ",coal,", 1)
+    Path("labelled.csv").write_text("\n".join(text.splitlines()[:2]))
+    (one,) = read_manifest("labelled.csv").annotations
+    assert one.path == Path(name) and one.label == "coal"
+    assert run(["predict", *RAW, "-o", "rows.jsonl", "--", name]) == 0
+    assert json.loads(Path("rows.jsonl").read_text().splitlines()[0])["source"] == name
 
 
 # -- files -------------------------------------------------------------------------------------------------

@@ -8,7 +8,18 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from cgid.cli.help import Command
-from cgid.cli.options import PATH, SCENE, Reading, json_option, laws_option, overwrite_option, reading_options, share_of
+from cgid.cli.options import (
+    OUTPUT,
+    PATH,
+    SCENE,
+    OutputName,
+    Reading,
+    json_option,
+    laws_option,
+    overwrite_option,
+    reading_options,
+    share_of,
+)
 from cgid.cli.output import print_json, progress_bar, say, warn
 from cgid.errors import BadData, InvalidValue
 from cgid.terminal import counted
@@ -22,6 +33,12 @@ if TYPE_CHECKING:
     from cgid.site import SiteCalibration
 
 
+def _modes_beside(path: Path) -> list[Path]:
+    from cgid.site.calibration import table_beside
+
+    return [table_beside(path)]
+
+
 @click.command(
     cls=Command,
     short_help="Learn the modes of a beam from a recording of unlabelled impacts.",
@@ -29,7 +46,13 @@ if TYPE_CHECKING:
 )
 @click.argument("recordings", type=PATH, nargs=-1, required=True, metavar="RECORDING...")
 @click.option("--scene", "scene_name", type=SCENE, required=True, help="Start from the beam of this scene.")
-@click.option("-o", "--output", type=PATH, required=True, help="Write this scene (.toml), and its modes next to it.")
+@click.option(
+    "-o",
+    "--output",
+    type=OutputName(_modes_beside),
+    required=True,
+    help="Write this scene (.toml), and its modes next to it.",
+)
 @click.option(
     "--start-error",
     default="1 %",
@@ -55,7 +78,9 @@ if TYPE_CHECKING:
     help="Set the uncertainty of all or some dimensions, as in 'thickness=3 %, ribs.depth=2 %'; these are fitted.",
 )
 @click.option("--impacts", type=int, default=300, show_default=True, help="Use at most this many impacts.")
-@click.option("--plot", "picture", type=PATH, help="Plot the modes before and after, with standard deviations, as PNG.")
+@click.option(
+    "--plot", "picture", type=OUTPUT, help="Plot the modes before and after, with standard deviations, as PNG."
+)
 @overwrite_option
 @laws_option
 @json_option

@@ -5,7 +5,7 @@ from __future__ import annotations
 import click
 
 from cgid.cli.help import Command
-from cgid.cli.options import MODEL, PATH, overwrite_option
+from cgid.cli.options import MODEL, OUTPUT, PATH, overwrite_option
 from cgid.cli.output import progress_bar, say
 
 
@@ -15,7 +15,7 @@ from cgid.cli.output import progress_bar, say
     example="cgid generate reference -n 1000 -o data\ncgid export data -o data.h5",
 )
 @click.argument("data", type=PATH)
-@click.option("-o", "--output", type=PATH, required=True, help="Write this file, ending in .h5 or .hdf5.")
+@click.option("-o", "--output", type=OUTPUT, required=True, help="Write this file, ending in .h5 or .hdf5.")
 @overwrite_option
 def export(data: str, output: str, overwrite: bool) -> None:
     """Write the dataset DATA, a folder or a file, as one HDF5 file that h5dump, h5py or MATLAB open as it is.
@@ -41,7 +41,7 @@ def export(data: str, output: str, overwrite: bool) -> None:
 @click.option(
     "--to", type=click.Choice(["c", "onnx"]), required=True, help="Choose the format: one C99 file, or an ONNX graph."
 )
-@click.option("-o", "--output", type=PATH, required=True, help="Write this file, ending in .c or .onnx.")
+@click.option("-o", "--output", type=OUTPUT, required=True, help="Write this file, ending in .c or .onnx.")
 @overwrite_option
 def export_model(model: str, to: str, output: str, overwrite: bool) -> None:
     """Write MODEL, a file or default, default-drop-height or default-acceleration, for machines without Python.

@@ -10,7 +10,7 @@ import click
 
 from cgid.cli.help import Command
 from cgid.cli.options import (
-    PATH,
+    OUTPUT,
     SCENE,
     given_flags,
     json_option,
@@ -42,7 +42,7 @@ _OF_DATASETS = (*_OF_RECORDINGS, "shard_signals", "compression", "jobs", "schedu
 @click.option(
     "-o",
     "--output",
-    type=PATH,
+    type=OUTPUT,
     help="Write one file (ending in .h5) or a folder of shards; a table ends in .h5, .parquet or .csv.",
 )
 @click.option(

@@ -8,8 +8,9 @@ from typing import Any
 import click
 
 from cgid.cli import output
+from cgid.cli.options import OutputName, require_no_input_written
 
-_OTHERS = "Other"
+_OTHERS, _PLANT = "Other", "Plant outputs"
 #: Heading -> the options below it; "command --option" if a command uses the name differently.
 _OPTIONS = {
     "Task": "--sample --list --explain --features-only --closed-form-only --parameters-only --repair --scene "
@@ -26,7 +27,7 @@ _OPTIONS = {
     "Tap test": "--hammer --band --max-order --contact --taps",
     "Output": "--output --mirror --report --plot --plots --overwrite --resume --compression --shard-signals --json "
     "--clock --strict",
-    "Plant outputs": "--mqtt --modbus --prometheus --live --on-shut --on-open --on-blind",
+    _PLANT: "--mqtt --modbus --prometheus --live --on-shut --on-open --on-blind",
     "Speed": "--jobs --scheduler",
     _OTHERS: "--help --version",
 }
@@ -82,6 +83,15 @@ class Command(click.Command):
                 output.warn(f"{old} is now called {new}; the old name goes with version 0.3")
                 args[number] = f"{new}{equals}{value}"
         return super().parse_args(ctx, args)
+
+    def invoke(self, ctx: click.Context) -> Any:
+        """Run the command, unless it would write over its inputs."""
+        require_no_input_written()
+        for one in self.params:
+            is_file = isinstance(one.type, OutputName) and one.name == "output"
+            if (is_file or heading_of(self.name, one) == _PLANT) and ctx.params[str(one.name)] not in (None, "-"):
+                output.allow_closed_stdout()
+        return super().invoke(ctx)
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the options under their headings."""

@@ -128,11 +128,10 @@ def run(arguments: list[str] | None = None) -> int:
         with contextlib.suppress(OSError, AttributeError):
             sys.stdout.flush()
         drop(sys.stdout)
-        say(
-            f"cgid: error: output: writing failed ({error.strerror or error}); free some space or choose another "
-            "folder",
-            err=True,
-        )
+        hint = "free some space or choose another folder"
+        if error.errno == errno.EBADF:
+            hint = "standard output is closed, redirect it to a file or, to discard it, to the null device"
+        say(f"cgid: error: output: writing failed ({error.strerror or error}); {hint}", err=True)
         return _OUTPUT_FAILED
     except Exception as error:
         if _memory_is_short(error):

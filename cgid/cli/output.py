@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import json
 import math
 import os
@@ -43,6 +44,23 @@ def open_missing() -> None:
             os.open(os.devnull, os.O_RDWR)  # takes the lowest free descriptor: this one
     if sys.stderr is None:
         sys.stderr = open(os.devnull, "w", encoding="utf-8")  # noqa: PTH123, SIM115 - until the process ends
+    if sys.stdout is None:
+        # Writing to it fails: an answer must not vanish. Descriptor 1 may be a file that a library has opened since.
+        sys.stdout = open(os.open(os.devnull, os.O_RDONLY), "w", encoding="utf-8")  # noqa: PTH123, SIM115
+
+
+def allow_closed_stdout() -> None:
+    """Discard the standard output if it is closed: the command has another output."""
+    if is_closed(sys.stdout):
+        drop(sys.stdout)
+
+
+def is_closed(stream: TextIO) -> bool:
+    """Return whether nothing can be written to the descriptor of a stream, as to one that `open_missing` opened."""
+    try:
+        return os.write(stream.fileno(), b"") != 0
+    except OSError as error:
+        return error.errno == errno.EBADF
 
 
 def drop(stream: TextIO | None) -> None:

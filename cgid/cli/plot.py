@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from cgid.cli.help import Command
-from cgid.cli.options import PATH, Reading, json_option, overwrite_option, reading_options, warn_of_volts
+from cgid.cli.options import OUTPUT, PATH, Reading, json_option, overwrite_option, reading_options, warn_of_volts
 from cgid.cli.output import print_json, say, warn
 from cgid.terminal import counted
 
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 @click.option(
     "-o",
     "--output",
-    type=PATH,
+    type=OUTPUT,
     required=True,
     metavar="PICTURE",
     help="Write this picture, ending in .png, .svg or .pdf.",

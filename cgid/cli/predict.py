@@ -13,6 +13,7 @@ import click
 from cgid.cli.answer_rows import AnswerLines, RecordingRows
 from cgid.cli.help import Command
 from cgid.cli.options import (
+    OUTPUT,
     PATH,
     SCENE,
     Models,
@@ -269,7 +270,7 @@ class _Tally:
 @answering_options
 @click.option(
     "--report",
-    type=PATH,
+    type=OUTPUT,
     metavar="PAGE",
     help="Write one page (.html) with pictures and predictions of the recordings.",
 )
@@ -281,7 +282,7 @@ class _Tally:
 )
 @click.option(
     "--masses",
-    type=PATH,
+    type=OUTPUT,
     metavar="PICTURE",
     help="Plot the distribution of masses (.png, .svg, .pdf), corrected for undetected impacts; with --impactor.",
 )

@@ -13,10 +13,10 @@ from typing import Any, NamedTuple
 
 import click
 
-from cgid.cli.options import PATH, overwrite_option
+from cgid.cli.options import OUTPUT, overwrite_option
 from cgid.cli.output import finite, say
 from cgid.errors import BadData
-from cgid.terminal import counted
+from cgid.terminal import counted, spreadsheet_cell
 from cgid.units import column_title
 
 #: Suffixes of table files.
@@ -46,7 +46,7 @@ class Column(NamedTuple):
             return ""
         if self.dtype == "bool":
             return "true" if value else "false"
-        return format(value, self.form)
+        return spreadsheet_cell(value) if isinstance(value, str) else format(value, self.form)
 
 
 def numbers(name: str, unit: str = "", form: str = ".8g") -> Column:
@@ -68,7 +68,7 @@ def output_options(command: Callable[..., Any]) -> Callable[..., Any]:
     """Add the options for the file of the table."""
     ends = ", ".join(ENDINGS[:-1])
     description = f"Write the table to this file ({ends}) instead of stdout (-)."
-    return click.option("-o", "--output", type=PATH, metavar="FILE", help=description)(overwrite_option(command))
+    return click.option("-o", "--output", type=OUTPUT, metavar="FILE", help=description)(overwrite_option(command))
 
 
 class TableOutput:

@@ -8,7 +8,17 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from cgid.cli.help import Command
-from cgid.cli.options import PATH, SCENE, Reading, json_option, laws_option, overwrite_option, reading_options, share_of
+from cgid.cli.options import (
+    OUTPUT,
+    PATH,
+    SCENE,
+    Reading,
+    json_option,
+    laws_option,
+    overwrite_option,
+    reading_options,
+    share_of,
+)
 from cgid.cli.output import print_json, progress_bar, say, warn
 from cgid.errors import BadData, InvalidValue
 from cgid.terminal import counted
@@ -24,7 +34,7 @@ if TYPE_CHECKING:
     example="cgid tap taps.csv --channel 1 --hammer 2 -o modes.csv --plot modes.png",
 )
 @click.argument("recording", type=PATH)
-@click.option("-o", "--output", type=PATH, required=True, help="Write the modes to this table (.csv).")
+@click.option("-o", "--output", type=OUTPUT, required=True, help="Write the modes to this table (.csv).")
 @click.option("--hammer", metavar="CHANNEL", help="Read the force of the hammer from this channel: its name or number.")
 @click.option("--band", nargs=2, type=float, metavar="LOW HIGH", help="Limit natural frequencies to LOW to HIGH [Hz].")
 @click.option(
@@ -51,7 +61,7 @@ if TYPE_CHECKING:
     show_default=True,
     help="Set the uncertainty of the scene's natural frequencies (one standard deviation).",
 )
-@click.option("--plot", "picture", type=PATH, help="Plot the poles of all orders of the model as PNG.")
+@click.option("--plot", "picture", type=OUTPUT, help="Plot the poles of all orders of the model as PNG.")
 @overwrite_option
 @laws_option
 @json_option

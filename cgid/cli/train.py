@@ -14,8 +14,10 @@ from cgid import validation
 from cgid.cli.help import Command
 from cgid.cli.options import (
     CHAIN,
-    PATH,
+    MODEL,
+    OUTPUT,
     SCENE,
+    OutputName,
     Reading,
     given_flags,
     json_option,
@@ -51,6 +53,12 @@ _OF_TRAINING = (
 )
 
 
+def _beside_model(path: Path) -> list[Path]:
+    from cgid.identification.card import beside_model
+
+    return beside_model(path, plots=True)
+
+
 @click.command(
     cls=Command,
     short_help="Train a model on recordings, on datasets, or on a scene.",
@@ -60,10 +68,10 @@ _OF_TRAINING = (
 @click.option(
     "-o",
     "--output",
-    type=PATH,
+    type=OutputName(_beside_model),
     help="Write this model file, ending in .npz; the model card is written next to it as .md.",
 )
-@click.option("--template", type=PATH, metavar="FILE.csv", help="Write a manifest of the recordings to fill in.")
+@click.option("--template", type=OUTPUT, metavar="FILE.csv", help="Write a manifest of the recordings to fill in.")
 @click.option(
     "--family",
     type=click.Choice(["logistic", "boosting", "network", "linear"]),
@@ -106,6 +114,7 @@ _OF_TRAINING = (
 @click.option(
     "--from",
     "base",
+    type=MODEL,
     metavar="MODEL",
     help="Correct this model by ten or more labelled impacts instead of training one.",
 )

@@ -41,14 +41,19 @@ def check_model_output(path: Path, *, plots: bool = False, overwrite: bool = Fal
     """Return the path if a model may be written there; call this before any work."""
     if path.suffix != ".npz":
         raise CannotCreate(f"{path}: the name of a model must end in .npz, got {path.suffix or 'no ending'!r}")
-    pictures = [f"{path.stem}-{name}.png" for name in PICTURES] if plots else []
-    for name in (path.name, f"{path.stem}.md", *pictures):
-        check_new(path.with_name(name), "a file beside a model", (Path(name).suffix,), overwrite=overwrite)
+    for one in (path, *beside_model(path, plots=plots)):
+        check_new(one, "a file beside a model", (one.suffix,), overwrite=overwrite)
     if plots:
         from cgid.plots.figure import require_matplotlib
 
         require_matplotlib()
     return path
+
+
+def beside_model(path: Path, *, plots: bool) -> list[Path]:
+    """Return the card of a model, and its pictures."""
+    pictures = [f"{path.stem}-{name}.png" for name in PICTURES] if plots else []
+    return [path.with_name(name) for name in (f"{path.stem}.md", *pictures)]
 
 
 def write_model(

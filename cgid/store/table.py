@@ -26,6 +26,7 @@ from cgid.store.description import (
     sealed,
     text_of,
 )
+from cgid.terminal import spreadsheet_cell, text_of_cell
 from cgid.units import column_title
 
 #: Rows written and read at once, at least.
@@ -182,7 +183,8 @@ def _written_csv(path: Path, header: TableHeader, _label_width: int) -> Iterator
         def write(rows: Rows) -> None:
             import pandas
 
-            columns = {"label": rows.labels, "specimen": rows.specimen}
+            labels = [spreadsheet_cell(label) for label in rows.labels.tolist()]
+            columns = {"label": labels, "specimen": rows.specimen}
             frame = pandas.DataFrame(columns | {name: rows.columns[name] for name in header.units})
             frame.to_csv(stream, header=False, index=False, lineterminator="\n")
 
@@ -352,7 +354,8 @@ def _read_csv(path: str | Path) -> Table:
         exact = {"float_precision": "round_trip"} if np.lib.NumpyVersion(pandas.__version__) < "3.1.0" else {}
         frame = pandas.read_csv(stream, dtype=types, keep_default_na=False, na_values=empty, **exact)
     columns = {str(name): frame[name].to_numpy() for name in frame.columns}
-    return _checked(path, header, columns.pop("label").astype(str), columns.pop("specimen"), columns)
+    labels = np.array([text_of_cell(label) for label in columns.pop("label").tolist()], str)
+    return _checked(path, header, labels, columns.pop("specimen"), columns)
 
 
 def _read_parquet(path: str | Path) -> Table:
