@@ -58,6 +58,26 @@ def wheel(session: nox.Session) -> None:
 
 
 @nox.session(venv_backend="venv")
+def constraints(session: nox.Session) -> None:
+    """Write constraints.txt: the versions installed here, which passed the tests, and the hashes of their files."""
+    folder = Path(session.create_tmp())
+    tested, wanted = folder / "tested.txt", folder / "wanted.in"
+    listed = session.run(PYTHON, "-m", "pip", "freeze", "--exclude-editable", external=True, silent=True)
+    tested.write_text("\n".join(line for line in str(listed).splitlines() if "==" in line), encoding="utf-8")
+    project = tomllib.loads(Path("pyproject.toml").read_text(encoding="utf-8"))["project"]
+    extras = project["optional-dependencies"]
+    named = [*project["dependencies"], *(one for name in extras["all"][0][5:-1].split(",") for one in extras[name])]
+    wanted.write_text("\n".join(named), encoding="utf-8")
+    session.install("pip-tools")
+    options = "--generate-hashes --strip-extras --no-annotate --no-emit-index-url --no-emit-find-links"
+    session.run(
+        *("pip-compile", *options.split(), "--no-emit-trusted-host", "--constraint", str(tested), "--quiet"),
+        *("-o", "constraints.txt", str(wanted)),
+        env={"CUSTOM_COMPILE_COMMAND": "nox -s constraints"},
+    )
+
+
+@nox.session(venv_backend="venv")
 def oldest(session: nox.Session) -> None:
     """Run the tests with the oldest versions that pyproject.toml allows, in an environment of their own."""
     project = tomllib.loads(Path("pyproject.toml").read_text(encoding="utf-8"))["project"]

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
 
 import cgid
 from cgid import shipped
@@ -20,6 +24,27 @@ from cgid.recordings import read_recording
 from cgid.scene import Scene, synthesise, varied
 
 ROOT = Path(__file__).parents[1]
+
+
+def test_constraints_have_a_version_and_hashes_for_every_dependency() -> None:
+    """Of the package with all extras; within the bounds, from no stated address."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    extras = project["optional-dependencies"]
+    of_all = Requirement(extras["all"][0]).extras
+    wanted = [*project["dependencies"], *(one for name in of_all for one in extras[name])]
+    text = (ROOT / "constraints.txt").read_text(encoding="utf-8")
+    entries = re.split(r"\n(?=[A-Za-z0-9])", re.sub(r"(?m)^#.*\n", "", text))
+    pinned = {}
+    for entry in entries:
+        stated, *hashes = entry.replace("\\\n", " ").split(" --hash=")
+        requirement = Requirement(stated.strip())
+        assert hashes and all(re.fullmatch(r"sha256:[0-9a-f]{64}", one.strip()) for one in hashes), stated
+        pinned[canonicalize_name(requirement.name)] = str(requirement.specifier).removeprefix("==")
+    assert "://" not in text
+    for requirement in map(Requirement, wanted):
+        version = pinned.get(canonicalize_name(requirement.name))
+        assert version, f"{requirement.name} is missing in constraints.txt: nox -s constraints"
+        assert version in requirement.specifier, f"{requirement}: {version}; nox -s constraints"
 
 
 def test_files_are_found_in_a_checkout() -> None:
