@@ -168,7 +168,7 @@ def found_impacts(
         gaps, events = recording.gaps(rows, joint=joint), []
         for block in gaps.marked(block[rows] for block in recording.blocks(gaps=True)):
             events += detector.feed(block * factor)
-        lacking = gaps.lacking(_MOST_MISSING)
+        lacking = gaps.n_samples > _MOST_MISSING * gaps.n_seen
         if not joint or not lacking.any() or lacking.all():
             break
         # A lost channel would end or cut the impacts of all others.

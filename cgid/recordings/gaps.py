@@ -72,10 +72,6 @@ class Gaps:
         """Warn of what is missing, once."""
         self._say_missing(sorted(self._first))
 
-    def lacking(self, share: float) -> NDArray[np.bool_]:
-        """Return which channels were given up, or lack more than this fraction of their samples, (n_channels,)."""
-        return self._given_up | (self.n_samples > share * self.n_seen)
-
     def require(self, source: str) -> None:
         """Raise `BadData` if the blocks ended because channels were given up, or contained no valid sample."""
         lost = self.n_samples == self.n_seen
