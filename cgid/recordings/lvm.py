@@ -73,7 +73,7 @@ def read_lvm(path: Path, source: str, variable: str | None) -> Blocks:
     }
     body = _Rows(**arguments, layout=layout, segments=lvm, only=only, channel=channels[0])
     rate_from = "column of x" if x else "Delta_X"
-    return replace(assembled(header, body, list(range(len(x)))), rate_from=rate_from, warnings=warnings)
+    return replace(assembled(header, body, warnings, list(range(len(x)))), rate_from=rate_from)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from datetime import datetime
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -77,6 +78,9 @@ class Blocks:
         One per channel, such as "10.2 mV/g"; for samples in volts or coulombs.
     start_time : datetime or None
         Time of the first sample.
+    gaps : sequence of (int, int)
+        Index among the stored samples of each that follows a gap, and the number of samples missing before it, which
+        `n_samples` includes.
     warnings : list of str
         One line for each damaged part that was skipped; may grow during reading.
 
@@ -100,6 +104,7 @@ class Blocks:
     sensitivities: Sequence[str | None] = ()
     gains: Sequence[str | None] = ()
     start_time: datetime | None = None
+    gaps: Sequence[tuple[int, int]] = ()
     warnings: list[str] = field(default_factory=list)
 
     @classmethod
@@ -121,12 +126,13 @@ class Blocks:
             for first in range(0, samples.shape[1], length):
                 yield samples[list(channels), first : first + length]
 
-        return cls(n_channels=samples.shape[0], read=read, n_samples=samples.shape[1], **about)
+        return cls(n_channels=samples.shape[0], read=read, **{"n_samples": samples.shape[1], **about})
 
     def joined(self, length: int, channels: Sequence[int]) -> Iterator[NDArray[Any]]:
         """Yield the blocks of `read` in order, with nan where samples are missing."""
         count = 0
-        for block in self.read(length, channels):
+        blocks = self.read(length, channels)
+        for block in _shifted(blocks, self.gaps) if self.gaps else blocks:
             first, samples = block if isinstance(block, tuple) else (count, block)
             if first < count or samples.shape[0] != len(channels):
                 raise BadData(
@@ -221,6 +227,43 @@ class Blocks:
             f"({quantity_of(stated)}) and --unit states {given} ({quantity_of(given)}); leave out --unit or correct "
             "the header, or pick another channel with --channel"
         )
+
+
+def _shifted(
+    blocks: Iterable[NDArray[Any] | tuple[int, NDArray[Any]]], gaps: Sequence[tuple[int, int]]
+) -> Iterator[tuple[int, NDArray[Any]]]:
+    starts, lost, count = [start for start, _ in gaps], np.cumsum([0, *(number for _, number in gaps)]), 0
+    for block in blocks:
+        assert not isinstance(block, tuple)
+        stored = count + np.arange(block.shape[1])
+        yield from with_gaps(stored + lost[np.searchsorted(starts, stored, side="right")], block)
+        count += block.shape[1]
+
+
+def with_gaps(places: NDArray[np.int64], samples: NDArray[Any]) -> Iterator[tuple[int, NDArray[Any]]]:
+    """Yield samples, (n_channels, n), of these places in the recording by pieces without a gap, each with its first."""
+    ends = np.flatnonzero(np.diff(places) > 1) + 1
+    for first, end in pairwise([0, *ends.tolist(), len(places)]):
+        if end > first:
+            yield int(places[first]), samples[:, first:end]
+
+
+#: Names of channels that only count samples, and the least number of these that shows it without such a name.
+_NAMES_OF_COUNTERS = frozenset(
+    "index no nr n i x count counter sample samples sample_no point row seq sequence packet 序号".split()
+)
+_MIN_COUNTED = 50
+
+
+def counts(name: str, samples: NDArray[Any]) -> bool:
+    """Return whether samples only count: they grow by one, or begin again at the lowest."""
+    is_named = "_".join(name.lower().strip(" .:#").split()) in _NAMES_OF_COUNTERS
+    with np.errstate(all="ignore"):
+        if len(samples) < 2 or not (is_named or np.ptp(samples) >= _MIN_COUNTED):
+            return False
+        steps = np.diff(samples)
+        begins_again = (samples[1:] == samples.min()) & (samples[:-1] == samples.max())
+        return bool(((steps == 1) | begins_again).all() and (steps == 1).any() and samples[0] == np.rint(samples[0]))
 
 
 def _numbered(index: int, name: str) -> str:

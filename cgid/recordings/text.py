@@ -16,7 +16,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid.errors import BadData
-from cgid.recordings.recording import MAX_CHANNELS, Blocks, Remark, rates_agree, require_one_rate
+from cgid.recordings.recording import (
+    MAX_CHANNELS,
+    Blocks,
+    Remark,
+    counts,
+    rates_agree,
+    require_one_rate,
+    with_gaps,
+)
 from cgid.recordings.text_layout import (
     MIXED,
     SNIFFED,
@@ -24,14 +32,18 @@ from cgid.recordings.text_layout import (
     Header,
     Layout,
     encoding_of,
+    column_of,
+    has_ambiguous_date,
     is_comment,
     layout_of,
+    plain_rows,
+    quoted_layout_of,
     read_header,
     stamped_layout_of,
     stamped_moment,
-    with_seconds,
 )
 from cgid.recordings.times import EvenTimes, Floats, rate_of, refined_rate, runs_evenly, seconds
+from cgid.terminal import counted
 
 #: Characters to read at once; the header must end within the first piece.
 PIECE = 1 << 20
@@ -45,20 +57,22 @@ _END_MARK = "\x1a"
 #: A comma in a row, before any comment.
 _COMMA = re.compile(r"^[^#%/\n]*,", re.MULTILINE)
 
-#: Names of columns that only number the rows.
-_NAMES_OF_COUNTERS = ("", "index", "no", "nr", "n", "i", "sample", "samples", "sample no", "point", "row", "序号")
+#: Numbers that converters write for a lost sample, and the part of them that samples beside it must not exceed.
+_END_STOPS, _NEAR = (-(2.0**15), -(2.0**23), -(2.0**31)), 0.5
+#: A column with fewer numbers than this part of the first rows is a slow channel.
+_SLOW = 0.5
 
 
 def read_text(path: Path, source: str) -> Blocks:
     """Return the channels of a text file, with the statements of its header and its time column."""
     encoding, warnings = encoding_and_end(path, source)
-    header, body = _header_and_body(path, encoding, source)
+    header, body = _header_and_body(path, encoding, source, warnings)
     if body.layout.n_columns > MAX_CHANNELS:
         raise BadData(
             f"{source}: at most {MAX_CHANNELS} columns, line {body.first_line} has {body.layout.n_columns}; "
             "transpose it: one sample a row, one channel a column"
         )
-    return replace(assembled(header, body), warnings=warnings)
+    return assembled(header, body, warnings)
 
 
 def encoding_and_end(path: Path, source: str) -> tuple[str, list[str]]:
@@ -116,7 +130,7 @@ class Body:
                 raise _among_rows(*comment, sample, self.source)
             if comment is None and len(without_end) < len(piece.text):
                 comment = piece.line + without_end.count("\n"), piece.text[len(without_end) :].partition("\n")[0]
-            text = with_seconds(without_end, layout)
+            text = plain_rows(without_end, layout)
             if not points:
                 # The decimal mark is unknown while all numbers are integers.
                 layout = with_decimal_mark(layout, text)
@@ -126,6 +140,8 @@ class Body:
                 # Parsing line by line either finds the error or skips the text that numpy could not parse.
                 checked = list(_checked_rows(text, layout, times, needed, sample, piece.line, self.source))
                 rows = np.loadtxt(checked, comments=None, ndmin=2) if checked else np.empty((0, layout.n_columns))
+            if rows.size and rows.min() in _END_STOPS:
+                rows = _without_end_stops(rows)
             yield rows, piece
             sample += len(rows)
 
@@ -143,7 +159,7 @@ class Body:
         text = raw.decode(encoding, "replace")
         for line in reversed(text.replace("\r", "\n").rstrip(_END_MARK).split("\n")):
             if not is_comment(line):
-                fields = self.layout.fields(with_seconds(line.partition("#")[0], self.layout))
+                fields = self.layout.fields(plain_rows(line.partition("#")[0], self.layout))
                 values = [self.layout.number(field) for field in fields]
                 complete = len(values) == self.layout.n_columns and None not in values
                 return np.array([float(value or "nan") for value in values]) if complete else None
@@ -174,6 +190,18 @@ def with_decimal_mark(layout: Layout, text: str) -> Layout:
     divided = layout.delimiter not in (",", MIXED) and (layout.n_columns > 1 or layout.trailing)
     is_decimal = divided and "," in text and _COMMA.search(text) is not None
     return replace(layout, decimal_comma=True) if is_decimal else layout
+
+
+def _without_end_stops(rows: Floats) -> Floats:
+    """Return rows with nan for the lowest number of a converter, unless the samples beside it come near it."""
+    rows = rows.copy()
+    for column in rows.T:
+        for stop in _END_STOPS:
+            is_stop = column == stop
+            others = column[~is_stop]
+            if is_stop.any() and not (others < _NEAR * stop).any():
+                column[is_stop] = np.nan
+    return rows
 
 
 def _parsed_at_once(text: str, layout: Layout) -> Floats | None:
@@ -251,7 +279,7 @@ def n_lines(text: str) -> int:
 # ---- the first piece -------------------------------------------------------------------------------------------------
 
 
-def _header_and_body(path: Path, encoding: str, source: str) -> tuple[Header, Body]:
+def _header_and_body(path: Path, encoding: str, source: str, warnings: list[str]) -> tuple[Header, Body]:
     with path.open(encoding=encoding, errors="replace") as file:
         piece = file.read(PIECE)
         if file.read(1):
@@ -263,25 +291,89 @@ def _header_and_body(path: Path, encoding: str, source: str) -> tuple[Header, Bo
     line = next(lines, "")
     while line:
         following = next(lines, "")
-        layout = None if is_comment(line) else layout_of(line) or stamped_layout_of(line, following)
+        layout = None if is_comment(line) else _layout(line, following, piece, start)
         if layout is not None:
             break
         above.append(line)
         start += len(line)
         line = following
     if layout is None:
-        raise BadData(f"{source}: a recording must contain numbers, no line of the text does; export it again")
+        raise _not_understood(above, source)
+    if layout.quoted == "unclear":
+        raise BadData(
+            f"{source}: a comma between quotes must be decimal or between thousands, that of {line.strip()[:40]!r} may "
+            "be both; write decimal points, and no commas between thousands"
+        )
     moment = None if layout.stamp is None else stamped_moment(line)
+    if layout.stamp is not None and has_ambiguous_date(line):
+        warnings.append(Remark(f"the date of {line.strip()[:40]!r} may begin with day or month; no start time was read"))
     layout = _corrected(layout, following or line, above)
-    layout = with_decimal_mark(layout, with_seconds(piece[start:], layout))
+    layout = with_decimal_mark(layout, plain_rows(piece[start:], layout))
     while above and _is_damaged_row(above[-1], layout):
         start -= len(above.pop())
-    body = Body(path=path, encoding=encoding, start=start, first_line=len(above) + 1, layout=layout, source=source)
     header = read_header(above, layout)
+    narrow = _without_slow(layout, piece[start:])
+    if narrow is not layout:
+        names = [column.name for column in header.columns[narrow.n_columns :]]
+        named = ", ".join(filter(None, names)) or f"from {narrow.n_columns + 1} on"
+        warnings.append(Remark(f"columns {named} have no value in most rows and are left out"))
+        header = replace(header, columns=header.columns[: narrow.n_columns])
+    body = Body(path=path, encoding=encoding, start=start, first_line=len(above) + 1, layout=narrow, source=source)
     if moment is not None:
         header = replace(header, start_time=moment)
     _refuse_doubtful_comma(body, header, line, above)
+    if not header.columns and (n_names := _n_names(above, layout)):
+        warnings.append(
+            Remark(
+                f"the line above the numbers has {counted(n_names, 'field')} and rows have {layout.n_columns}; names "
+                "and units were not read"
+            )
+        )
     return header, body
+
+
+def _layout(line: str, following: str, piece: str, start: int) -> Layout | None:
+    quoted = quoted_layout_of(line, piece, start) if '"' in piece else None
+    return quoted or layout_of(line) or stamped_layout_of(line, following)
+
+
+def _not_understood(lines: Sequence[str], source: str) -> BadData:
+    """Return the error of a text without rows; it quotes the first line that looks like one."""
+    shapes = [re.sub(r"[\d.]+", "0", line) if not is_comment(line) else "" for line in lines]
+    alike = (at for at, (one, other) in enumerate(pairwise([*shapes, ""])) if "0" in one and one == other)
+    at = next(alike, next((at for at, shape in enumerate(shapes) if "0" in shape), None))
+    if at is None:
+        return BadData(f"{source}: a recording must contain numbers, no line of the text does; export it again")
+    fields = [field.strip() for field in re.split(r"[;,|\t]", lines[at])]
+    field = next((one for one in fields if layout_of(one) is None), fields[0])
+    return BadData(
+        f"{source}: a row must consist of numbers and one time, line {at + 1} is {lines[at].strip()[:60]!r}, where "
+        f"{field[:40]!r} is not understood; export numbers only, and times in seconds or as 2026-03-04T10:11:12.500"
+    )
+
+
+def _without_slow(layout: Layout, rows: str) -> Layout:
+    """Return the layout of the columns that all rows have, if only the first rows have further ones."""
+    if layout.delimiter is None or len(layout.delimiter) > 1 or layout.picked or layout.quoted:
+        return layout
+    n_fields = [line.count(layout.delimiter) + 1 for line in _without_end(rows).splitlines()]
+    shortest = min(n_fields)
+    n_long = sum(number > shortest for number in n_fields)
+    is_slow = len(n_fields) - n_long > 1 and n_fields == [n_fields[0]] * n_long + [shortest] * (len(n_fields) - n_long)
+    # A last row that is shorter is cut off.
+    if not n_long or not is_slow or shortest < 2 or layout.trailing:
+        return layout
+    return replace(layout, n_columns=shortest, picked=tuple(range(shortest)))
+
+
+def _n_names(above: Sequence[str], layout: Layout) -> int:
+    """Return the number of names in the last line above the rows, 0 if it is no list of names."""
+    last = above[-1] if above else ""
+    if layout.delimiter is None or len(layout.delimiter) > 1 or is_comment(last):
+        return 0
+    fields = last.strip().strip(layout.delimiter).split(layout.delimiter)
+    is_list = len(fields) > 1 and all(column_of(one).name for one in fields) and not re.search("[:=]", last)
+    return len(fields) if is_list else 0
 
 
 def _lines(piece: str) -> Iterator[str]:
@@ -315,34 +407,39 @@ def _is_damaged_row(line: str, layout: Layout) -> bool:
 
 
 def _refuse_doubtful_comma(body: Body, header: Header, first: str, above: deque[str]) -> None:
-    if body.layout.delimiter != "," or body.layout.n_columns != 2 or header.columns:
+    layout = body.layout
+    if layout.delimiter != "," or layout.n_columns % 2 or header.columns or layout.picked:
         return
-    before_comma, after_comma = body.layout.fields(first)
-    single = read_header(above, replace(body.layout, delimiter=None, n_columns=1)).columns
-    names_one = bool(single) and single[0].known_unit is not None
-    if (
-        before_comma.lstrip("+-").isdigit()
-        and after_comma.isdigit()
-        and (names_one or (len(after_comma) > 1 and after_comma.startswith("0")))
-    ):
+    fields = layout.fields(first)
+    half = replace(layout, delimiter=None if layout.n_columns == 2 else ",", n_columns=layout.n_columns // 2)
+    names = read_header(above, half).columns
+    names_half = bool(names) and (layout.n_columns > 2 or names[0].known_unit is not None)
+    has_decimals = all(len(field) > 1 for field in fields[1::2]) and any(field[0] == "0" for field in fields[1::2])
+    if all(field.lstrip("+-").isdigit() for field in fields) and (names_half or has_decimals):
         raise BadData(
-            f"{body.source}: the comma of {first.strip()[:40]!r} may divide columns or decimals; "
-            "write decimal points, or name both columns in a header"
+            f"{body.source}: the commas of {first.strip()[:40]!r} may divide columns or decimals; "
+            "write decimal points, or name all columns in a header"
         )
 
 
 # ---- header, rows and time together ----------------------------------------------------------------------------------
 
 
-def assembled(header: Header, body: Body, times: list[int] | None = None) -> Blocks:
+def assembled(header: Header, body: Body, warnings: list[str], times: list[int] | None = None) -> Blocks:
     """Return the channels of rows below a header; `times` are the columns of times if they are known."""
     columns, source = header.columns, body.source
     rows, beginning = next(body.pieces(()))
-    counters = []
+    left_out = []
     if times is None:
         times = time_columns(columns, rows) if body.layout.stamp is None else [body.layout.stamp]
-        counters = [index for index in range(rows.shape[1]) if _counts(columns, rows, index)]
-    samples_columns = [index for index in range(rows.shape[1]) if index not in (*times, *counters)]
+        for index in set(range(rows.shape[1])).difference(times):
+            name, n_numbers = columns[index].name if columns else "", int(np.isfinite(rows[:, index]).sum())
+            is_slow = 0 < n_numbers < _SLOW * len(rows)
+            if is_slow or ((not columns or columns[index].known_unit is None) and counts(name, rows[:, index])):
+                what = f"has numbers in {n_numbers} of {len(rows)} rows" if is_slow else "only counts"
+                warnings.append(Remark(f"column {name or index + 1} {what} and is left out"))
+                left_out.append(index)
+    samples_columns = [index for index in range(rows.shape[1]) if index not in (*times, *left_out)]
     if not samples_columns:
         raise BadData(f"{source}: a recording must have a channel besides time, there is none; export it again")
     # Gaps in a channel matter only if it is read, but times must be complete.
@@ -350,8 +447,14 @@ def assembled(header: Header, body: Body, times: list[int] | None = None) -> Blo
     if not finite[times].all():
         next(body.pieces(times))
     measured = None
+    factor = _factor(columns, times[0], body) if times else 1.0
     if times and len(rows) > 1:
         measured = _measured_rate(columns, times, rows, None if beginning.is_last else body.last_row(), body)
+        if columns and (unit := column_of(columns[times[0]].name).unit) and seconds(unit, source) != factor:
+            warnings.append(
+                f"the time column {columns[times[0]].name!r} is stated to be in {columns[times[0]].unit or 's'}; check "
+                f"the sampling rate of {measured:.6g} Hz"
+            )
     rate = _agreed_rate(header.sampling_rates, measured, source)
     if rate is None or not finite[samples_columns].any():
         next(body.pieces((), samples_columns))
@@ -365,21 +468,32 @@ def assembled(header: Header, body: Body, times: list[int] | None = None) -> Blo
         "start_time": header.start_time,
         "sensitivities": _for_each(header.sensitivities, len(samples_columns)),
         "gains": _for_each(header.gains, len(samples_columns)),
+        "warnings": warnings,
     }
-    if beginning.is_last and finite.all():
+    if beginning.is_last and finite[[*times, *samples_columns]].all():
+        if measured is not None:
+            clock = EvenTimes(measured, source)
+            places = clock.feed(rows[:, times[0]] * factor)
+            lost = np.diff(places, prepend=-1) - 1
+            about["gaps"] = [(at, int(lost[at])) for at in np.flatnonzero(lost).tolist()]
+            about["n_samples"] = int(places[-1]) + 1
+            warnings += clock.message
         return Blocks.of_array(np.ascontiguousarray(rows.T[samples_columns]), **about)
 
-    def blocks(length: int, channels: Sequence[int]) -> Iterator[NDArray[Any]]:
+    def blocks(length: int, channels: Sequence[int]) -> Iterator[tuple[int, NDArray[Any]]]:
         picked = [samples_columns[channel] for channel in channels]
-        clock = None if measured is None else EvenTimes(measured, source)
-        factor = _factor(columns, times[0], body) if times else 1.0
+        clock, count, end = None if measured is None else EvenTimes(measured, source), 0, 0
         for rows, piece in body.pieces(times, picked):
+            places = np.arange(end, end + len(rows))
             if clock is not None:
-                clock = EvenTimes(measured or 0.0, source) if piece.is_restart else clock
-                clock.feed(rows[:, times[0]] * factor)
-            samples = np.ascontiguousarray(rows.T[picked])
-            for first in range(0, len(rows), length):
-                yield samples[:, first : first + length]
+                if piece.is_restart:
+                    clock, count = EvenTimes(measured or 0.0, source), end
+                places = count + clock.feed(rows[:, times[0]] * factor)
+            for at, samples in with_gaps(places, np.ascontiguousarray(rows.T[picked])):
+                for first in range(0, samples.shape[1], length):
+                    yield at + first, samples[:, first : first + length]
+            end = int(places[-1]) + 1 if len(rows) else end
+        warnings.extend([] if clock is None else clock.message)
 
     return Blocks(n_channels=len(samples_columns), read=blocks, **about)
 
@@ -402,14 +516,8 @@ def time_columns(columns: tuple[Column, ...], rows: Floats) -> list[int]:
     for index, column in enumerate(columns):
         if column.has_time_unit:
             return [index]
-    return [0] if not columns and rows.shape[1] > 1 and runs_evenly(rows[:, 0]) else []
-
-
-def _counts(columns: tuple[Column, ...], rows: Floats, index: int) -> bool:
-    """Return whether a column only numbers the rows: its name indicates so, and it grows by one."""
-    is_named = bool(columns) and columns[index].name.lower().strip(" .:#") in _NAMES_OF_COUNTERS
-    with np.errstate(all="ignore"):
-        return is_named and len(rows) > 1 and bool((np.diff(rows[:, index]) == 1).all())
+    is_time = not columns and rows.shape[1] > 1 and runs_evenly(rows[:, 0]) and not counts("", rows[:, 0])
+    return [0] if is_time else []
 
 
 def _factor(columns: tuple[Column, ...], at: int, body: Body) -> float:

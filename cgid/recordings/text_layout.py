@@ -9,7 +9,7 @@ import re
 from collections.abc import Iterable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from datetime import date, datetime, timedelta
+from datetime import datetime, timedelta, timezone
 
 from cgid.errors import BadData
 from cgid.units import KNOWN_UNITS, hertz_of, known_unit, number_and_unit, ratio_of, seconds_of
@@ -64,6 +64,11 @@ MIXED = ", "
 
 _COMMENT = ("#", "%", "//")
 _QUOTES = str.maketrans("\"'", "  ")
+#: Fortran writes exponents of double precision with a D.
+_EXPONENTS = str.maketrans("Dd", "ee")
+#: A number between quotes, and one with commas between thousands.
+_QUOTED = re.compile(r'"\s*([+-]?\d[\d,.]*(?:[eE][+-]?\d+)?)\s*"', re.ASCII)
+_THOUSANDS = re.compile(r"[+-]?\d{1,3}(?:,\d{3})+(?:\.\d*)?")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -76,6 +81,7 @@ class Layout:
     trailing : whether each row ends in a delimiter
     stamp : column with times of day, which become seconds before a row is divided
     picked : the fields of a row that count, in a row that may have others; all if there are none
+    quoted : what a comma means within quotes, "decimal" or "thousands"; "" if there is none
     """
 
     delimiter: str | None
@@ -84,6 +90,7 @@ class Layout:
     trailing: bool = False
     stamp: int | None = None
     picked: tuple[int, ...] = ()
+    quoted: str = ""
 
     def fields(self, line: str) -> list[str]:
         """Return the fields of a row without quotes and surrounding blanks."""
@@ -102,11 +109,12 @@ class Layout:
         if self.decimal_comma:
             # With both a point and a comma, one would be a thousands separator.
             field = "" if "." in field else field.replace(",", ".")
+        field = field.translate(_EXPONENTS)
         return field if NUMBER.fullmatch(field) else None
 
     def parser(self) -> tuple[str | None, dict[str, str]]:
         """Return the delimiter for `numpy.loadtxt`, and the characters to replace first."""
-        replacements = {'"': " ", "'": " "}
+        replacements = {'"': " ", "'": " ", "D": "e", "d": "e"}
         if self.decimal_comma:
             replacements[","] = "."
         if self.delimiter == MIXED or (self.trailing and self.delimiter is not None):
@@ -133,6 +141,24 @@ def layout_of(line: str) -> Layout | None:
     return None
 
 
+def quoted_layout_of(line: str, piece: str, start: int) -> Layout | None:
+    """Return the layout of `line`, at `start` of a piece of rows, if numbers between quotes contain commas, else None.
+
+    Its `quoted` is "unclear" if the commas may be decimal as well as between thousands.
+    """
+    layout = layout_of(_QUOTED.sub("0", line))
+    if layout is None or layout.delimiter not in (",", None):
+        return None
+    numbers = [number for number in _QUOTED.findall(piece, start) if "," in number]
+    if not numbers:
+        return None
+    if all(map(_THOUSANDS.fullmatch, numbers)):
+        is_clear = any("." in number or number.count(",") > 1 for number in numbers)
+        return replace(layout, quoted="thousands" if is_clear else "unclear")
+    is_clear = all(number.count(",") == 1 and "." not in number for number in numbers)
+    return replace(layout, quoted="decimal" if is_clear else "unclear")
+
+
 def _candidates(line: str) -> Iterator[Layout]:
     for mark in ";|":
         if mark in line:
@@ -152,12 +178,14 @@ def _candidates(line: str) -> Iterator[Layout]:
 
 
 #: Epoch: float64 seconds from it resolve 2^-23 s until 2034.
-_FIRST_DAY = date(2000, 1, 1)
+_EPOCH = datetime(2000, 1, 1)
 
 _STAMP = re.compile(
-    r"(?<![\d.:])(?:(\d{4})[-/.](\d\d?)[-/.](\d\d?)[ T])?(\d\d?):(\d\d):(\d\d)(?:[.,](\d+))?Z?(?![\d.:])", re.ASCII
+    r"(?<![\d.:])(?:(?:(\d{4})[-/.](\d\d?)[-/.](\d\d?)|(\d\d?)([-/.])(\d\d?)\5(\d{4}))[ T])?"
+    r"(\d\d?):(\d\d):(\d\d)(?:[.,](\d+))?(?:\s?([AP])M)?(Z|[+-]\d\d:?\d\d)?(?![\d.:])",
+    re.ASCII | re.IGNORECASE,
 )
-_STAMP_BEFORE_COMMA = re.compile(_STAMP.pattern.replace("[.,](", "[.]("), re.ASCII)
+_STAMP_BEFORE_COMMA = re.compile(_STAMP.pattern.replace("[.,](", "[.]("), re.ASCII | re.IGNORECASE)
 
 
 def stamped_layout_of(line: str, following: str) -> Layout | None:
@@ -168,8 +196,11 @@ def stamped_layout_of(line: str, following: str) -> Layout | None:
     return first
 
 
-def with_seconds(text: str, layout: Layout) -> str:
-    """Return rows with their stamps replaced by seconds."""
+def plain_rows(text: str, layout: Layout) -> str:
+    """Return rows with seconds instead of stamps, and without quotes around numbers with commas."""
+    if layout.quoted and '"' in text:
+        mark = "." if layout.quoted == "decimal" else ""
+        text = _QUOTED.sub(lambda match: match[1].replace(",", mark), text)
     if layout.stamp is None:
         return text
     mark = "," if layout.decimal_comma else "."
@@ -180,15 +211,39 @@ def with_seconds(text: str, layout: Layout) -> str:
 def stamped_moment(line: str, *, is_only_field: bool = False) -> datetime | None:
     """Return the datetime of the stamp in a line, None without a date; `is_only_field`: the line is the stamp."""
     match = _STAMP.fullmatch(line) if is_only_field else _STAMP.search(line)
-    if match is None or match[1] is None:
+    if match is None or not (match[1] or match[4]) or _is_ambiguous(match):
         return None
-    year, month, day, hours, minutes, seconds = map(int, match.groups()[:6])
-    micros = int((match[7] or "0")[:6].ljust(6, "0"))
     try:
-        passed = timedelta(hours=hours, minutes=minutes, seconds=seconds, microseconds=micros)
-        return datetime(year, month, day) + passed
+        moment = _moment(match) + timedelta(microseconds=int((match[11] or "0")[:6].ljust(6, "0")))
     except (OverflowError, ValueError):
         return None
+    if match[13] is None:
+        return moment
+    hours, minutes = (0, 0) if match[13] in "Zz" else (int(match[13][1:3]), int(match[13][-2:]))
+    offset = timedelta(hours=hours, minutes=minutes) * (-1 if match[13][0] == "-" else 1)
+    return moment.replace(tzinfo=timezone(offset)) if abs(offset) < timedelta(days=1) else None
+
+
+def has_ambiguous_date(line: str) -> bool:
+    """Return whether the date of the stamp in a line may begin with the day or with the month."""
+    match = _STAMP.search(line)
+    return match is not None and _is_ambiguous(match)
+
+
+def _is_ambiguous(match: re.Match[str]) -> bool:
+    return match[5] == "/" and not match[12] and max(int(match[4]), int(match[6])) <= 12 and match[4] != match[6]
+
+
+def _moment(match: re.Match[str]) -> datetime:
+    """Return the datetime of a stamp without the fraction of its second; raise `ValueError` if there is none such."""
+    year, month, day, hour = match[1] or match[7], match[2] or match[4], match[3] or match[6], int(match[8])
+    # Dates with slashes begin with the month (United States), others with the day; a 13th month is a day.
+    if match[4] and (match[5] != "/" or int(match[4]) > 12):
+        month, day = day, month
+    if match[12]:
+        hour = hour % 12 + 12 * (match[12] in "Pp")
+    start = datetime(int(year), int(month), int(day)) if year else _EPOCH
+    return start + timedelta(hours=hour, minutes=int(match[9]), seconds=int(match[10]))
 
 
 def _layout(line: str) -> Layout | None:
@@ -208,14 +263,14 @@ def _layout(line: str) -> Layout | None:
 
 def _seconds(match: re.Match[str], mark: str) -> str:
     try:
-        days = (date(int(match[1]), int(match[2]), int(match[3])) - _FIRST_DAY).days if match[1] else 0
-    except ValueError:
+        passed = _moment(match) - _EPOCH
+    except (OverflowError, ValueError):
         # No such day: the unchanged stamp is later reported as a field that is not a number.
         return match[0]
-    total_seconds = 86400 * days + 3600 * int(match[4]) + 60 * int(match[5]) + int(match[6])
+    total_seconds = 86400 * passed.days + passed.seconds
     if total_seconds < 0:
         return match[0]
-    return f"{total_seconds}{mark}{match[7]}" if match[7] else str(total_seconds)
+    return f"{total_seconds}{mark}{match[11]}" if match[11] else str(total_seconds)
 
 
 # ---- the lines above the numbers: names, units, sampling rate, start -------------------------------------------------
@@ -223,7 +278,7 @@ def _seconds(match: re.Match[str], mark: str) -> str:
 _TIME_NAME = re.compile(r"(?i:time|zeit|temps|tiempo|tempo|时间|時間)|t(?![^\W\d_])")
 _IN_BRACKETS = re.compile(r"(.*)[(\[{<]([^()\[\]{}<>]*)[)\]}>]")
 _STATED_RATE = re.compile(
-    r"[\s#%;/\"]*(?i:(?:sampling|sample)[ _-]?(?:rate|frequency|freq)|fs|abtastrate|abtastfrequenz|采样率|采样频率)"
+    r"[\s#%;/\"]*(?i:(?:sampling|sample|data)[ _-]?(?:rate|frequency|freq)|fs|abtastrate|abtastfrequenz|采样率|采样频率)"
     r"[\s\"]*(?:[(\[]\s*([kKMG]?(?i:hz))\s*[)\]])?"
     r"[\s\":=,;]+([+-]?\d[\d.]*(?:[eE][+-]?\d+)?)[\s\",;]*([kKMG]?(?i:hz)|(?i:s/s|sps))?[\s\",;.]*"
 )
@@ -231,6 +286,8 @@ _STATED_INTERVAL = re.compile(
     r"[\s#%;/\"]*(?i:(?:sampling|sample|time)[ _-]?(?:interval|period|step)|delta[ _]?[tx]|dt|采样间隔|采样周期)[\s\"]*"
     r"(?:[(\[]\s*([mnuµ]?s)\s*[)\]])?[\s\":=,;]+([+-]?\d[\d.]*(?:[eE][+-]?\d+)?)[\s\",;]*([mnuµ]?s(?:ec)?)?[\s\",;.]*"
 )
+#: Between several statements of one comment, as in "config: fs = 1000 Hz, filter = 488 Hz".
+_PARTS = re.compile(r"(?:[,;]|(?<=[A-Za-z]):)\s+(?=[^\W\d])")
 _STATED_START = re.compile(
     r"[\s#%;/\"]*(?i:start[ _-]?(?:date[ _-]?)?time|start(?:ed)?|recorded|date[ _-]?time)[\s\"]*[:=,;\t][\s\"]*"
     r"(\d{4}-\d\d-\d\d[ T]\d\d:\d\d[\d:.+Z-]*)[\s\",;]*"
@@ -331,10 +388,17 @@ def read_header(lines: Iterable[str], layout: Layout) -> Header:
     header = Header()
     best: tuple[Column, ...] = ()
     before: tuple[Column, ...] = ()
+    named: list[str] = []
     for written in lines:
         line = written.translate(_SAME)
         comment = line[:_MAX_NAME_LENGTH]
-        if (rate := _stated_rate(comment)) is not None:
+        above, named = named, list(map(str.strip, line.split(layout.delimiter)))
+        if step := _increment(above, named):
+            # Some oscilloscopes write start and increment of the times above columns that do not exist.
+            header = replace(header, sampling_rates=(*header.sampling_rates, 1 / step))
+            names = tuple(column_of(name) for name in above if name.lower() not in ("", "start", "increment"))
+            best = _under(names, tuple(map(column_of, named[: len(names)]))) if len(names) == layout.n_columns else best
+        elif (rate := _stated_rate(comment)) is not None:
             header = replace(header, sampling_rates=(*header.sampling_rates, rate))
         elif match := _STATED_START.fullmatch(comment):
             with suppress(ValueError):
@@ -353,12 +417,21 @@ def read_header(lines: Iterable[str], layout: Layout) -> Header:
     return replace(header, columns=named)
 
 
+def _increment(names: list[str], values: list[str]) -> float | None:
+    """Return the number above 0 below the name Increment, None without one."""
+    found = [value for name, value in zip(names, values, strict=False) if name.lower() == "increment"]
+    step = float(found[0]) if found and NUMBER.fullmatch(found[0]) else 0.0
+    return step if 0 < step < math.inf else None
+
+
 def _is_time_unit(text: str) -> bool:
     return bool(text) and seconds_of(text) is not None
 
 
 def _stated_rate(comment: str) -> float | None:
     """Return the sampling rate [Hz] that a line states, directly or by its interval."""
+    if len(parts := _PARTS.split(comment)) > 1 and is_comment(comment):
+        return next((rate for part in parts if (rate := _stated_rate(part)) is not None), None)
     with suppress(ValueError):  # a number with two points
         if match := _STATED_RATE.fullmatch(comment):
             return float(match[2]) * (hertz_of(match[3] or match[1] or "") or 1.0)
@@ -399,9 +472,14 @@ def _divisions(text: str, layout: Layout) -> Iterator[list[str]]:
 
 
 def _under(names: tuple[Column, ...], units: tuple[Column, ...]) -> tuple[Column, ...]:
-    if not names or any(column.name for column in units):
+    # Written out ("Volt") or unknown, a unit looks like a name.
+    is_units = all(not one.name for one in units) or (
+        not _has_unit_or_time(units) and any(known_unit(one.name) or _is_time_unit(one.name) for one in units)
+    )
+    if not names or not is_units:
         return units
-    return tuple(Column(name=name.name, unit=unit.unit or name.unit) for name, unit in zip(names, units, strict=True))
+    pairs = zip(names, units, strict=True)
+    return tuple(Column(name=name.name, unit=unit.unit or unit.name or name.unit) for name, unit in pairs)
 
 
 def _has_unit_or_time(columns: tuple[Column, ...]) -> bool:

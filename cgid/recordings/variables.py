@@ -18,6 +18,7 @@ from cgid.errors import BadData
 from cgid.recordings.recording import Blocks, ReadBlocks, Remark, rates_agree, require_one_rate
 from cgid.recordings.text_layout import column_of
 from cgid.recordings.times import rate_of_vector
+from cgid.terminal import counted
 from cgid.units import hertz_of, known_unit, number_and_unit, plain_unit, ratio_of, seconds_of
 
 #: Values with names in a file; a list has one value per channel.
@@ -271,7 +272,7 @@ def contents_of(
     for one in selected:
         _require_readable(one, source)
     levels = [list(_levels(one, statements)) for one in selected]
-    times, measured = [one for one in variables if one.is_time], dict[str, float | None]()
+    times, measured = [one for one in variables if one.is_time], dict[str, tuple[float, list[tuple[int, int]]] | None]()
     rates = []
     for one, level in zip(selected, levels, strict=True):
         stated = _first(level, lambda values: stated_rate(values, source))
@@ -292,10 +293,17 @@ def contents_of(
         for values, stated_of in ((units, stated_units), (sensitivities, stated_sensitivities), (gains, stated_gains)):
             values += _first(level, partial(stated_of, n_channels=one.n_channels)) or [None] * one.n_channels
     start: datetime | None = _first(levels[0], stated_start)
+    gaps_of = [_gaps(one, times, measured) for one in selected]
+    gaps = gaps_of[0]
+    if any(one != gaps for one in gaps_of):
+        raise BadData(f"{source}: channels must have the same gaps, their times differ; pick one by --variable NAME")
+    if n_lost := sum(number for _, number in gaps):
+        warnings = [*warnings, f"{counted(n_lost, 'sample')} in {counted(len(gaps), 'gap')} of the times missing"]
     return Blocks(
         n_channels=sum(one.n_channels for one in selected),
         read=first.read if len(selected) == 1 else _joined(selected, n_samples, source),
-        n_samples=n_samples,
+        n_samples=n_samples + n_lost,
+        gaps=gaps,
         names=names,
         units=units,
         sampling_rate=rates[0][0],
@@ -362,15 +370,13 @@ def _rate(
     variable: Variable,
     stated: tuple[float, str] | None,
     times: Sequence[Variable],
-    measured: dict[str, float | None],
+    measured: dict[str, tuple[float, list[tuple[int, int]]] | None],
     source: str,
     warnings: list[str],
 ) -> tuple[float | None, str]:
     """Return the rate [Hz] of an array and its origin, or None and "header"; `measured` keeps those of times."""
     rates = [] if stated is None else [stated]
-    for one in times:
-        if one is variable or (one.group, one.n_samples) != (variable.group, variable.n_samples):
-            continue
+    for one in _times_of(variable, times):
         if one.path not in measured and one.n_samples > 1:
             try:
                 _require_readable(one, source)
@@ -381,12 +387,27 @@ def _rate(
                     raise
                 warnings.append(Remark(f"the times of {one.path} are not even, the rate is that of {stated[1]}"))
                 measured[one.path] = None
-        rate = measured.get(one.path)
-        if rate is not None:
-            rates.append((rate, f"array {one.path}"))
+        found = measured.get(one.path)
+        if found is not None:
+            rates.append((found[0], f"array {one.path}"))
     for other in rates[1:]:
         require_one_rate(rates[0], other, source)
     return rates[0] if rates else (None, "header")
+
+
+def _gaps(
+    variable: Variable, times: Sequence[Variable], measured: Mapping[str, tuple[float, list[tuple[int, int]]] | None]
+) -> list[tuple[int, int]]:
+    found = [measured.get(one.path) for one in _times_of(variable, times)]
+    return next((one[1] for one in found if one is not None), [])
+
+
+def _times_of(variable: Variable, times: Sequence[Variable]) -> list[Variable]:
+    return [
+        one
+        for one in times
+        if one is not variable and (one.group, one.n_samples) == (variable.group, variable.n_samples)
+    ]
 
 
 def _require_readable(variable: Variable, source: str) -> None:
