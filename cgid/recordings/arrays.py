@@ -17,7 +17,8 @@ from numpy.lib import format as npy_format
 from numpy.typing import NDArray
 
 from cgid.errors import BadData, InvalidValue
-from cgid.recordings.recording import DATASET_HINT, MAX_ARRAYS, MAX_CHANNELS, Blocks, library_errors
+from cgid.recordings.recording import DATASET_HINT, MAX_ARRAYS, MAX_CHANNELS, Blocks, Remark, library_errors
+from cgid.recordings.text_layout import column_of
 from cgid.recordings.variables import Value, Variable, contents_of, full_scale_of, is_statement, orientation
 
 if TYPE_CHECKING:
@@ -32,6 +33,8 @@ def read_npy(path: Path, source: str) -> Blocks:
     with path.open("rb") as file:
         shape, fortran_order, dtype, offset = _header(file.read(_HEADER_SIZE), source)
         stored = os.fstat(file.fileno()).st_size - offset
+    if dtype.names and len(shape) == 1 and math.prod(shape) * dtype.itemsize == stored:
+        return _records(path, source, shape[0], dtype, offset)
     if dtype.kind not in "fiu":
         raise BadData(f"{source}: samples must be real numbers, got type {dtype}; save them as float64")
     if len(shape) not in (1, 2) or min(shape) < 0:
@@ -73,6 +76,38 @@ def read_npy(path: Path, source: str) -> Blocks:
         full_scales=[full_scale_of(dtype)] * n_channels,
         integers=[dtype.kind in "iu"] * n_channels,
     )
+
+
+def _records(path: Path, source: str, n_samples: int, dtype: np.dtype[Any], offset: int) -> Blocks:
+    """Return the fields of the records of an NPY file as channels, with the times among them."""
+
+    def variable(name: str, stored: np.dtype[Any]) -> Variable:
+        def read(length: int, channels: Sequence[int]) -> Iterator[NDArray[Any]]:
+            with path.open("rb") as file:
+                file.seek(offset)
+                for first in range(0, n_samples, length):
+                    n = min(length, n_samples - first)
+                    records = np.fromfile(file, dtype, n)
+                    if records.size < n:
+                        raise BadData(f"{source}: the file became shorter while it was read; read it again")
+                    yield _floats(records[name][None])
+
+        column = column_of(name)
+        return Variable(
+            name=column.name or name,
+            n_channels=1,
+            n_samples=n_samples,
+            read=read,
+            about={"unit": column.unit} if column.unit else {},
+            full_scale=full_scale_of(stored),
+            is_integer=stored.kind in "iu",
+        )
+
+    fields = [(name, dtype[name]) for name in dtype.names or ()]
+    variables = [variable(name, stored) for name, stored in fields if stored.kind in "fiu" and not stored.shape]
+    left_out = [name for name, stored in fields if stored.kind not in "fiu" or stored.shape]
+    warnings: list[str] = [Remark(f"field {name} contains no numbers and is left out") for name in left_out]
+    return contents_of(variables, {}, source, None, warnings, group_is_one=True)
 
 
 def _header(start: bytes, source: str) -> tuple[tuple[int, ...], bool, np.dtype[Any], int]:

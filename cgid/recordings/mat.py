@@ -40,7 +40,7 @@ def read_mat(path: Path, source: str, variable: str | None) -> Blocks:
 
 
 def _fields(place: str, value: Any, stored: Any, depth: int) -> Iterator[tuple[str, NDArray[Any]]]:
-    """Yield the arrays and texts in a MATLAB value; cells, objects and complex numbers are left out."""
+    """Yield the arrays and texts in a MATLAB value; objects and complex numbers are left out."""
     if type(value) is not np.ndarray or depth > _DEEPEST or not value.size:
         return
     if value.dtype.names:
@@ -48,6 +48,10 @@ def _fields(place: str, value: Any, stored: Any, depth: int) -> Iterator[tuple[s
             owner = place if value.size == 1 else f"{place}({index + 1})"
             for field in value.dtype.names:
                 yield from _fields(f"{owner}/{field}", one[field], its[field], depth + 1)
+        return
+    if value.dtype.kind == "O":
+        for index, (one, its) in enumerate(zip(value.ravel(), stored.ravel(), strict=True), 1):
+            yield from _fields(f"{place}({index})", one, its, depth + 1)
         return
     if value.dtype.kind == "U":
         value = np.char.strip(value) if value.nbytes <= 4 * _MAX_TEXT_LENGTH else value[:0]

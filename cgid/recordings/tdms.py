@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from datetime import UTC, datetime, timedelta
@@ -19,6 +20,11 @@ from cgid.recordings.variables import Value, Variable, contents_of, full_scale_o
 _LEAD_IN, _TAG = 28, b"TDSm"
 #: Declared length of a segment that is still being written.
 _UNKNOWN = 2**64 - 1
+#: Names of the types of scales, and those that nptdms applies.
+_SCALE_TYPE = re.compile(r"NI_Scale\[\d+\]_Scale_Type")
+_SCALES = frozenset(
+    "Polynomial Linear RTD Strain Table Thermistor Thermocouple Add Subtract AdvancedAPI".split()
+)
 #: nptdms reads a chunk of a channel at once; so is a channel of longer chunks [samples].
 MAX_CHUNK_SIZE = 1 << 22
 #: Samples to read at once, if chunks are shorter.
@@ -124,6 +130,11 @@ def _variable(file: _Tdms, group: str, channel: Any) -> Variable:
         return file.blocks(channel, length)
 
     about = _values(channel.properties)
+    owners = (channel.properties, file.tdms[group].properties, file.tdms.properties)
+    scales = {str(value) for one in owners for name, value in one.items() if _SCALE_TYPE.fullmatch(name)} - _SCALES
+    if scales:
+        # nptdms leaves the numbers as they are, and so without the unit.
+        about = {"unit": "unscaled", **about}
     start, offset = about.get("wf_start_time"), channel.properties.get("wf_start_offset", 0.0)
     if isinstance(start, datetime) and isinstance(offset, int | float) and abs(offset) < 1e9:
         about["wf_start_time"] = start + timedelta(seconds=float(offset))
@@ -134,6 +145,7 @@ def _variable(file: _Tdms, group: str, channel: Any) -> Variable:
         n_samples=len(channel),
         read=blocks,
         about=about,
+        warning=f"its scale {', '.join(sorted(scales))} is not known, so its numbers are not in its unit" if scales else "",
         # That of the numbers after the scales of NI, which nptdms applies.
         full_scale=full_scale_of(channel.dtype),
         is_integer=channel.dtype.kind in "iu",

@@ -6,6 +6,7 @@ Layout: "Universal Dataset Number 58", SDRL of the University of Cincinnati, htt
 from __future__ import annotations
 
 import re
+import tempfile
 import warnings
 from collections.abc import Sequence
 from contextlib import suppress
@@ -20,6 +21,7 @@ from numpy.typing import NDArray
 from cgid.errors import BadData
 from cgid.recordings.recording import Blocks, library, library_errors, rates_agree
 from cgid.recordings.text_layout import stated_chain
+from cgid.recordings.times import lost_before, rate_of
 from cgid.units import known_unit, seconds_of
 
 #: Largest file [bytes], since pyuff reads files at once and needs several times their size.
@@ -32,6 +34,9 @@ _DIRECTIONS = {sign * number: f"{'-' if sign < 0 else '+'}{axis}" for number, ax
 _DATES = ("%d-%b-%y %H:%M:%S", "%d-%b-%Y %H:%M:%S", "%d-%b-%y", "%d-%b-%Y")
 #: First line of a binary data set: byte order, type of the numbers, lines of text, bytes.
 _BINARY = re.compile(rb"^ {4}58b *\d+ +\d+ +(\d{1,9}) +(\d{1,12})[ \d]*\r?\n", re.MULTILINE)
+#: An exponent as Fortran writes it, and most numbers in a line of text.
+_FORTRAN = re.compile(rb"(?<=[\d.])[Dd](?=[+-]\d\d)")
+_A_LINE = 6
 #: pyuff takes the line end and the mark after binary numbers for further numbers [bytes].
 _MARK = 16
 
@@ -90,9 +95,17 @@ class _DataSet:
 def read_uff(path: Path, source: str, variable: str | None) -> Blocks:
     """Return the channels of a universal file: its data sets 58 over time; `variable` is the number or name of one."""
     pyuff = library("pyuff", "universal files", source)
-    _require_whole(path, source)
+    content = _whole(path, source)
     fault, hint = "the universal file is damaged", "copy or export it again"
-    with library_errors(source, fault, hint), warnings.catch_warnings(action="ignore"):
+    with (
+        library_errors(source, fault, hint),
+        warnings.catch_warnings(action="ignore"),
+        tempfile.TemporaryDirectory() as folder,
+    ):
+        if _FORTRAN.search(content) and not _BINARY.search(content):
+            # pyuff does not know the D of double precision.
+            path = Path(folder) / "exponents.uff"
+            path.write_bytes(_FORTRAN.sub(b"E", content))
         file = pyuff.UFF(str(path))
         positions = [place for place, kind in enumerate(file.get_set_types()) if kind == 58]
         headers = [file.read_sets(place, header_only=True) for place in positions]
@@ -102,8 +115,12 @@ def read_uff(path: Path, source: str, variable: str | None) -> Blocks:
         ]
         selected = _select(sets, source, variable)
         _require_recordings(selected, source)
-        samples = np.stack([_samples(file.read_sets(one.position_in_file), one, source) for one in selected])
+        data_sets = [file.read_sets(one.position_in_file) for one in selected]
+    samples = np.stack([_samples(one, its, source) for one, its in zip(data_sets, selected, strict=True)])
     first = selected[0]
+    rates = [_rate_of(one, its, source) for one, its in zip(data_sets, selected, strict=True)]
+    if not all(rates_agree(rate, rates[0]) for rate in rates):
+        raise BadData(f"{source}: data sets must be of one rate, got {rates} Hz; pick one by --variable NUMBER")
     names = [one.name for one in selected]
     return Blocks.of_array(
         samples,
@@ -112,14 +129,14 @@ def read_uff(path: Path, source: str, variable: str | None) -> Blocks:
         units=[known_unit(one.header["ordinate_axis_units_lab"]) for one in selected],
         sensitivities=[one.messages("sensitivities") for one in selected],
         gains=[one.messages("gains") for one in selected],
-        sampling_rate=_rate(first.step),
-        rate_from="increment of the abscissa",
+        sampling_rate=rates[0],
+        rate_from="abscissa",
         start_time=first.start_time,
     )
 
 
-def _require_whole(path: Path, source: str) -> None:
-    """Raise `BadData` unless the file is small enough and ends with the end mark of a data set."""
+def _whole(path: Path, source: str) -> bytes:
+    """Return the file; raise `BadData` unless it is small enough and ends with the end mark of a data set."""
     size = path.stat().st_size
     if size > MAX_FILE_SIZE:
         raise BadData(
@@ -134,6 +151,7 @@ def _require_whole(path: Path, source: str) -> None:
             f"{source}: each data set of a universal file must end with the mark -1, one does not; it looks cut off or "
             "damaged, copy it again"
         )
+    return content
 
 
 def _after(content: bytes, header: re.Match[bytes]) -> bytes:
@@ -171,14 +189,9 @@ def _require_recordings(selected: Sequence[_DataSet], source: str) -> None:
         header = one.header
         if not one.is_recording:
             raise BadData(f"{source}: data set {one} is no response over time; export the time response")
-        is_real = header["ord_data_type"] in _REAL
-        if not is_real or header["abscissa_spacing"] != _EVEN:
-            kind = "at uneven times" if is_real else "complex"
-            raise BadData(
-                f"{source}: the samples of data set {one} must be real and even in time, they are {kind}; "
-                "resample and export them again"
-            )
-        if not (np.isfinite(one.step) and one.step > 0):
+        if header["ord_data_type"] not in _REAL:
+            raise BadData(f"{source}: the samples of data set {one} must be real, they are complex; export them again")
+        if header["abscissa_spacing"] == _EVEN and not (np.isfinite(one.step) and one.step > 0):
             raise BadData(
                 f"{source}: the abscissa of data set {one} must increase, its step is {one.step:g} s; correct it"
             )
@@ -188,7 +201,8 @@ def _require_recordings(selected: Sequence[_DataSet], source: str) -> None:
                 f"{source}: the abscissa of data set {one.number} must be in s, as the format has it, its label states "
                 f"{label}; correct label or increment"
             )
-        if one.n_samples != first.n_samples or not rates_agree(one.step, first.step):
+        both_even = header["abscissa_spacing"] == first.header["abscissa_spacing"] == _EVEN
+        if one.n_samples != first.n_samples or (both_even and not rates_agree(one.step, first.step)):
             raise BadData(
                 f"{source}: channels must be of one length and rate, data sets {first} every {first.step:g} s and "
                 f"{one} every {one.step:g} s differ; pick one by --variable NUMBER"
@@ -199,6 +213,9 @@ def _samples(data_set: dict[str, Any], one: _DataSet, source: str) -> NDArray[An
     """Return the numbers of a data set, float32 if stored so; raise `BadData` if they are not as many as declared."""
     binary, single = bool(data_set["binary"]), data_set["ord_data_type"] == _SINGLE
     numbers, more = data_set["data"], _MARK // (4 if single else 8) if binary else 0
+    if not binary and not np.any(numbers[one.n_samples :]):
+        # Some programs fill the last line with zeros.
+        more = _A_LINE - 1
     if not 0 < one.n_samples <= len(numbers) <= one.n_samples + more:
         raise BadData(
             f"{source}: data set {one} must have {one.n_samples} numbers of its type, got {len(numbers)}; the file is "
@@ -206,6 +223,19 @@ def _samples(data_set: dict[str, Any], one: _DataSet, source: str) -> NDArray[An
         )
     samples: NDArray[Any] = numbers[: one.n_samples]
     return samples.astype(np.float32) if binary and single else samples
+
+
+def _rate_of(data_set: dict[str, Any], one: _DataSet, source: str) -> float:
+    """Return the sampling rate [Hz] of a data set by its step, or by its times where a flag calls them uneven."""
+    if one.header["abscissa_spacing"] == _EVEN:
+        return _rate(one.step)
+    times = np.asarray(data_set["x"], np.float64)[: one.n_samples]
+    if len(times) < 2 or not np.isfinite(times).all() or lost_before(times, source).any():
+        raise BadData(
+            f"{source}: the samples of data set {one} must be at even times without a gap, they are not; resample and "
+            "export them again"
+        )
+    return rate_of(times, source)
 
 
 def _rate(step: float) -> float:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import datetime
 from fnmatch import fnmatchcase
 from functools import partial
@@ -37,6 +37,9 @@ _CHANNEL_NAMES = frozenset(("channelnames", "channelname", "channels", "channell
 _GAIN_NAMES = frozenset(("gain", "chargegain", "amplifiergain"))
 _NAMES = _RATE_NAMES | _INTERVAL_NAMES | _UNIT_NAMES | _START_NAMES | _CHANNEL_NAMES | _GAIN_NAMES
 
+#: What structs of axes state, see `_nested`.
+_NESTED = ("increment", "label")
+
 _NUMBER = re.compile(r"\s*([+-]?\d+(?:\.\d*)?(?:[eE][+-]?\d+)?)\s*([^\d\s]\S*)?\s*")
 #: A name of a sensitivity or of its unit, and the unit in brackets after it.
 _SENSITIVITY = re.compile(
@@ -49,7 +52,7 @@ _UNIT_BEHIND = re.compile(r"[\s_([]+(k?hz|mhz|s|sec|ms|us|µs)[\s)\]]*$")
 
 def is_statement(name: str) -> bool:
     """Return whether a value of this name could state a rate, a unit, a start, channel names or a sensitivity."""
-    return _plain(name)[0] in _NAMES or _sensitivity(name) is not None
+    return _plain(name)[0] in _NAMES or name in _NESTED or _sensitivity(name) is not None
 
 
 def _sensitivity(name: str) -> re.Match[str] | None:
@@ -202,6 +205,8 @@ def _number(value: Value, unit: str, factor_of: Callable[[str], float | None]) -
 
 #: Names of an array of times; a capital T may as well be a temperature or a torque.
 _TIME_NAME = re.compile(r"(?i:(?:.*[\s_.-])?(?:time|zeit)(?:[\s_.(\[-].*)?)|t(?:\s*[(\[].*|_(?:m|u|µ)?s)?")
+#: Channels that begin within this part of a sample are simultaneous.
+_SIMULTANEOUS = 0.05
 #: Maximum number of names in a message.
 _LISTED = 12
 Answer = TypeVar("Answer")
@@ -272,6 +277,7 @@ def contents_of(
     for one in selected:
         _require_readable(one, source)
     levels = [list(_levels(one, statements)) for one in selected]
+    starts: list[datetime | None] = [_first(level, stated_start) for level in levels]
     times, measured = [one for one in variables if one.is_time], dict[str, tuple[float, list[tuple[int, int]]] | None]()
     rates = []
     for one, level in zip(selected, levels, strict=True):
@@ -283,6 +289,9 @@ def contents_of(
                 f"{source}: channels must have one sampling rate, {first.path} has {_hertz(rates[0][0])} and "
                 f"{one.path} {_hertz(rate)}; pick one by --variable NAME"
             )
+    if len(set(starts)) > 1:
+        selected, said = _begun_together(selected, starts, rates[0][0], source)
+        n_samples, warnings = min(one.n_samples for one in selected), [*warnings, *said]
     if len(selected) == 1:
         names = _first(levels[0], lambda values: stated_names(values, first.n_channels)) or [first.name]
         names = names if len(names) == first.n_channels else []
@@ -292,7 +301,6 @@ def contents_of(
     for one, level in zip(selected, levels, strict=True):
         for values, stated_of in ((units, stated_units), (sensitivities, stated_sensitivities), (gains, stated_gains)):
             values += _first(level, partial(stated_of, n_channels=one.n_channels)) or [None] * one.n_channels
-    start: datetime | None = _first(levels[0], stated_start)
     gaps_of = [_gaps(one, times, measured) for one in selected]
     gaps = gaps_of[0]
     if any(one != gaps for one in gaps_of):
@@ -312,9 +320,42 @@ def contents_of(
         integers=[one.is_integer for one in selected for _ in range(one.n_channels)],
         sensitivities=sensitivities,
         gains=gains,
-        start_time=start,
+        start_time=max(starts) if None not in starts else starts[0],
         warnings=warnings + [f"{one.path}: {one.warning}" for one in selected if one.warning],
     )
+
+
+def _begun_together(
+    selected: Sequence[Variable], starts: Sequence[datetime | None], rate: float | None, source: str
+) -> tuple[list[Variable], list[str]]:
+    """Return channels of different starts from the last start on, and what was left out."""
+    known = [one for one in starts if one is not None]
+    hint = "pick one by --variable NAME"
+    if len(known) < len(starts) or len({one.tzinfo is None for one in known}) > 1 or rate is None:
+        raise BadData(f"{source}: channels must begin together, but not all state start and rate; {hint}")
+    together, said = [], []
+    for one, start in zip(selected, known, strict=True):
+        earlier = (max(known) - start).total_seconds()
+        n_left_out = round(earlier * rate)
+        if n_left_out >= one.n_samples:
+            raise BadData(
+                f"{source}: channels must have a time in common, {one.path} ends before another begins, {earlier:g} s "
+                f"after it; {hint}"
+            )
+        if n_left_out or abs(earlier * rate - n_left_out) > _SIMULTANEOUS:
+            said.append(
+                f"{one.path} begins {earlier:.9g} s before another channel: its first {counted(n_left_out, 'sample')} "
+                f"{'is' if n_left_out == 1 else 'are'} left out"
+            )
+        together.append(replace(one, n_samples=one.n_samples - n_left_out, read=partial(_from, one, n_left_out)))
+    return together, said
+
+
+def _from(variable: Variable, first: int, length: int, channels: Sequence[int]) -> Iterator[NDArray[Any]]:
+    for block in variable.read(length, channels):
+        if first < block.shape[1]:
+            yield block[:, first:]
+        first = max(first - block.shape[1], 0)
 
 
 def _select(variables: Sequence[Variable], source: str, variable: str | None, group_is_one: bool) -> list[Variable]:
@@ -357,9 +398,22 @@ def _levels(variable: Variable, statements: Mapping[str, Values]) -> Iterator[Va
     yield variable.about
     group = variable.group
     while group:
-        yield statements.get(group, {})
+        yield {**statements.get(group, {}), **_nested(statements, group)}
         group = group.rpartition("/")[0]
     yield statements.get("", {})
+
+
+def _nested(statements: Mapping[str, Values], group: str) -> Values:
+    """Return what structs within a group state of its axes: the increment of the times, the unit of the samples."""
+    about: dict[str, Value] = {}
+    for axis in ("x_values", "x_axis", "xaxis", "x"):
+        step = statements.get(f"{group}/{axis}", {}).get("increment")
+        unit = statements.get(f"{group}/{axis}/quantity", {}).get("label", "s")
+        if isinstance(step, int | float) and isinstance(unit, str) and (factor := seconds_of(unit)):
+            about["dt"] = step * factor
+    if isinstance(label := statements.get(f"{group}/quantity", {}).get("label"), str):
+        about["unit"] = label
+    return about
 
 
 def _first(levels: Sequence[Values], ask: Callable[[Values], Answer | None]) -> Answer | None:

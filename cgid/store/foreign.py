@@ -19,7 +19,14 @@ from numpy.typing import NDArray
 
 from cgid.errors import BadData
 from cgid.store.description import DAMAGE
-from cgid.store.gates import MAX_ATTRIBUTES, cache_size, clear_damage, missing_chunks, storage_fault
+from cgid.store.gates import (
+    MAX_ATTRIBUTES,
+    cache_size,
+    clear_damage,
+    missing_chunks,
+    require_closed,
+    storage_fault,
+)
 
 #: A recording has fewer objects and levels than these.
 _MAX_OBJECTS, _DEEPEST = 10_000, 32
@@ -43,9 +50,10 @@ _CUT_OFF = (
 
 @dataclass(frozen=True, kw_only=True)
 class ForeignArray:
-    """A numeric array in an HDF5 file of another program; `fault`: why it cannot be read, `warning`: gaps."""
+    """A numeric array of another program, at `path` in an HDF5 file; `fault`: why it cannot be read, `warning`: gaps."""
 
     name: str
+    path: str
     shape: tuple[int, ...]
     attributes: dict[str, Any]
     is_integer: bool
@@ -82,6 +90,7 @@ def survey(
                 arrays.append(
                     ForeignArray(
                         name=name,
+                        path=item.name,
                         shape=item.shape,
                         attributes=attributes,
                         is_integer=item.dtype.kind != "f",
@@ -145,7 +154,7 @@ def array_blocks(
     path: Path, source: str, array: ForeignArray, axes: tuple[int | None, int], length: int, channels: Sequence[int]
 ) -> Iterator[NDArray[Any]]:
     """Yield the samples of these channels as float32 or float64; `axes` are that of the channels and of the samples."""
-    (across, along), name = axes, array.name
+    (across, along), name = axes, array.path
     lowest, n_read = (0, 1) if across is None else (min(channels), max(channels) + 1 - min(channels))
     with _opened(path, source) as file:
         cache = cache_size(file[name], across)
@@ -176,8 +185,14 @@ def array_blocks(
 @contextmanager
 def _opened(path: Path, source: str, **options: int) -> Iterator[h5py.File]:
     # A lock would keep writers out, and fails on some network file systems.
-    with clear_damage(source, *_CUT_OFF), h5py.File(path, "r", locking=False, **options) as file:
-        yield file
+    with clear_damage(source, *_CUT_OFF):
+        try:
+            opened = h5py.File(path, "r", locking=False, **options)
+        except OSError:
+            require_closed(path, source)
+            raise
+        with opened as file:
+            yield file
 
 
 def _walk(file: h5py.File, source: str) -> Iterator[tuple[str, Any]]:
@@ -192,6 +207,9 @@ def _walk(file: h5py.File, source: str) -> Iterator[tuple[str, Any]]:
         _require_few(len(seen), depth, source)
         yield name, item
         if not isinstance(item, h5py.Group):
+            for index, part in enumerate(_targets(item), 1):
+                _require_few(len(seen) + len(stack), depth, source)
+                stack.append((f"{name}({index})", part, depth + 1))
             continue
         _require_few(len(seen) + len(stack) + len(item), depth, source)
         for key in reversed(list(item)):
@@ -202,6 +220,19 @@ def _walk(file: h5py.File, source: str) -> Iterator[tuple[str, Any]]:
                 part = item[key]
                 if isinstance(part, h5py.Group | h5py.Dataset):
                     stack.append((f"{name}/{key}" if name else key, part, depth + 1))
+
+
+def _targets(item: h5py.Dataset) -> Iterator[Any]:
+    """Yield what references in a dataset point to, all in this file: so MATLAB 7.3 stores cells and arrays of structs."""
+    if h5py.check_ref_dtype(item.dtype) is not h5py.Reference or not 0 < (item.size or 0) <= _MAX_OBJECTS:
+        return
+    with suppress(*DAMAGE):
+        if item.external or item.is_virtual or storage_fault(item, Path(item.file.filename).stat().st_size):
+            return
+        for reference in np.asarray(item[()]).ravel():
+            part = item.file[reference] if reference else None
+            if isinstance(part, h5py.Group | h5py.Dataset):
+                yield part
 
 
 def _require_few(n_objects: int, depth: int, source: str) -> None:

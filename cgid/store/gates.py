@@ -30,9 +30,10 @@ _MIN_CACHE, _MAX_CACHE = 1 << 20, 128 << 20
 #: Longest name of a format [bytes].
 _MAX_NAME_LENGTH = 4096
 _DEFLATE, _CHECKSUM = 1, 3
-#: Allowed filters: deflate, shuffle, checksum, LZF; with hdf5plugin Zstandard and Blosc2. Others, such as n-bit and
+#: Allowed filters: deflate, shuffle, checksum, LZF; with hdf5plugin Blosc, LZ4, Zstandard, Blosc2. Others, such as n-bit and
 #: scale-offset, trust parameters in the file.
-_UNPACKED, _WITH_PLUGIN = (_DEFLATE, 2, _CHECKSUM, 32000), {32015: "Zstandard", 32026: "Blosc2"}
+_UNPACKED = (_DEFLATE, 2, _CHECKSUM, 32000)
+_WITH_PLUGIN = {32001: "Blosc", 32004: "LZ4", 32015: "Zstandard", 32026: "Blosc2"}
 
 
 def storage_fault(item: h5py.Dataset, file_size: int, best_ratio: float = BEST_RATIO) -> str:
@@ -157,6 +158,7 @@ def opened(path: Path, source: str, identity: Identity | None = None) -> Iterato
     except PermissionError as error:
         raise NoInput(f"{source}: cannot be read ({error.strerror}); see to its permissions") from None
     except DAMAGE:
+        require_closed(path, source)
         raise BadData(
             f"{source}: must be a readable HDF5 file, it is empty, truncated or no HDF5 file; copy it again, or "
             "generate it again"
@@ -165,6 +167,17 @@ def opened(path: Path, source: str, identity: Identity | None = None) -> Iterato
         if identity not in (None, identity_of(os.fstat(file.id.get_vfd_handle()))):
             raise BadData(f"{source}: has been replaced by another while it was read; read it again")
         yield file
+
+
+def require_closed(path: Path, source: str) -> None:
+    """Raise `BadData` if the superblock of an HDF5 file (version 3) says that a program has it open for writing."""
+    with path.open("rb") as file:
+        superblock = file.read(12)
+    if len(superblock) == 12 and superblock[8] == 3 and superblock[11]:
+        raise BadData(
+            f"{source}: the HDF5 file must be closed, a program has it open for writing or was killed; close it, or "
+            "run h5clear -s on a copy"
+        )
 
 
 @contextmanager
