@@ -19,7 +19,7 @@ from typing import Any, BinaryIO
 from cgid.errors import BadData, InvalidValue, NoInput, WriteFailed
 from cgid.recordings.chain import Chain, Statement, units_of
 from cgid.recordings.recording import DATASET_HINT, Blocks, RecordingFile, clear_errors, library_errors
-from cgid.recordings.sound import WAV_MAGICS
+from cgid.recordings.sound import AUDIO_MAGICS, WAV_MAGICS
 from cgid.signals import Signal
 from cgid.validation import require_rate
 
@@ -121,8 +121,7 @@ FORMATS: tuple[Format, ...] = (
     Format("TDMS", _starts(b"TDSm"), "tdms:read_tdms", takes_variable=True),
     Format("UFF", lambda head: _UFF.match(head) is not None, "uff:read_uff", takes_variable=True),
     Format("Parquet", _starts(b"PAR1"), "parquet:read_parquet"),
-    Format("FLAC", _starts(b"fLaC"), "sound:read_audio"),
-    Format("OGG", _starts(b"OggS"), "sound:read_audio"),
+    *(Format(name, _starts(*magics), "sound:read_audio") for name, magics in AUDIO_MAGICS.items()),
     Format("LVM", lambda head: b"LabVIEW Measurement" in head[:32], "lvm:read_lvm", takes_variable=True),
     Format("text", lambda head: True, "text:read_text"),
 )

@@ -14,7 +14,7 @@ from cgid import validation
 from cgid.errors import BadData, InvalidValue, MissingOption
 from cgid.recordings.chain import Chain, scaled, units_of
 from cgid.recordings.recording import MAX_CHANNELS, Blocks, Channel
-from cgid.recordings.sound import ENDLESS, WAV_MAGICS, Coding, read_wave_head
+from cgid.recordings.sound import AUDIO_MAGICS, ENDLESS, WAV_MAGICS, Coding, read_wave_head
 from cgid.validation import require_rate
 
 #: Most numbers to read from the stream at once.
@@ -26,8 +26,7 @@ _FILES = {
     b"\x89HDF": "an HDF5 file",
     b"TDSm": "a TDMS file",
     b"PAR1": "a Parquet file",
-    b"fLaC": "FLAC",
-    b"OggS": "OGG",
+    **{magic[:4]: f"{name} sound" for name, magics in AUDIO_MAGICS.items() for magic in magics},
 }
 
 

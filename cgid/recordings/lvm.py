@@ -156,13 +156,14 @@ class _Segment:
         channels = [channel for channel in range(self.n_channels) if channel not in empty]
         if not channels:
             raise BadData(f"{source}: a recording must contain at least one sample, no channel does; record it again")
-        steps = {self.number_of("Delta_X", channel) for channel in channels}
-        if len(steps) > 1:
-            raise BadData(
-                f"{source}: channels must have one sampling rate, Delta_X states "
-                f"{', '.join(map(str, list(steps)[:9]))} s; export those of one rate"
-            )
-        return channels
+        steps = {channel: self.number_of("Delta_X", channel) for channel in channels}
+        if len(set(steps.values())) > 1 and None in steps.values():
+            raise BadData(f"{source}: channels must have one sampling rate, some state none; export those of one rate")
+        fastest = min(steps.values(), key=lambda step: step or 0.0)
+        if slow := [channel for channel in channels if steps[channel] != fastest]:
+            names = ", ".join(self.label(channel) or str(channel + 1) for channel in slow[:20])
+            warnings.append(Remark(f"{counted(len(slow), 'channel')} of another rate left out: {names}"))
+        return [channel for channel in channels if channel not in slow]
 
     def rate(self, channel: int) -> float | None:
         """Return the rate [Hz] of Delta_X, None if its printed digits are too few for one."""

@@ -39,6 +39,11 @@ def read_parquet(path: Path, source: str) -> Blocks:
     warnings, variables, names = list[str](), list[Variable](), list[str]()
     for name, kind, values in file.columns():
         column = column_of(name)
+        if kind == "list":
+            raise BadData(
+                f"{source}: a row must be one sample of each channel, those of column {name} are whole signals; write "
+                "one signal a file, as DataFrame({'x': row}), or the rows as an array NPY"
+            )
         if kind == "other":
             warnings.append(Remark(f"column {name} contains no numbers and is skipped"))
         elif name.startswith(_INDEX) and kind == "number":
@@ -110,13 +115,15 @@ class _Parquet:
             raise BadData(f"{source}: columns must differ in name, {twice!r} is there twice; rename one")
 
     def columns(self) -> Iterator[tuple[str, str, dict[str, Value]]]:
-        """Yield name, kind ("number", "timestamp" or "other") and metadata of each column."""
+        """Yield name, kind ("number", "timestamp", "list" or "other") and metadata of each column."""
         import pyarrow as pa
 
         for one in self._schema:
             is_number = pa.types.is_integer(one.type) or pa.types.is_floating(one.type)
             is_stamp = pa.types.is_timestamp(one.type) or pa.types.is_duration(one.type)
-            yield one.name, "number" if is_number else "timestamp" if is_stamp else "other", _texts(one.metadata)
+            is_list = pa.types.is_nested(one.type) and not pa.types.is_struct(one.type)
+            kind = "number" if is_number else "timestamp" if is_stamp else "list" if is_list else "other"
+            yield one.name, kind, _texts(one.metadata)
 
     def dtype(self, name: str) -> np.dtype[Any]:
         """Return the type of a column of numbers."""

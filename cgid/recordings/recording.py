@@ -255,11 +255,15 @@ _NAMES_OF_COUNTERS = frozenset(
 _MIN_COUNTED = 50
 
 
+def is_name_of_counter(name: str) -> bool:
+    """Return whether a channel of this name, or without one, may only count samples."""
+    return not name or "_".join(name.lower().strip(" .:#").split()) in _NAMES_OF_COUNTERS
+
+
 def counts(name: str, samples: NDArray[Any]) -> bool:
     """Return whether samples only count: they grow by one, or begin again at the lowest."""
-    is_named = "_".join(name.lower().strip(" .:#").split()) in _NAMES_OF_COUNTERS
     with np.errstate(all="ignore"):
-        if len(samples) < 2 or not (is_named or np.ptp(samples) >= _MIN_COUNTED):
+        if len(samples) < 2 or not (is_name_of_counter(name) and name or np.ptp(samples) >= _MIN_COUNTED):
             return False
         steps = np.diff(samples)
         begins_again = (samples[1:] == samples.min()) & (samples[:-1] == samples.max())
@@ -347,6 +351,12 @@ class RecordingFile:
         contents.require_channels(source)
         self._contents = contents
         self._selected = _selected(contents, channel, source)
+        if channel is None and (counters := _counters(contents)):
+            self._selected = tuple(index for index in self._selected if index not in counters)
+            names = ", ".join(contents.label(index) for index in counters)
+            contents.warnings.append(Remark(f"channel {names} only counts and is left out"))
+            if not self._selected:
+                raise BadData(f"{source}: a recording must have a channel that does not only count; record it again")
         self.source, self.format = source, format
         self.sampling_rate = require_rate(contents.rate(sampling_rate, source))
         links = (chain or Chain()).links(contents, self._selected, unit, source)
@@ -499,6 +509,16 @@ class RecordingFile:
             out[:, filled : filled + block.shape[1]] = block
             filled += block.shape[1]
         return out[:, :filled]
+
+
+def _counters(contents: Blocks) -> list[int]:
+    """Return the channels without a unit that only count, if their names say so or they have none."""
+    without_unit = [index for index in range(contents.n_channels) if not (contents.units or [None] * MAX_CHANNELS)[index]]
+    by_name = [index for index in without_unit if is_name_of_counter(contents.name(index))]
+    if contents.n_channels < 2 or not by_name or contents.fallback_unit is not None:
+        return []
+    first = next(iter(contents.joined(_MIN_COUNTED * 2, by_name)), np.empty((0, 0)))
+    return [index for index, row in zip(by_name, first, strict=False) if counts(contents.name(index), row)]
 
 
 def _selected(contents: Blocks, channel: int | str | Sequence[int | str] | None, source: str) -> tuple[int, ...]:

@@ -1,4 +1,4 @@
-"""Read WAV without a library, FLAC and OGG with libsndfile (EBU Tech 3285 and 3306, RFC 2361)."""
+"""Read WAV without a library; FLAC, OGG, W64, AIFF, CAF and AU with libsndfile (EBU Tech 3285 and 3306, RFC 2361)."""
 
 from __future__ import annotations
 
@@ -25,6 +25,8 @@ WAV_MAGICS = (b"RIFF", b"RIFX", b"RF64", b"BW64")
 #: signed 32-bit number, rounded down.
 ENDLESS = 0x7FFF0000
 
+#: Bytes of sound that are checked for misplaced bits.
+_CHECKED = 1 << 20
 #: Bytes to read of each relevant chunk; the others are skipped.
 _READ = {b"fmt ": 40, b"ds64": 28, b"bext": 338}
 #: Maximum number of chunks before the sound; a hostile file could contain millions of empty ones.
@@ -92,12 +94,16 @@ def _of_three_bytes(raw: bytes, big_endian: bool) -> NDArray[np.int32]:
 
 @dataclass(frozen=True, kw_only=True)
 class WaveHead:
-    """The metadata of a WAV file before the sound; `start_time` is from a broadcast chunk."""
+    """The metadata of a WAV file before the sound; `start_time` is from a broadcast chunk.
+
+    valid_bits : of each integer, in its upper bits; 0 if the file does not say
+    """
 
     n_channels: int
     sampling_rate: float
     coding: Coding
     data_size: int
+    valid_bits: int = 0
     start_time: datetime | None = None
     warnings: list[str] = field(default_factory=list)
 
@@ -137,7 +143,9 @@ def _head(chunks: dict[bytes, bytes], order: str, data_size: int, source: str) -
     if len(form) < 16:
         raise BadData(f"{source}: a WAV file must state its format before the sound; export it again")
     tag, n_channels, rate, byte_rate, align, bits = struct.unpack(order + "HHIIHH", form[:16])
+    valid_bits = 0
     if tag == _EXTENSIBLE and len(form) >= 26:
+        valid_bits = int(struct.unpack(order + "H", form[18:20])[0])
         # The actual format is in the first two bytes of a GUID.
         tag = int(struct.unpack(order + "H", form[24:26])[0])
     width = align // n_channels if n_channels and align % n_channels == 0 else 0
@@ -166,6 +174,7 @@ def _head(chunks: dict[bytes, bytes], order: str, data_size: int, source: str) -
         sampling_rate=float(rate),
         coding=coding,
         data_size=data_size,
+        valid_bits=valid_bits,
         start_time=_start_time(chunks.get(b"bext", b"")),
         warnings=warnings,
     )
@@ -192,6 +201,9 @@ def read_wav(path: Path, source: str) -> Blocks:
         start = file.tell()
         warnings = list(head.warnings)
         size = _size_of_sound(file, head, start, n_available, warnings)
+        file.seek(start)
+        if head.coding.kind == "i" and 0 < head.valid_bits <= 8 * (head.coding.width - 1) and head.coding.width == 4:
+            _check_bits(file.read(min(size, _CHECKED)), head, warnings)
 
     def blocks(length: int, channels: Sequence[int]) -> Iterator[NDArray[Any]]:
         max_samples = length * head.frame_size
@@ -243,11 +255,39 @@ def _size_of_sound(file: BinaryIO, head: WaveHead, start: int, n_available: int,
                 f"{n_available - end} bytes after the declared sound are not part of a WAV file and were left out; "
                 "check the file"
             )
+        elif second := _second_sound(file, head, end + end % 2, n_available):
+            warnings.append(f"a second chunk of {second} bytes of sound was left out; check how the file was made")
         if left := declared % head.frame_size:
             warnings.append(
                 f"{declared} bytes of sound are not complete frames of {head.frame_size}; the last {left} were left out"
             )
     return follows - follows % head.frame_size
+
+
+def _second_sound(file: BinaryIO, head: WaveHead, at: int, n_available: int) -> int:
+    """Return the bytes of a further chunk of sound from byte `at` on, 0 without one."""
+    for _ in range(_MAX_CHUNKS):
+        if not _is_chunk(file, head, at, n_available):
+            return 0
+        file.seek(at)
+        name, size = file.read(4), int.from_bytes(file.read(4), "big" if head.coding.big_endian else "little")
+        if name == b"data":
+            return size
+        at += 8 + size + size % 2
+    return 0
+
+
+def _check_bits(raw: bytes, head: WaveHead, warnings: list[str]) -> None:
+    """Warn if the bits of integers of 32 bits that must be empty are not."""
+    numbers = np.frombuffer(raw[: len(raw) // 4 * 4], ">i4" if head.coding.big_endian else "<i4")
+    if not (numbers & (1 << 32 - head.valid_bits) - 1).any():
+        return
+    is_right = numbers.size and int(np.abs(numbers.astype(np.int64)).max()) <= 1 << head.valid_bits - 1
+    place = f"in the lower bits, so that samples are {1 << 32 - head.valid_bits} times too small" if is_right else "in all"
+    warnings.append(
+        f"the header states {head.valid_bits} valid bits in the upper ones of 32, the numbers are {place}; check the "
+        "recorder, and give its full scale"
+    )
 
 
 def _is_chunk(file: BinaryIO, head: WaveHead, at: int, n_available: int) -> bool:
@@ -257,8 +297,19 @@ def _is_chunk(file: BinaryIO, head: WaveHead, at: int, n_available: int) -> bool
     return len(name) == 4 and all(32 <= byte < 127 for byte in name) and at + 8 + size <= n_available + 1
 
 
-# ---- FLAC and OGG files ----------------------------------------------------------------------------------------------
+# ---- files of libsndfile ----------------------------------------------------------------------------------------------
 
+#: First bytes of the files of libsndfile, codings that keep the samples, and a size of AU that means unknown.
+AUDIO_MAGICS = {
+    "FLAC": (b"fLaC",),
+    "OGG": (b"OggS",),
+    "W64": (b"riff\x2e\x91\xcf\x11",),
+    "AIFF": (b"FORM",),
+    "CAF": (b"caff",),
+    "AU": (b".snd", b"dns."),
+}
+_CODINGS = ("PCM_", "FLOAT", "DOUBLE", "VORBIS", "OPUS", "ALAC_")
+_UNKNOWN_SIZE = (1 << 32) - 1
 #: Samples of each channel to decode at once.
 _DECODED = 1 << 14
 #: Maximum number of samples of a channel in one byte of a file: a FLAC frame of 65535 equal samples takes about 12
@@ -269,8 +320,8 @@ _PAGE_HEAD, _MAX_PAGE_SIZE, _LAST_PAGE = 27, 65_307, 4
 
 
 def read_audio(path: Path, source: str) -> Blocks:
-    """Return the channels of a FLAC or OGG file, with a full scale of 1.0."""
-    soundfile = library("soundfile", "FLAC and OGG files", source)
+    """Return the channels of a FLAC, OGG, W64, AIFF, CAF or AU file, with a full scale of 1.0."""
+    soundfile = library("soundfile", "FLAC, OGG, W64, AIFF, CAF and AU files", source)
     fault, hint = "the audio file is damaged or cut off", "copy or export it again"
 
     @contextmanager
@@ -281,6 +332,11 @@ def read_audio(path: Path, source: str) -> Blocks:
 
     with opened() as sound:
         n_channels, rate, declared = int(sound.channels), float(sound.samplerate), int(sound.frames)
+        coding = str(sound.subtype)
+    if not coding.startswith(_CODINGS):
+        raise BadData(f"{source}: sound must be stored as PCM, float, FLAC or Vorbis, it is {coding}; export it again")
+    if (missing := _missing(path)) is not None:
+        raise BadData(f"{source}: {fault}, it declares {missing} bytes more than it contains; {hint}")
     # A header may declare more than a file of this size can contain, or nothing.
     n_samples = declared if 0 < declared <= _BEST_PACKING * path.stat().st_size else None
     is_ended, position = _ogg_end(path)
@@ -306,8 +362,32 @@ def read_audio(path: Path, source: str) -> Blocks:
         rate_from="header of the audio file",
         fallback_unit="FS",
         full_scales=[1.0] * n_channels,
-        integers=[True] * n_channels,
+        integers=[coding not in ("FLOAT", "DOUBLE")] * n_channels,
     )
+
+
+def _missing(path: Path) -> int | None:
+    """Return the bytes that a W64, AIFF, CAF or AU file declares beyond its end, which libsndfile does not report."""
+    size = path.stat().st_size
+    with path.open("rb") as file:
+        head = file.read(24)
+        ends = [0]
+        if head.startswith(b"riff"):
+            ends.append(int.from_bytes(head[16:24], "little"))
+        elif head.startswith(b"FORM"):
+            ends.append(8 + int.from_bytes(head[4:8], "big"))
+        elif head[:4] in (b".snd", b"dns."):
+            start, length = (int.from_bytes(head[at : at + 4], "big" if head[0] == 46 else "little") for at in (4, 8))
+            ends.append(start + length * (length < _UNKNOWN_SIZE))
+        elif head.startswith(b"caff"):
+            at = 8
+            while at + 12 <= size and len(ends) < _MAX_CHUNKS:
+                file.seek(at)
+                length = int.from_bytes(file.read(12)[4:], "big", signed=True)
+                # The last chunk of sound may be of unknown length.
+                at = at + 12 + length if length >= 0 else size
+                ends.append(at)
+    return max(ends) - size if max(ends) > size else None
 
 
 def _ogg_end(path: Path) -> tuple[bool, int | None]:

@@ -10,6 +10,7 @@ from collections.abc import Iterable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from datetime import datetime, timedelta, timezone
+from functools import lru_cache
 
 from cgid.errors import BadData
 from cgid.units import KNOWN_UNITS, hertz_of, known_unit, number_and_unit, ratio_of, seconds_of
@@ -68,6 +69,7 @@ _QUOTES = str.maketrans("\"'", "  ")
 _EXPONENTS = str.maketrans("Dd", "ee")
 #: A number between quotes, and one with commas between thousands.
 _QUOTED = re.compile(r'"\s*([+-]?\d[\d,.]*(?:[eE][+-]?\d+)?)\s*"', re.ASCII)
+_QUOTES_SEARCHED = 1 << 16
 _THOUSANDS = re.compile(r"[+-]?\d{1,3}(?:,\d{3})+(?:\.\d*)?")
 
 
@@ -149,7 +151,7 @@ def quoted_layout_of(line: str, piece: str, start: int) -> Layout | None:
     layout = layout_of(_QUOTED.sub("0", line))
     if layout is None or layout.delimiter not in (",", None):
         return None
-    numbers = [number for number in _QUOTED.findall(piece, start) if "," in number]
+    numbers = [number for number in _QUOTED.findall(piece, start, start + _QUOTES_SEARCHED) if "," in number]
     if not numbers:
         return None
     if all(map(_THOUSANDS.fullmatch, numbers)):
@@ -182,10 +184,10 @@ _EPOCH = datetime(2000, 1, 1)
 
 _STAMP = re.compile(
     r"(?<![\d.:])(?:(?:(\d{4})[-/.](\d\d?)[-/.](\d\d?)|(\d\d?)([-/.])(\d\d?)\5(\d{4}))[ T])?"
-    r"(\d\d?):(\d\d):(\d\d)(?:[.,](\d+))?(?:\s?([AP])M)?(Z|[+-]\d\d:?\d\d)?(?![\d.:])",
-    re.ASCII | re.IGNORECASE,
+    r"(\d\d?):(\d\d):(\d\d)(?:[.,](\d+))?(?:\s?([AaPp])[Mm])?(Z|[+-]\d\d:?\d\d)?(?![\d.:])",
+    re.ASCII,
 )
-_STAMP_BEFORE_COMMA = re.compile(_STAMP.pattern.replace("[.,](", "[.]("), re.ASCII | re.IGNORECASE)
+_STAMP_BEFORE_COMMA = re.compile(_STAMP.pattern.replace("[.,](", "[.]("), re.ASCII)
 
 
 def stamped_layout_of(line: str, following: str) -> Layout | None:
@@ -219,7 +221,7 @@ def stamped_moment(line: str, *, is_only_field: bool = False) -> datetime | None
         return None
     if match[13] is None:
         return moment
-    hours, minutes = (0, 0) if match[13] in "Zz" else (int(match[13][1:3]), int(match[13][-2:]))
+    hours, minutes = (0, 0) if match[13] == "Z" else (int(match[13][1:3]), int(match[13][-2:]))
     offset = timedelta(hours=hours, minutes=minutes) * (-1 if match[13][0] == "-" else 1)
     return moment.replace(tzinfo=timezone(offset)) if abs(offset) < timedelta(days=1) else None
 
@@ -236,14 +238,28 @@ def _is_ambiguous(match: re.Match[str]) -> bool:
 
 def _moment(match: re.Match[str]) -> datetime:
     """Return the datetime of a stamp without the fraction of its second; raise `ValueError` if there is none such."""
-    year, month, day, hour = match[1] or match[7], match[2] or match[4], match[3] or match[6], int(match[8])
-    # Dates with slashes begin with the month (United States), others with the day; a 13th month is a day.
-    if match[4] and (match[5] != "/" or int(match[4]) > 12):
-        month, day = day, month
+    return _EPOCH + timedelta(days=_day(*match.groups()[:7]), seconds=_second(match))
+
+
+@lru_cache(maxsize=64)
+def _day(
+    year: str | None, month: str, day: str, first: str | None, mark: str, second: str, last: str
+) -> int:
+    """Return the days from the epoch to the date of a stamp, 0 without a date."""
+    if year is None and first is None:
+        return 0
+    if first is not None:
+        # Dates with slashes begin with the month (United States), others with the day; a 13th month is a day.
+        year, month, day = (last, first, second) if mark == "/" and int(first) <= 12 else (last, second, first)
+    return (datetime(int(year or 0), int(month), int(day)) - _EPOCH).days
+
+
+def _second(match: re.Match[str]) -> int:
+    """Return the seconds from midnight to a stamp, without the fraction."""
+    hour = int(match[8])
     if match[12]:
         hour = hour % 12 + 12 * (match[12] in "Pp")
-    start = datetime(int(year), int(month), int(day)) if year else _EPOCH
-    return start + timedelta(hours=hour, minutes=int(match[9]), seconds=int(match[10]))
+    return 3600 * hour + 60 * int(match[9]) + int(match[10])
 
 
 def _layout(line: str) -> Layout | None:
@@ -263,11 +279,10 @@ def _layout(line: str) -> Layout | None:
 
 def _seconds(match: re.Match[str], mark: str) -> str:
     try:
-        passed = _moment(match) - _EPOCH
+        total_seconds = 86400 * _day(*match.groups()[:7]) + _second(match)
     except (OverflowError, ValueError):
         # No such day: the unchanged stamp is later reported as a field that is not a number.
         return match[0]
-    total_seconds = 86400 * passed.days + passed.seconds
     if total_seconds < 0:
         return match[0]
     return f"{total_seconds}{mark}{match[11]}" if match[11] else str(total_seconds)

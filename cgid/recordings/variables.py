@@ -331,8 +331,10 @@ def _begun_together(
     """Return channels of different starts from the last start on, and what was left out."""
     known = [one for one in starts if one is not None]
     hint = "pick one by --variable NAME"
-    if len(known) < len(starts) or len({one.tzinfo is None for one in known}) > 1 or rate is None:
-        raise BadData(f"{source}: channels must begin together, but not all state start and rate; {hint}")
+    if len(known) < len(starts) or len({one.tzinfo is None for one in known}) > 1:
+        return list(selected), ["not all channels state when they begin; they were taken as simultaneous"]
+    if rate is None:
+        raise BadData(f"{source}: channels that begin at different times must state their rate, they do not; {hint}")
     together, said = [], []
     for one, start in zip(selected, known, strict=True):
         earlier = (max(known) - start).total_seconds()
