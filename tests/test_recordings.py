@@ -2,11 +2,13 @@
 
 import io
 import os
+import re
 import struct
 import subprocess
 import sys
 import threading
 import zipfile
+from datetime import UTC
 from pathlib import Path
 from signal import SIGKILL
 from types import SimpleNamespace
@@ -19,7 +21,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from scipy.io import wavfile
 
-from cgid.errors import BadData, InvalidValue, NoInput
+from cgid.errors import BadData, CgidError, InvalidValue, NoInput
 from cgid.recordings import RecordingFile, is_dataset, open_recording, read_recording
 from cgid.recordings.recording import MAX_CHANNELS
 
@@ -215,6 +217,140 @@ def test_times_of_day_are_the_time_of_the_rows(text, start):
         assert signal.start_time.strftime("%Y-%m-%d") == "2026-03-04"
 
 
+def rows(form, n=360, rate=1000.0, skip=()):
+    """Return rows of a time and a sample k % 7 / 2, in which `form` may place both in any way."""
+    return "\n".join(form(k / rate, k % 7 / 2) for k in range(n) if k not in skip) + "\n"
+
+
+def german(time, x):
+    return f"30.05.2025 13:35:{35 + time:09.6f};{x:.2f}".replace(".", ",").replace(",", ".", 2)
+
+
+def lost(time, x):
+    return f"{time:.5f},{x}"
+
+
+#: What recorders write: header, rows, unit, options.
+RECORDERS = {
+    "quoted decimal commas": ('"time (s)","F (N)"\n', lambda t, x: f'"{t:.4f}","{x:.2f}"'.replace(".", ","), "N", {}),
+    "quoted thousands": ("t (s),F (N)\n", lambda t, x: f'{t:.4f},"{x + 5000:,.1f}"', "N", {"offset": 5000}),
+    "quotes without need": ('"t (s)","F (N)"\n', lambda t, x: f'"{t:.4f}","{x:.2f}"', "N", {}),
+    "zone": ("time,F (N)\n", lambda t, x: f"2025-05-30T15:35:{35 + t:09.6f}+02:00,{x}", "N", {"hour": 15}),
+    "Zulu": ("time,F (N)\n", lambda t, x: f"2025-05-30T13:35:{35 + t:09.6f}Z,{x}", "N", {"hour": 13}),
+    "d.m.y": ("Zeit;Kraft [N]\n", german, "N", {"hour": 13}),
+    "m/d/y PM": ("time,F (N)\n", lambda t, x: f"5/30/2025 1:35:{35 + t:09.6f} PM,{x}", "N", {"hour": 13}),
+    "d/m/y": ("time;F (N)\n", lambda t, x: f"30/05/2025 13:35:{35 + t:09.6f};{x}", "N", {"hour": 13}),
+    "D exponents": ("t(s) F(N)\n", lambda t, x: f"{t:.6E} {x:.3E}".replace("E", "D"), "N", {}),
+    "units row": ("Time,CH1\nsec,Volt\n", lost, "V", {}),
+    "units row with an unknown one": ("Time,CH1\ns,furlong\n", lost, None, {}),
+    "increment": (
+        "X,CH1,Start,Increment,\nSequence,Volt,-1e-2,1e-3\n",
+        lambda t, x: f"{round(1000 * t)},{x},",
+        "V",
+        {"said": "column X only counts"},
+    ),
+    "rate in a comment": (
+        "# LOGGER\n# Num. samples: 360\n# Config: data_rate = 1000.0 Hz, filter = 488 Hz\ncount,a (g)\n",
+        lambda t, x: f"{round(1000 * t) % 256},{x}",
+        "g",
+        {"said": "column count only counts"},
+    ),
+    "counter of no name": ("# fs = 1000 Hz\n", lambda t, x: f"{round(1000 * t)},{x}", None, {"said": "column 1 only"}),
+    "slow channel ends": (
+        "t (s)\tF (N)\tT\n",
+        lambda t, x: f"{t:.4f}\t{x}" + "\t20.5" * (t < 0.0995),
+        "N",
+        {"said": "columns T have no value"},
+    ),
+    "slow channel in some rows": (
+        "t (s);F (N);T\n",
+        lambda t, x: f"{t:.4f};{x};" + "20.5" * (round(1000 * t) % 10 == 0),
+        "N",
+        {"said": "column T has numbers in 36 of 360 rows"},
+    ),
+    "two units of time": ("time_ms (s),F (N)\n", lost, "N", {"said": "check the sampling rate of 1000 Hz"}),
+    "names of another number": ("a,b,c,d\n", lost, None, {"said": "has 4 fields and rows have 2"}),
+    "ambiguous date": ("time,F (N)\n", lambda t, x: f"05/06/2025 13:35:{35 + t:09.6f},{x}", "N", {"said": "day or month"}),
+}
+
+
+@pytest.mark.parametrize("name", RECORDERS)
+def test_what_recorders_write_is_read_as_it_was_meant(name):
+    header, form, unit, expected = RECORDERS[name]
+    (signal,) = read_text(header + rows(form))
+    assert signal.samples.tolist() == [k % 7 / 2 + expected.get("offset", 0) for k in range(360)]
+    assert (signal.unit, signal.sampling_rate) == (unit, pytest.approx(1000, rel=1e-6))
+    assert [warning for warning in signal.warnings if expected.get("said", "?") not in warning] == []
+    assert bool(signal.warnings) == ("said" in expected)
+    start = signal.start_time
+    if "hour" not in expected:
+        assert start is None
+    else:
+        assert (start.day, start.month, start.hour, start.minute) == (30, 5, expected["hour"], 35)
+        assert start.tzinfo is None or start.astimezone(UTC).hour == 13
+
+
+@pytest.mark.parametrize("piece", [10**6, 700])
+def test_lost_rows_are_a_gap(write, monkeypatch, piece):
+    monkeypatch.setattr("cgid.recordings.text.PIECE", piece)
+    skip = {*range(100, 120), 300}
+    recording = open_recording(write("t (s),F (N)\n" + rows(lost, rate=800.0, skip=skip)))
+    found = np.concatenate(list(recording.blocks(64, gaps=True)), axis=1)[0]
+    expected = [np.nan if k in skip else k % 7 / 2 for k in range(360)]
+    np.testing.assert_array_equal(found, expected)
+    assert recording.sampling_rate == pytest.approx(800, rel=1e-9)
+    assert "21 samples in 2 gaps of the times are missing, the first before 0.15 s" in recording.warnings[0]
+
+
+def test_lowest_numbers_of_a_converter_are_a_gap_unless_samples_come_near():
+    text = "# fs = 1000 Hz\n" + "\n".join(str(-32768 if k in (5, 6) else k) for k in range(20))
+    with pytest.raises(BadData, match="sample 5 is nan"):
+        read_text(text)
+    assert read_text(f"{text}\n-30000\n")[0].samples[5] == -32768
+
+
+INPUTS = Path(__file__).parents[2] / "shared" / "inputs"
+#: Rate [Hz] or a word of the error, unit, number of channels and samples, largest sample, word of a message.
+ANSWERS = {
+    "quoted_decimal_comma.csv": (25_600, "N", 2, 360, 1499.66, ""),
+    "quoted_thousands.csv": (25_600, "N", 1, 360, 6499.7, ""),
+    "comma_decimals_comma_separated.csv": ("divide columns or decimals",),
+    "scope_start_increment.csv": (25_600, "V", 1, 360, 1.4997, "X only counts"),
+    "iso_with_offset.csv": (25_600, "N", 1, 220, 798.82, ""),
+    "german_date.csv": (25_600, "N", 1, 220, 798.82, ""),
+    "fortran_D.txt": (25_600, "N", 1, 240, 1500.0, ""),
+    "rate_in_comment.csv": (25_600, None, 1, 360, 152.922, "count only counts"),
+    "counter_channel.csv": ("--rate",),
+    "lost_rows.csv": (25_600, "N", 1, 360, 1499.66, "20 samples in 1 gap"),
+    "lvm_no_header_slow_column.lvm": (200_000, None, 2, 360, 1499.657, "from 4 on"),
+    "ext_24in32_right_justified.wav": (25_600, "FS", 1, 360, 0.00292902, "lower bits"),
+    "uff_last_row_padded.uff": (25_600, "N", 1, 359, 1499.66, ""),
+    "uff_uneven_flag_even_times.uff": (25_600, "N", 1, 360, 1499.66, ""),
+    "tdms_channels_start_apart.tdms": ("1.5 s",),
+    "tdms_unsupported_scale.tdms": (25_600, None, 1, 360, 1500.0, "PieceWisePolynomial"),
+    "mat_cell_of_hits.mat": ("sig(1) (360), sig(2) (360)",),
+    "npy_time_force_records.npy": (25_600, None, 1, 360, 1499.66, ""),
+    "swmr_not_closed.h5": ("h5clear -s",),
+}
+
+
+@pytest.mark.skipif(not INPUTS.is_dir(), reason=f"the small inputs are not there: {INPUTS}")
+@pytest.mark.parametrize("name", ANSWERS)
+def test_small_inputs_from_public_reports(name):
+    answer = ANSWERS[name]
+    if len(answer) == 1:
+        with pytest.raises(CgidError, match=re.escape(answer[0])):
+            read_recording(INPUTS / name)
+        return
+    rate, unit, n_channels, n_samples, peak, word = answer
+    recording = open_recording(INPUTS / name)
+    found = np.concatenate(list(recording.blocks(gaps=True)), axis=1)
+    assert recording.sampling_rate == pytest.approx(rate, rel=1e-4)
+    assert found.shape == (n_channels, n_samples) and np.nanmax(found) == pytest.approx(peak, rel=1e-5)
+    assert {channel.unit for channel in recording.channels} == {unit}
+    assert word in " ".join(recording.messages) and bool(recording.messages) == bool(word)
+
+
 # ---- text that is refused ----
 
 
@@ -246,6 +382,10 @@ def test_times_of_day_are_the_time_of_the_rows(text, start):
         ("time,F\n-1.5e308,1\n1.5e308,1\n", ["finite time"]),
         ("time,F\n-1.7e308,1\n0,2\n1.7e308,1\n", ["sampling rate of 0 Hz"]),
         ("time (min),F\n0,1\n1,2\n", ["s, ms or us", "'min'"]),
+        ("force,force2\n0,00,0,00\n0,90,0,45\n", ["'0,00,0,00'", "decimals"]),
+        ("0,00,0,05\n0,90,0,45\n", ["'0,00,0,05'", "decimals"]),
+        ('t,F\n0,"5,000"\n1,"5,001"\n', ["between thousands", "be both"]),
+        ("time,F\n10h00,1.5\n10h01,2\n", ["line 2", "'10h00'", "not understood"]),
         ("# sampling_rate: 1000 Hz\ntime,F\n0,1\n1,2\n", ["1000 Hz", "1 Hz", "time column"]),
     ],
 )

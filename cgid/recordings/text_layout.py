@@ -489,7 +489,8 @@ def _divisions(text: str, layout: Layout) -> Iterator[list[str]]:
 def _under(names: tuple[Column, ...], units: tuple[Column, ...]) -> tuple[Column, ...]:
     # Written out ("Volt") or unknown, a unit looks like a name.
     is_units = all(not one.name for one in units) or (
-        not _has_unit_or_time(units) and any(known_unit(one.name) or _is_time_unit(one.name) for one in units)
+        all(not one.name or not (one.unit or one.is_named_time) for one in units)
+        and any(not one.name or known_unit(one.name) for one in units)
     )
     if not names or not is_units:
         return units

@@ -83,7 +83,6 @@ def lost_before(times: Floats, source: str, *, first: int = 0, step: float | Non
     if (
         _typical_if_uneven(times, steps[~long], typical, digit) is not None
         or (off > (EVENNESS + RATE_ERROR * whole) * usual + digit).any()
-        or (digit > usual / _COARSEST_STEP)
         or float(steps.max()) > MAX_GAP
     ):
         raise _uneven(times, typical, source, first)
