@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import gc
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from datetime import datetime, timedelta
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -243,6 +244,166 @@ def _parquet(path: Path, samples: np.ndarray, rate: float) -> None:
     parquet.write_table(pyarrow.table(columns), path, row_group_size=8192, write_page_checksum=True)
 
 
+# ---- named channels of any length, unit, rate and start, as far as a format can say them ----
+
+
+@dataclass(frozen=True)
+class Channel:
+    """One channel to write; `late` is its start behind the others [s]."""
+
+    samples: np.ndarray
+    unit: str = UNIT
+    rate: float = 1000.0
+    late: float = 0.0
+
+    @property
+    def start(self) -> datetime:
+        return datetime(2026, 3, 4, 10, 11, 12) + timedelta(seconds=self.late)
+
+
+Channels = Mapping[str, Channel]
+Times = np.ndarray | None
+
+
+def _frame(channels: Channels, times: Times) -> dict[str, np.ndarray]:
+    longest = max(one.samples.size for one in channels.values())
+    time = np.arange(longest) / next(iter(channels.values())).rate if times is None else times
+    columns = {
+        f"{name} ({one.unit})" if one.unit else name: np.pad(
+            one.samples.astype(float), (0, longest - one.samples.size), constant_values=np.nan
+        )
+        for name, one in channels.items()
+    }
+    return {"time (s)": time, **columns}
+
+
+def _csv_of(path: Path, channels: Channels, times: Times) -> None:
+    import pandas
+
+    pandas.DataFrame(_frame(channels, times)).to_csv(path, index=False)
+
+
+def _parquet_of(path: Path, channels: Channels, times: Times) -> None:
+    import pyarrow
+    from pyarrow import parquet
+
+    parquet.write_table(pyarrow.table(_frame(channels, times)), path)
+
+
+def _records_of(path: Path, channels: Channels, times: Times) -> None:
+    frame = _frame(channels, times)
+    np.save(path, np.rec.fromarrays(list(frame.values()), names=list(frame)))
+
+
+def _named(channels: Channels, times: Times) -> dict[str, Any]:
+    about = {"fs": next(iter(channels.values())).rate} if times is None else {"time": times}
+    return {**{name: one.samples for name, one in channels.items()}, **about}
+
+
+def _npz_of(path: Path, channels: Channels, times: Times) -> None:
+    np.savez(path, unit=next(iter(channels.values())).unit, **_named(channels, times))
+
+
+def _mat_of(path: Path, channels: Channels, times: Times) -> None:
+    from scipy.io import savemat
+
+    savemat(path, {**_named(channels, times), "unit": next(iter(channels.values())).unit})
+
+
+def _hdf5_of(path: Path, channels: Channels, times: Times) -> None:
+    import h5py
+
+    with h5py.File(path, "w") as file:
+        for name, one in channels.items():
+            about = {"unit": one.unit, "start_time": one.start.isoformat()}
+            file.create_dataset(name, data=one.samples).attrs.update(about)
+            if times is None:
+                file[name].attrs["fs"] = one.rate
+        if times is not None:
+            file["time"] = times
+
+
+def _tdms_of(path: Path, channels: Channels, times: Times) -> None:
+    from nptdms import ChannelObject, TdmsWriter
+
+    with TdmsWriter(str(path)) as writer:
+        stored = []
+        for name, one in channels.items():
+            about = {"unit_string": one.unit, "wf_start_time": np.datetime64(one.start)}
+            rate = {"wf_increment": 1 / one.rate} if times is None else {}
+            stored.append(ChannelObject("beam", name, one.samples, {**about, **rate}))
+        if times is not None:
+            stored.append(ChannelObject("beam", "time", times))
+        writer.write_segment(stored)
+
+
+def _lvm_of(path: Path, channels: Channels, times: Times) -> None:
+    def line(tag: str, values: Iterable[Any]) -> str:
+        return "\t".join([tag, *map(str, values), ""])
+
+    each, n = channels.values(), len(channels)
+    longest = max(one.samples.size for one in each)
+    x = [""] * longest if times is None else [f"{time:.9f}" for time in times]
+    rows = [
+        "\t".join([x[k], *(repr(float(one.samples[k])) if k < one.samples.size else "" for one in each)])
+        for k in range(longest)
+    ]
+    lines = [
+        "LabVIEW Measurement\t",
+        "Separator\tTab",
+        f"X_Columns\t{'No' if times is None else 'One'}",
+        "***End_of_Header***\t",
+        line("Channels", [n]),
+        line("Samples", [one.samples.size for one in each]),
+        line("Date", [one.start.strftime("%Y/%m/%d") for one in each]),
+        line("Time", [one.start.strftime("%H:%M:%S.%f") for one in each]),
+        line("Y_Unit_Label", [one.unit for one in each]),
+        line("Delta_X", [f"{1 / one.rate:.9E}" if times is None else "0" for one in each]),
+        line("***End_of_Header***", []),
+        line("X_Value", [*channels, "Comment"]),
+        *rows,
+    ]
+    path.write_text("\n".join([*lines, ""]))
+
+
+def _uff_of(path: Path, channels: Channels, times: Times) -> None:
+    import pyuff
+
+    path.unlink(missing_ok=True)
+    for node, (name, one) in enumerate(channels.items(), 1):
+        x = np.arange(one.samples.size) / one.rate if times is None else times
+        about: dict[str, Any] = {
+            "binary": 0,
+            "func_type": 1,
+            "rsp_node": node,
+            "rsp_dir": 3,
+            "ref_node": 0,
+            "ref_dir": 0,
+            "ord_data_type": 4,
+            "abscissa_spacing": int(times is None),
+            "abscissa_inc": 1 / one.rate,
+            "abscissa_spec_data_type": 17,
+            "ordinate_spec_data_type": 12,
+            "orddenom_spec_data_type": 0,
+        }
+        labels = {"id1": name, "id3": one.start.strftime("%d-%b-%y %H:%M:%S"), "ordinate_axis_units_lab": one.unit}
+        pyuff.UFF(str(path)).write_sets(pyuff.prepare_58(x=x, data=one.samples, **labels, **about), mode="add")
+
+
+#: Format -> suffix, writer, library; which of the facts of a single channel it can say: unit, rate, start, length.
+WRITERS: dict[str, tuple[str, Callable[[Path, Channels, Times], None], str, frozenset[str]]] = {
+    "CSV": (".csv", _csv_of, "pandas", frozenset(("unit", "length"))),
+    "LVM": (".lvm", _lvm_of, "numpy", frozenset(("unit", "rate", "start", "length"))),
+    "NPY": (".npy", _records_of, "numpy", frozenset(("unit",))),
+    "NPZ": (".npz", _npz_of, "numpy", frozenset(("length",))),
+    "MAT": (".mat", _mat_of, "scipy", frozenset(("length",))),
+    "HDF5": (".h5", _hdf5_of, "h5py", frozenset(("unit", "rate", "start", "length"))),
+    "TDMS": (".tdms", _tdms_of, "nptdms", frozenset(("unit", "rate", "start", "length"))),
+    "UFF": (".uff", _uff_of, "pyuff", frozenset(("unit", "rate", "start", "length"))),
+    "Parquet": (".parquet", _parquet_of, "pyarrow", frozenset(("unit",))),
+}
+
+
 _WITHOUT_UNIT: dict[str, Any] = {"options": {"unit": UNIT}, "says_unit": False}
 _OF_FULL_SCALE: dict[str, Any] = {"options": {"unit": UNIT, "full_scale": 1}, "says_unit": False}
 
@@ -275,5 +436,9 @@ SPECIMENS: tuple[Specimen, ...] = (
     Specimen("UFF-58 binary", ".uff", _uff(1), "pyuff"),
     Specimen("FLAC", ".flac", _sound("PCM_24", "FLAC"), "soundfile", resolution=2**-23, **_OF_FULL_SCALE),
     Specimen("OGG", ".ogg", _sound("VORBIS", "OGG"), "soundfile", resolution=0.2, **_OF_FULL_SCALE),
+    Specimen("W64", ".w64", _sound("PCM_24", "W64"), "soundfile", resolution=2**-23, **_OF_FULL_SCALE),
+    Specimen("AIFF", ".aiff", _sound("PCM_16", "AIFF"), "soundfile", resolution=2**-15, **_OF_FULL_SCALE),
+    Specimen("CAF", ".caf", _sound("FLOAT", "CAF"), "soundfile", **_WITHOUT_UNIT),
+    Specimen("AU", ".au", _sound("DOUBLE", "AU"), "soundfile", **_WITHOUT_UNIT),
     Specimen("Parquet", ".parquet", _parquet, "pyarrow"),
 )

@@ -15,11 +15,11 @@ from cgid.cli import cli
 from cgid.errors import BadData, CgidError, InvalidValue, MissingOption
 from cgid.recordings import Blocks, open_recording, read_recording
 from tests import few
-from tests.recording_files import NAMES, SPECIMENS, UNIT, blows
+from tests.recording_files import NAMES, SPECIMENS, UNIT, WRITERS, Channel, blows
 
 RATE = 51_200.0
 #: Formats that have a length to tell by, so that nothing may be missing without a word; and checksums on everything.
-LENGTHS = {"WAV", "NPY", "NPZ", "HDF5", "MAT", "TDMS", "UFF-58", "FLAC", "OGG", "Parquet"}
+LENGTHS = {"WAV", "NPY", "NPZ", "HDF5", "MAT", "TDMS", "UFF-58", "FLAC", "OGG", "W64", "AIFF", "CAF", "AU", "Parquet"}
 CHECKSUMS = ("NPZ", "HDF5 of cgid")
 
 by_name = pytest.mark.parametrize("specimen", SPECIMENS, ids=lambda specimen: specimen.name)
@@ -103,6 +103,93 @@ def test_damaged_files_are_never_more_than_refused(tmp_path, monkeypatch, n):
             assert not outcome.failed, (name, mutation, outcome)
             if name in CHECKSUMS:
                 assert outcome.name != "changed", (name, mutation)
+
+
+# ---- what channels of one file may differ in, in every format that can say it ----
+
+N = 400
+FRONT, REAR = blows(N, 1000.0) * 100
+
+
+def table(name, folder, channels, times=None):
+    """Write named channels in a format, and return the recording, or the error that refuses it."""
+    suffix, write, library, _ = WRITERS[name]
+    pytest.importorskip(library)
+    path = folder / f"channels{suffix}"
+    write(path, channels, times)
+    options = {"variable": "*"} if name in ("NPZ", "MAT", "HDF5") else {}
+    try:
+        recording = open_recording(path, **options)
+        found = np.concatenate(list(recording.blocks(61, gaps=True)), axis=1)
+    except BadData as error:
+        return None, str(error), {}
+    return (
+        recording,
+        " ".join(recording.messages),
+        dict(zip([one.name for one in recording.channels], found, strict=True)),
+    )
+
+
+def that_say(fact):
+    return pytest.mark.parametrize("name", [name for name, row in WRITERS.items() if not fact or fact in row[3]])
+
+
+@that_say("")
+def test_channels_by_name_are_read_in_every_format(name, tmp_path):
+    recording, said, found = table(name, tmp_path, {"front": Channel(FRONT), "rear": Channel(REAR)})
+    assert recording.sampling_rate == pytest.approx(1000, rel=1e-9) and not said
+    np.testing.assert_allclose([found["front"], found["rear"]], [FRONT, REAR], rtol=1e-10, atol=1e-9)
+
+
+@that_say("length")
+def test_a_channel_that_ends_early_is_told_or_refused(name, tmp_path):
+    recording, said, found = table(name, tmp_path, {"front": Channel(FRONT), "rear": Channel(REAR[:-7])})
+    if recording is not None:
+        assert said and np.array_equal(found["front"], FRONT)
+        assert "rear" not in found or np.isnan(found["rear"][-7:]).all()
+
+
+@that_say("start")
+@pytest.mark.parametrize("late", [0.01, 5.0])
+def test_a_channel_that_begins_later_is_shifted_or_refused(name, tmp_path, late):
+    recording, said, found = table(name, tmp_path, {"front": Channel(FRONT), "rear": Channel(REAR, late=late)})
+    if name == "UFF" and late < 1:
+        return  # its starts are in whole seconds
+    if recording is not None:
+        assert "10 samples" in said and late == 0.01
+        np.testing.assert_array_equal([found["front"], found["rear"]], [FRONT[10:], REAR[:-10]])
+
+
+@that_say("rate")
+def test_a_channel_of_another_rate_is_left_out_or_refused(name, tmp_path):
+    recording, said, found = table(name, tmp_path, {"front": Channel(FRONT), "rear": Channel(REAR, rate=500.0)})
+    assert recording is None or ("rear" in said and "rear" not in found and np.array_equal(found["1"], FRONT))
+
+
+@that_say("unit")
+def test_an_unknown_unit_is_none(name, tmp_path):
+    recording, *_ = table(name, tmp_path, {"front": Channel(FRONT, unit="furlong"), "rear": Channel(REAR)})
+    assert [channel.unit for channel in recording.channels] == [None, UNIT]
+
+
+@that_say("")
+def test_a_counter_is_no_channel(name, tmp_path):
+    counter = Channel(np.arange(N) % 256.0, unit="")
+    _, said, found = table(name, tmp_path, {"front": Channel(FRONT, unit=""), "count": counter})
+    assert "count" in said and len(found) == 1
+    np.testing.assert_allclose(next(iter(found.values())), FRONT, rtol=1e-10, atol=1e-9)
+
+
+@that_say("")
+def test_samples_missing_between_even_times_are_a_gap(name, tmp_path):
+    is_there = (np.arange(N) < 100) | (np.arange(N) >= 120)
+    channels = {"front": Channel(FRONT[is_there]), "rear": Channel(REAR[is_there])}
+    recording, said, found = table(name, tmp_path, channels, np.arange(N)[is_there] / 800)
+    if recording is None:
+        assert "even" in said and name == "UFF"
+        return
+    assert recording.sampling_rate == pytest.approx(800, rel=1e-9) and "20 samples in 1 gap" in said
+    np.testing.assert_array_equal(found["rear"], np.where(is_there, REAR, np.nan))
 
 
 # ---- readers of other packages ----

@@ -270,7 +270,12 @@ RECORDERS = {
     ),
     "two units of time": ("time_ms (s),F (N)\n", lost, "N", {"said": "check the sampling rate of 1000 Hz"}),
     "names of another number": ("a,b,c,d\n", lost, None, {"said": "has 4 fields and rows have 2"}),
-    "ambiguous date": ("time,F (N)\n", lambda t, x: f"05/06/2025 13:35:{35 + t:09.6f},{x}", "N", {"said": "day or month"}),
+    "ambiguous date": (
+        "time,F (N)\n",
+        lambda t, x: f"05/06/2025 13:35:{35 + t:09.6f},{x}",
+        "N",
+        {"said": "day or month"},
+    ),
 }
 
 

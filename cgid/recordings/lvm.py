@@ -73,7 +73,8 @@ def read_lvm(path: Path, source: str, variable: str | None) -> Blocks:
     }
     body = _Rows(**arguments, layout=layout, segments=lvm, only=only, channel=channels[0])
     rate_from = "column of x" if x else "Delta_X"
-    return replace(assembled(header, body, warnings, list(range(len(x)))), rate_from=rate_from)
+    starts = [] if x else [first.start_time(one) for one in channels]
+    return replace(assembled(header, body, warnings, list(range(len(x)))), rate_from=rate_from, starts=starts)
 
 
 @dataclass(frozen=True, kw_only=True)

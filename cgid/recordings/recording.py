@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -34,6 +35,9 @@ MAX_CHANNELS = 4096
 
 #: Largest relative difference between two stated sampling rates: more than clock errors, less than typing errors.
 RATE_TOLERANCE = 1e-3
+
+#: Channels that begin within this part of a sample are simultaneous.
+SIMULTANEOUS = 0.05
 
 #: Largest arrays that a format read completely may unpack to [bytes].
 MAX_ARRAYS = 2 << 30
@@ -78,6 +82,8 @@ class Blocks:
         One per channel, such as "10.2 mV/g"; for samples in volts or coulombs.
     start_time : datetime or None
         Time of the first sample.
+    starts : sequence of datetime
+        That of each channel where they may differ; channels that do not begin together are not read together.
     gaps : sequence of (int, int)
         Index among the stored samples of each that follows a gap, and the number of samples missing before it, which
         `n_samples` includes.
@@ -104,6 +110,7 @@ class Blocks:
     sensitivities: Sequence[str | None] = ()
     gains: Sequence[str | None] = ()
     start_time: datetime | None = None
+    starts: Sequence[datetime | None] = ()
     gaps: Sequence[tuple[int, int]] = ()
     warnings: list[str] = field(default_factory=list)
 
@@ -249,21 +256,21 @@ def with_gaps(places: NDArray[np.int64], samples: NDArray[Any]) -> Iterator[tupl
 
 
 #: Names of channels that only count samples, and the least number of these that shows it without such a name.
-_NAMES_OF_COUNTERS = frozenset(
-    "index no nr n i x count counter sample samples sample_no point row seq sequence packet 序号".split()
+_NAMES_OF_COUNTERS = re.compile(
+    "index|no|nr|n|i|x|counte?r?|samples?|sample[ _]no|point|row|seq|sequence|packet|序号", re.IGNORECASE
 )
 _MIN_COUNTED = 50
 
 
 def is_name_of_counter(name: str) -> bool:
     """Return whether a channel of this name, or without one, may only count samples."""
-    return not name or "_".join(name.lower().strip(" .:#").split()) in _NAMES_OF_COUNTERS
+    return not name or _NAMES_OF_COUNTERS.fullmatch(name.strip(" .:#")) is not None
 
 
 def counts(name: str, samples: NDArray[Any]) -> bool:
     """Return whether samples only count: they grow by one, or begin again at the lowest."""
     with np.errstate(all="ignore"):
-        if len(samples) < 2 or not (is_name_of_counter(name) and name or np.ptp(samples) >= _MIN_COUNTED):
+        if len(samples) < 2 or not ((name and is_name_of_counter(name)) or np.ptp(samples) >= _MIN_COUNTED):
             return False
         steps = np.diff(samples)
         begins_again = (samples[1:] == samples.min()) & (samples[:-1] == samples.max())
@@ -359,6 +366,7 @@ class RecordingFile:
                 raise BadData(f"{source}: a recording must have a channel that does not only count; record it again")
         self.source, self.format = source, format
         self.sampling_rate = require_rate(contents.rate(sampling_rate, source))
+        _require_one_start(contents, self._selected, self.sampling_rate, source)
         links = (chain or Chain()).links(contents, self._selected, unit, source)
         self._factors = [link.factor for link in links]
         self.channels = tuple(
@@ -511,9 +519,22 @@ class RecordingFile:
         return out[:, :filled]
 
 
+def _require_one_start(contents: Blocks, selected: Sequence[int], rate: float, source: str) -> None:
+    known = [(index, start) for index in selected if contents.starts and (start := contents.starts[index])]
+    for index, start in known:
+        later = (start - known[0][1]).total_seconds()
+        if abs(later) * rate > SIMULTANEOUS:
+            raise BadData(
+                f"{source}: channels must begin together, {contents.label(index)} begins {later:.9g} s after "
+                f"{contents.label(known[0][0])}; pick one by --channel"
+            )
+
+
 def _counters(contents: Blocks) -> list[int]:
     """Return the channels without a unit that only count, if their names say so or they have none."""
-    without_unit = [index for index in range(contents.n_channels) if not (contents.units or [None] * MAX_CHANNELS)[index]]
+    without_unit = [
+        index for index in range(contents.n_channels) if not (contents.units or [None] * MAX_CHANNELS)[index]
+    ]
     by_name = [index for index in without_unit if is_name_of_counter(contents.name(index))]
     if contents.n_channels < 2 or not by_name or contents.fallback_unit is not None:
         return []

@@ -283,7 +283,9 @@ def _check_bits(raw: bytes, head: WaveHead, warnings: list[str]) -> None:
     if not (numbers & (1 << 32 - head.valid_bits) - 1).any():
         return
     is_right = numbers.size and int(np.abs(numbers.astype(np.int64)).max()) <= 1 << head.valid_bits - 1
-    place = f"in the lower bits, so that samples are {1 << 32 - head.valid_bits} times too small" if is_right else "in all"
+    place = (
+        f"in the lower bits, so that samples are {1 << 32 - head.valid_bits} times too small" if is_right else "in all"
+    )
     warnings.append(
         f"the header states {head.valid_bits} valid bits in the upper ones of 32, the numbers are {place}; check the "
         "recorder, and give its full scale"
@@ -297,7 +299,7 @@ def _is_chunk(file: BinaryIO, head: WaveHead, at: int, n_available: int) -> bool
     return len(name) == 4 and all(32 <= byte < 127 for byte in name) and at + 8 + size <= n_available + 1
 
 
-# ---- files of libsndfile ----------------------------------------------------------------------------------------------
+# ---- files of libsndfile -------------------------------------------------------------------------------------------
 
 #: First bytes of the files of libsndfile, codings that keep the samples, and a size of AU that means unknown.
 AUDIO_MAGICS = {

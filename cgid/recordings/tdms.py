@@ -22,9 +22,7 @@ _LEAD_IN, _TAG = 28, b"TDSm"
 _UNKNOWN = 2**64 - 1
 #: Names of the types of scales, and those that nptdms applies.
 _SCALE_TYPE = re.compile(r"NI_Scale\[\d+\]_Scale_Type")
-_SCALES = frozenset(
-    "Polynomial Linear RTD Strain Table Thermistor Thermocouple Add Subtract AdvancedAPI".split()
-)
+_SCALES = re.compile("Polynomial|Linear|RTD|Strain|Table|Thermistor|Thermocouple|Add|Subtract|AdvancedAPI")
 #: nptdms reads a chunk of a channel at once; so is a channel of longer chunks [samples].
 MAX_CHUNK_SIZE = 1 << 22
 #: Samples to read at once, if chunks are shorter.
@@ -131,7 +129,8 @@ def _variable(file: _Tdms, group: str, channel: Any) -> Variable:
 
     about = _values(channel.properties)
     owners = (channel.properties, file.tdms[group].properties, file.tdms.properties)
-    scales = {str(value) for one in owners for name, value in one.items() if _SCALE_TYPE.fullmatch(name)} - _SCALES
+    types = {str(value) for one in owners for name, value in one.items() if _SCALE_TYPE.fullmatch(name)}
+    scales = {one for one in types if not _SCALES.fullmatch(one)}
     if scales:
         # nptdms leaves the numbers as they are, and so without the unit.
         about = {"unit": "unscaled", **about}
@@ -145,7 +144,9 @@ def _variable(file: _Tdms, group: str, channel: Any) -> Variable:
         n_samples=len(channel),
         read=blocks,
         about=about,
-        warning=f"its scale {', '.join(sorted(scales))} is not known, so its numbers are not in its unit" if scales else "",
+        warning=f"its scale {', '.join(sorted(scales))} is not known, so its numbers are not in its unit"
+        if scales
+        else "",
         # That of the numbers after the scales of NI, which nptdms applies.
         full_scale=full_scale_of(channel.dtype),
         is_integer=channel.dtype.kind in "iu",

@@ -31,8 +31,8 @@ from cgid.recordings.text_layout import (
     Column,
     Header,
     Layout,
-    encoding_of,
     column_of,
+    encoding_of,
     has_ambiguous_date,
     is_comment,
     layout_of,
@@ -306,7 +306,9 @@ def _header_and_body(path: Path, encoding: str, source: str, warnings: list[str]
         )
     moment = None if layout.stamp is None else stamped_moment(line)
     if layout.stamp is not None and has_ambiguous_date(line):
-        warnings.append(Remark(f"the date of {line.strip()[:40]!r} may begin with day or month; no start time was read"))
+        warnings.append(
+            Remark(f"the date of {line.strip()[:40]!r} may begin with day or month; no start time was read")
+        )
     layout = _corrected(layout, following or line, above)
     layout = with_decimal_mark(layout, plain_rows(piece[start:], layout))
     while above and _is_damaged_row(above[-1], layout):

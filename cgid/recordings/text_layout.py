@@ -242,9 +242,7 @@ def _moment(match: re.Match[str]) -> datetime:
 
 
 @lru_cache(maxsize=64)
-def _day(
-    year: str | None, month: str, day: str, first: str | None, mark: str, second: str, last: str
-) -> int:
+def _day(year: str | None, month: str, day: str, first: str | None, mark: str, second: str, last: str) -> int:
     """Return the days from the epoch to the date of a stamp, 0 without a date."""
     if year is None and first is None:
         return 0
@@ -293,7 +291,7 @@ def _seconds(match: re.Match[str], mark: str) -> str:
 _TIME_NAME = re.compile(r"(?i:time|zeit|temps|tiempo|tempo|时间|時間)|t(?![^\W\d_])")
 _IN_BRACKETS = re.compile(r"(.*)[(\[{<]([^()\[\]{}<>]*)[)\]}>]")
 _STATED_RATE = re.compile(
-    r"[\s#%;/\"]*(?i:(?:sampling|sample|data)[ _-]?(?:rate|frequency|freq)|fs|abtastrate|abtastfrequenz|采样率|采样频率)"
+    r"[\s#%;/\"]*(?i:(?:sampling|sample|data)[ _-]?(?:rate|frequency|freq)|fs|abtast(?:rate|frequenz)|采样率|采样频率)"
     r"[\s\"]*(?:[(\[]\s*([kKMG]?(?i:hz))\s*[)\]])?"
     r"[\s\":=,;]+([+-]?\d[\d.]*(?:[eE][+-]?\d+)?)[\s\",;]*([kKMG]?(?i:hz)|(?i:s/s|sps))?[\s\",;.]*"
 )
@@ -403,16 +401,17 @@ def read_header(lines: Iterable[str], layout: Layout) -> Header:
     header = Header()
     best: tuple[Column, ...] = ()
     before: tuple[Column, ...] = ()
-    named: list[str] = []
+    fields: list[str] = []
     for written in lines:
         line = written.translate(_SAME)
         comment = line[:_MAX_NAME_LENGTH]
-        above, named = named, list(map(str.strip, line.split(layout.delimiter)))
-        if step := _increment(above, named):
+        above, fields = fields, list(map(str.strip, line.split(layout.delimiter)))
+        if step := _increment(above, fields):
             # Some oscilloscopes write start and increment of the times above columns that do not exist.
             header = replace(header, sampling_rates=(*header.sampling_rates, 1 / step))
             names = tuple(column_of(name) for name in above if name.lower() not in ("", "start", "increment"))
-            best = _under(names, tuple(map(column_of, named[: len(names)]))) if len(names) == layout.n_columns else best
+            if len(names) == layout.n_columns:
+                best = _under(names, tuple(map(column_of, fields[: len(names)])))
         elif (rate := _stated_rate(comment)) is not None:
             header = replace(header, sampling_rates=(*header.sampling_rates, rate))
         elif match := _STATED_START.fullmatch(comment):

@@ -124,13 +124,11 @@ class EvenTimes:
         lost = np.zeros(len(times), np.int64)
         if len(joined) > 1:
             behind = len(joined) - 1
-            lost[-behind:] = lost_before(
-                joined, self._source, first=self._count - len(self._last), step=self._step
-            )
+            lost[-behind:] = lost_before(joined, self._source, first=self._count - len(self._last), step=self._step)
         if lost.any():
             if not self._n_lost:
                 self._first_lost = float(times[np.argmax(lost > 0)])
-            self._n_gaps += np.count_nonzero(lost)
+            self._n_gaps += int(np.count_nonzero(lost))
         places = self._count + self._n_lost + np.arange(len(times)) + np.cumsum(lost)
         self._count, self._n_lost = self._count + len(times), self._n_lost + int(lost.sum())
         self._last = joined[-1:]
@@ -157,9 +155,9 @@ def refined_rate(rate: float, first: float, last: float) -> float:
 
 
 def rate_of_vector(times: Variable, unit: str, source: str) -> tuple[float, list[tuple[int, int]]]:
-    """Return the sampling rate [Hz] of an array of even times, read once by blocks, and its gaps; float32 may be rounded.
+    """Return the sampling rate [Hz] of an array of even times, read once by blocks, and its gaps.
 
-    A gap is the index of the time after it, and the number of samples missing.
+    Times in float32 may be rounded. A gap is the index of the time after it, and the number of samples missing.
     """
     factor = seconds(unit, source)
     gaps: list[tuple[int, int]] = []

@@ -132,6 +132,7 @@ def read_uff(path: Path, source: str, variable: str | None) -> Blocks:
         sampling_rate=rates[0],
         rate_from="abscissa",
         start_time=first.start_time,
+        starts=[one.start_time for one in selected],
     )
 
 

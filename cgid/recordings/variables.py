@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid.errors import BadData
-from cgid.recordings.recording import Blocks, ReadBlocks, Remark, rates_agree, require_one_rate
+from cgid.recordings.recording import SIMULTANEOUS, Blocks, ReadBlocks, Remark, rates_agree, require_one_rate
 from cgid.recordings.text_layout import column_of
 from cgid.recordings.times import rate_of_vector
 from cgid.terminal import counted
@@ -205,8 +205,6 @@ def _number(value: Value, unit: str, factor_of: Callable[[str], float | None]) -
 
 #: Names of an array of times; a capital T may as well be a temperature or a torque.
 _TIME_NAME = re.compile(r"(?i:(?:.*[\s_.-])?(?:time|zeit)(?:[\s_.(\[-].*)?)|t(?:\s*[(\[].*|_(?:m|u|µ)?s)?")
-#: Channels that begin within this part of a sample are simultaneous.
-_SIMULTANEOUS = 0.05
 #: Maximum number of names in a message.
 _LISTED = 12
 Answer = TypeVar("Answer")
@@ -289,8 +287,9 @@ def contents_of(
                 f"{source}: channels must have one sampling rate, {first.path} has {_hertz(rates[0][0])} and "
                 f"{one.path} {_hertz(rate)}; pick one by --variable NAME"
             )
+    start = starts[0]
     if len(set(starts)) > 1:
-        selected, said = _begun_together(selected, starts, rates[0][0], source)
+        selected, start, said = _begun_together(selected, starts, rates[0][0], source)
         n_samples, warnings = min(one.n_samples for one in selected), [*warnings, *said]
     if len(selected) == 1:
         names = _first(levels[0], lambda values: stated_names(values, first.n_channels)) or [first.name]
@@ -320,19 +319,19 @@ def contents_of(
         integers=[one.is_integer for one in selected for _ in range(one.n_channels)],
         sensitivities=sensitivities,
         gains=gains,
-        start_time=max(starts) if None not in starts else starts[0],
+        start_time=start,
         warnings=warnings + [f"{one.path}: {one.warning}" for one in selected if one.warning],
     )
 
 
 def _begun_together(
     selected: Sequence[Variable], starts: Sequence[datetime | None], rate: float | None, source: str
-) -> tuple[list[Variable], list[str]]:
-    """Return channels of different starts from the last start on, and what was left out."""
+) -> tuple[list[Variable], datetime | None, list[str]]:
+    """Return channels of different starts from the last start on, this start, and what was left out."""
     known = [one for one in starts if one is not None]
     hint = "pick one by --variable NAME"
     if len(known) < len(starts) or len({one.tzinfo is None for one in known}) > 1:
-        return list(selected), ["not all channels state when they begin; they were taken as simultaneous"]
+        return list(selected), starts[0], ["not all channels state when they begin; they were taken as simultaneous"]
     if rate is None:
         raise BadData(f"{source}: channels that begin at different times must state their rate, they do not; {hint}")
     together, said = [], []
@@ -344,13 +343,13 @@ def _begun_together(
                 f"{source}: channels must have a time in common, {one.path} ends before another begins, {earlier:g} s "
                 f"after it; {hint}"
             )
-        if n_left_out or abs(earlier * rate - n_left_out) > _SIMULTANEOUS:
+        if n_left_out or abs(earlier * rate - n_left_out) > SIMULTANEOUS:
             said.append(
                 f"{one.path} begins {earlier:.9g} s before another channel: its first {counted(n_left_out, 'sample')} "
                 f"{'is' if n_left_out == 1 else 'are'} left out"
             )
         together.append(replace(one, n_samples=one.n_samples - n_left_out, read=partial(_from, one, n_left_out)))
-    return together, said
+    return together, max(known), said
 
 
 def _from(variable: Variable, first: int, length: int, channels: Sequence[int]) -> Iterator[NDArray[Any]]:

@@ -50,7 +50,7 @@ _CUT_OFF = (
 
 @dataclass(frozen=True, kw_only=True)
 class ForeignArray:
-    """A numeric array of another program, at `path` in an HDF5 file; `fault`: why it cannot be read, `warning`: gaps."""
+    """A numeric array at `path` in a file of another program; `fault`: why it cannot be read, `warning`: gaps."""
 
     name: str
     path: str
@@ -223,7 +223,7 @@ def _walk(file: h5py.File, source: str) -> Iterator[tuple[str, Any]]:
 
 
 def _targets(item: h5py.Dataset) -> Iterator[Any]:
-    """Yield what references in a dataset point to, all in this file: so MATLAB 7.3 stores cells and arrays of structs."""
+    """Yield what references in a dataset point to, in this file: cells and arrays of structs of MATLAB 7.3."""
     if h5py.check_ref_dtype(item.dtype) is not h5py.Reference or not 0 < (item.size or 0) <= _MAX_OBJECTS:
         return
     with suppress(*DAMAGE):

@@ -30,7 +30,7 @@ _MIN_CACHE, _MAX_CACHE = 1 << 20, 128 << 20
 #: Longest name of a format [bytes].
 _MAX_NAME_LENGTH = 4096
 _DEFLATE, _CHECKSUM = 1, 3
-#: Allowed filters: deflate, shuffle, checksum, LZF; with hdf5plugin Blosc, LZ4, Zstandard, Blosc2. Others, such as n-bit and
+#: Allowed filters: deflate, shuffle, checksum, LZF, and those of hdf5plugin below. Others, such as n-bit and
 #: scale-offset, trust parameters in the file.
 _UNPACKED = (_DEFLATE, 2, _CHECKSUM, 32000)
 _WITH_PLUGIN = {32001: "Blosc", 32004: "LZ4", 32015: "Zstandard", 32026: "Blosc2"}
