@@ -64,6 +64,7 @@ def _volts(folder: Path, blow: np.ndarray) -> None:
 
 
 _MANIFESTS = {
+    "alike": "path,label\nblow.wav,coal\n",
     "bare": "path,label\n",
     "lost": "path,label\ngone.wav,coal\n",
     "day": "path,label,group\nblow.wav,coal,day\nblow.npy,gangue,day\n",
@@ -189,7 +190,8 @@ RECORDING_CASES: tuple[tuple[str, tuple[str, ...], int, tuple[str, ...]], ...] =
     ("interval beyond the end", ("train", "beyond.csv", *_MODEL_FREE), 65, ("beyond.csv", "start must be inside")),
     ("gain that is no number", ("train", "gain.csv", *_MODEL_FREE), 65, ("row 2", "gain", "dB", "'loud'")),
     ("channel that is not there", ("train", "channel.csv", *_MODEL_FREE), 65, ("channel '7'",)),
-    ("two manifests", ("train", "lost.csv", "bare.csv", *_MODEL_FREE), 65, ("one manifest", "got 2")),
+    ("two manifests that overlap", ("train", "alike.csv", "alike.csv", *_MODEL_FREE), 65, ("must not overlap",)),
+    ("sensitivity of another file", ("predict", *_SENSED, "x.wav:1=1 mV/g"), 65, ("name one of the files", "'x.wav'")),
     ("unknown key of a manifest", ("train", "key.toml", *_MODEL_FREE), 65, ("recording 1", "'paht'")),
     ("number of too many digits", ("train", "long.toml", *_MODEL_FREE), 65, ("long.toml", "digits")),
     ("manifest of a number", ("train", "words.toml", *_MODEL_FREE), 65, ("words.toml", "[[recording]]")),

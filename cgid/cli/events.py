@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import shlex
 from collections.abc import Iterator, Sequence
 from itertools import compress
@@ -56,20 +55,19 @@ def events(files: tuple[str, ...], output: str, overwrite: bool, strict: bool, r
     channels is one row.
     """
     from cgid.files import check_new, write_whole
-    from cgid.identification.manifest import manifest_text, recordings_in, require_labels_kept
+    from cgid.identification.manifest import manifest_text, recordings_of, require_labels_kept
 
     path = None if output == "-" else check_new(Path(output), "a table of impacts", (".csv",), overwrite=overwrite)
     folder = Path() if path is None else path.parent
     rows: list[dict[str, str]] = []
-    every = [str(one) for file in files for one in (recordings_in(Path(file)) if Path(file).is_dir() else [file])]
+    every = recordings_of(files)
     require_no_input_written(every)
     if path is not None:
         require_labels_kept(path)
-    # A recording named twice, such as by its folder, is read once.
-    once = {os.path.realpath(file): file for file in reversed(every)}
-    _require_trainable(list(reversed(once.values())), reading)
+    reading.require_files(every)
+    _require_trainable(every, reading)
     errors = FileErrors(strict=strict)
-    for file in errors.each(reversed(once.values())):
+    for file in errors.each(every):
         with errors:
             rows += _rows(file, folder, reading)
     if not rows:
@@ -124,7 +122,7 @@ def _rows(file: str, folder: Path, reading: Reading) -> Iterator[dict[str, str]]
     recording = reading.recording(file)
     unit = unit_of(recording)
     events = found_impacts(recording, kind_for(quantity_of(unit)), reading, joint=True)
-    chain = {name: ";".join(values) for name, values in reading.chain.items() if values}
+    chain = {name: ";".join(values) for name, values in reading.chain_of(file).items() if values}
     given = {
         **chain,
         "path": path_from(folder, file),

@@ -4,14 +4,18 @@ from __future__ import annotations
 
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from cgid.cli.help import Command
 from cgid.cli.options import CHAIN, PATH, Reading, json_option, reading_options_for, warn_of_volts
-from cgid.cli.output import print_json, say, warn
+from cgid.cli.output import FileErrors, print_json, say, warn
 from cgid.cli.table import written_table
+from cgid.terminal import counted
+
+if TYPE_CHECKING:
+    from cgid.identification.events import Event
 
 #: Maximum number of samples of all channels held in memory; longer recordings are read block by block.
 MAX_SAMPLES = 1 << 24
@@ -23,10 +27,22 @@ _LOCAL_HEAD, _HEADER = 30, b"header.npy"
     cls=Command, short_help="Describe a dataset, a model or a recording.", example="cgid info datasets/sample.csv"
 )
 @click.argument("file", type=PATH)
-@reading_options_for("sampling_rate", "unit", "variable", "format", *CHAIN)
+@reading_options_for("sampling_rate", "unit", "channel", "variable", "format", *CHAIN)
 @json_option
-def info(file: str, as_json: bool, reading: Reading) -> None:
-    """Describe FILE: a dataset, a table, a model, or a recording (every channel)."""
+def info(file: str, as_json: bool, reading: Reading) -> int:
+    """Describe FILE: a dataset, a table, a model, a recording (every channel), or each recording of a folder."""
+    from cgid.identification.manifest import recordings_of
+
+    files = recordings_of([file])
+    reading.require_files(files)
+    errors = FileErrors(strict=len(files) == 1)
+    for one in errors.each(files):
+        with errors:
+            _describe(one, as_json, reading)
+    return errors.code
+
+
+def _describe(file: str, as_json: bool, reading: Reading) -> None:
     from cgid.recordings import is_dataset
     from cgid.store.table import is_table
 
@@ -39,7 +55,7 @@ def info(file: str, as_json: bool, reading: Reading) -> None:
     elif (rows := written_table(file)) is not None:
         content = {"kind": rows.kind, "file": file, "rows": rows.n_rows, "columns": rows.columns}
     else:
-        content = _recording(file, as_json, variable=reading.variable, **reading.common)
+        content = _recording(file, as_json, reading)
     if as_json:
         print_json(content)
     else:
@@ -134,16 +150,19 @@ def is_model(file: str) -> bool:
     return not start.startswith(b"PK") or start[_LOCAL_HEAD:] == _HEADER
 
 
-def _recording(file: str, as_json: bool, **reading: Any) -> dict[str, Any]:
-    from cgid.recordings import open_recording
-
-    recording = open_recording(file, **reading)
-    warn_of_volts(recording)
-    channels = _channels(recording, as_json)
-    for warning in recording.warnings:
+def _recording(file: str, as_json: bool, reading: Reading) -> dict[str, Any]:
+    recording = reading.recording(file)
+    volts = warn_of_volts(recording)
+    channels, clipped = _channels(recording, as_json)
+    for warning in (*recording.warnings, *clipped):
         warn(warning)
     started = {} if recording.start_time is None else {"start_time": recording.start_time.isoformat()}
-    about = {"format": recording.format, **started, **channels, "warnings": list(recording.warnings) or "none"}
+    about = {
+        "format": recording.format,
+        **started,
+        **channels,
+        "warnings": [*volts, *recording.warnings, *clipped] or "none",
+    }
     return {"kind": "recording", "file": file, **about, **_made(file)}
 
 
@@ -151,8 +170,11 @@ def _recording(file: str, as_json: bool, **reading: Any) -> dict[str, Any]:
 _NOT_COUNTED = "not counted, since pulses and vibrations differ; give --unit, such as --unit N or --unit m/s^2"
 
 
-def _channels(recording: Any, as_json: bool) -> dict[str, Any]:
-    """Return the statistics of each channel; a long recording has no median, which needs all samples, but a mean."""
+def _channels(recording: Any, as_json: bool) -> tuple[dict[str, Any], list[str]]:
+    """Return the statistics of each channel, and warnings of clipped ones.
+
+    A long recording has no median, which needs all samples, but a mean.
+    """
     # A channel with samples that are no numbers is described by the others; the rest of the recording may be sound.
     import numpy as np
 
@@ -171,7 +193,12 @@ def _channels(recording: Any, as_json: bool) -> dict[str, Any]:
     # A channel of unknown quantity may contain pulses or vibrations.
     is_known = [channel.quantity not in (None, "level") for channel in names]
     detectors = [ImpactDetector(rate, kind=kind_for(channel.quantity), gaps=True) for channel in names]
-    impacts = [0] * len(names)
+    impacts, n_clipped = [0] * len(names), [0] * len(names)
+
+    def add(row: int, events: list[Event]) -> None:
+        impacts[row] += len(events)
+        n_clipped[row] += sum(event.clipped for event in events)
+
     for block in blocks:
         n_samples, dtype = n_samples + block.shape[1], block.dtype.name
         for row, samples in enumerate(block):
@@ -186,13 +213,13 @@ def _channels(recording: Any, as_json: bool) -> dict[str, Any]:
             # A channel is described even if its numbers are too large to detect impacts.
             with suppress(BadData):
                 if is_known[row]:
-                    impacts[row] += len(detectors[row].feed(np.where(np.isfinite(samples), samples, np.nan)))
+                    add(row, detectors[row].feed(np.where(np.isfinite(samples), samples, np.nan)))
     if not n_read.any():
         raise BadData(f"{recording.source}: samples must be finite, none is; check sensor, cable and sample format")
     lowest[n_read == 0] = highest[n_read == 0] = total[n_read == 0] = np.nan
     described = {}
     for row, (channel, detector) in enumerate(zip(names, detectors, strict=True)):
-        impacts[row] += len(detector.finish())
+        add(row, detector.finish())
         if is_known[row] and not impacts[row] and INVERT_HINT in detector.why_silent():
             warn(f"{channel_name(recording.source, channel.name)}: no impact: {INVERT_HINT}")
         middle = {"median": median[row]} if is_short else {"mean": total[row] / max(n_read[row], 1)}
@@ -211,7 +238,13 @@ def _channels(recording: Any, as_json: bool) -> dict[str, Any]:
             "highest": float(highest[row]),
             "impacts": impacts[row] if is_known[row] else None if as_json else _NOT_COUNTED,
         }
-    return described
+    clipped = [
+        f"{channel_name(recording.source, channel.name)}: {n_clipped[row]} of {counted(impacts[row], 'impact')} clipped; "
+        "record with a larger range"
+        for row, channel in enumerate(names)
+        if n_clipped[row]
+    ]
+    return described, clipped
 
 
 def _made(file: str) -> dict[str, Any]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial, wraps
@@ -138,16 +138,19 @@ def require_one_executor(context: click.Context) -> None:
         raise click.UsageError("--jobs is for this machine, --scheduler for a cluster; give one of them", context)
 
 
-def warn_of_volts(recording: RecordingFile) -> None:
-    """Explain how volts and coulombs are converted to the measured quantity, if unknown."""
+def warn_of_volts(recording: RecordingFile) -> list[str]:
+    """Explain how volts and coulombs are converted to the measured quantity, if unknown; return what was said."""
     from cgid.errors import MissingOption
     from cgid.recordings.chain import require_measured
 
+    said = []
     for channel in recording.channels:
         try:
             require_measured(channel.unit, channel_name(recording.source, channel.name))
         except MissingOption as error:
             warn(error)
+            said.append(str(error))
+    return said
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -170,6 +173,22 @@ class Reading:
     def chain(self) -> dict[str, tuple[str, ...] | None]:
         """The measuring chain, as arguments of `open_recording`."""
         return {name: getattr(self, name) or None for name in CHAIN}
+
+    def chain_of(self, path: str) -> dict[str, tuple[str, ...] | None]:
+        """Return the measuring chain of one file: values for all files, and those with its name: a.wav:1=VALUE."""
+        kept = {
+            name: tuple(value for file, value in map(_file_and_value, values or ()) if not file or _is_file(file, path))
+            for name, values in self.chain.items()
+        }
+        return {name: values or None for name, values in kept.items()}
+
+    def require_files(self, paths: Sequence[str]) -> None:
+        """Raise `InvalidValue` for a value of the measuring chain that names none of these files."""
+        for name, values in self.chain.items():
+            for file, _ in map(_file_and_value, values or ()):
+                if file and not any(_is_file(file, path) for path in paths):
+                    flag = f"--{name.replace('_', '-')}"
+                    raise InvalidValue(f"{flag} must name one of the files before :, got {file!r}; correct it")
 
     @property
     def common(self) -> dict[str, Any]:
@@ -212,7 +231,8 @@ class Reading:
 
         if self.index is not None:
             raise InvalidValue(f"{path}: --index picks a signal of a dataset (HDF5), this is a recording; leave it out")
-        return open_recording(path, channel=self.channel or None, variable=self.variable, **self.common)
+        chosen: dict[str, Any] = {"channel": self.channel or None, "variable": self.variable}
+        return open_recording(path, **chosen, **{**self.common, **self.chain_of(path)})
 
     def signals(self, path: str, faults: list[BadData] | None = None) -> list[Signal]:
         """Return the signals of a recording, or the chosen signal of a dataset; `faults` gets unreadable channels."""
@@ -229,6 +249,18 @@ class Reading:
             if faults is not None:
                 faults += errors
         return [signal.inverted() for signal in signals] if self.invert else signals
+
+
+def _file_and_value(text: str) -> tuple[str, str]:
+    """Return the file, "" for all, and the value of FILE:CHANNEL=VALUE; channels may contain colons, too."""
+    from cgid.identification.manifest import ENDINGS
+
+    at = next((at for at, sign in enumerate(text) if sign == ":" and text[:at].lower().endswith(ENDINGS)), -1)
+    return text[: max(at, 0)], text[at + 1 :]
+
+
+def _is_file(name: str, path: str) -> bool:
+    return name in (path, Path(path).name)
 
 
 # -- options, each described once, and groups of them -----------------------------------------------------

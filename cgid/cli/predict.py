@@ -302,7 +302,7 @@ def predict(
     reading: Reading,
     **options: Any,
 ) -> int:
-    """Identify the material of every impact in FILEs: recordings or datasets; - is stdin.
+    """Identify the material of every impact in FILEs: recordings, folders of them, or datasets; - is stdin.
 
     Without --model, forces use the default model of pulses and accelerations that of vibrations; with --mass an
     acceleration is that of the impactor, and is converted to a force. A model of windows predicts each window.
@@ -315,6 +315,7 @@ def predict(
     it goes to stdout in lines that have a kind: impact, window, share, shut, open, warning, summary.
     """
     from cgid import shipped
+    from cgid.identification.manifest import recordings_of
     from cgid.recordings import is_dataset
 
     if not files and not sample:
@@ -329,6 +330,8 @@ def predict(
         from cgid.report import ENDINGS
 
         new_picture(report, "a report", ENDINGS, overwrite=overwrite)
+    files = tuple(recordings_of(files))
+    reading.require_files(files)
     table = TableOutput(output, overwrite=overwrite, as_json=as_json)
     lines = AnswerLines(as_json, table, datasets=any(map(is_dataset, files)))
     prediction = _Prediction(models=models, settings=settings, lines=lines, reports=None if report is None else [])

@@ -203,11 +203,11 @@ def train(
     else:
         refuse(context, _OF_RECORDINGS, "there is no manifest of recordings")
     require_one_executor(context)
-    if len(recorded) > 1:
-        raise InvalidValue(f"{recorded[1]}: give one manifest, got {len(recorded)}; merge them into one file")
+    from cgid.identification.manifest import joined
+
     if options["by"] is None:
         options["by"] = _requested_windows(context, others, options["features"])
-    manifest = _manifest(recorded[0]) if recorded else None
+    manifest = joined([_manifest(item) for item in recorded]) if recorded else None
     with workers(options.pop("jobs"), options.pop("scheduler")) as options["workers"]:
         if manifest is not None:
             training, failures = _from_recordings(manifest, others, reading, options)

@@ -41,7 +41,7 @@ _NUMBERS = ("start", "end", "gain", "rate", "sensitivity", "full_scale")
 _NAMES = ("manifest.csv", "events.csv", "manifest.toml")
 ENDINGS = (
     *(".csv", ".txt", ".tsv", ".asc", ".dat", ".lvm", ".wav", ".flac", ".ogg", ".npy", ".npz", ".h5", ".hdf5"),
-    *(".hdf", ".mat", ".tdms", ".uff", ".unv", ".parquet"),
+    *(".hdf", ".mat", ".tdms", ".uff", ".unv", ".parquet", ".w64", ".aif", ".aiff", ".caf", ".au"),
 )
 #: Maximum number of characters of a label, group or sensor.
 _MAX_WORD_LENGTH = 100
@@ -49,6 +49,8 @@ _MAX_WORD_LENGTH = 100
 MAX_FILE_SIZE, _MAX_KEYS = 16 << 20, 1_000_000
 #: Length of the beginning of a CSV file that shows whether it is a recording [bytes].
 _HEAD = 1 << 14
+#: A row of numbers and times, in any way that recordings are read.
+_NUMBERS_ONLY = re.compile(r"(?=.*\d)(?:[\d\s.,;:+/\"'-]|[ed][+-]?\d|[ap]m|[tz]|nan|inf)+", re.IGNORECASE)
 #: Keys that may apply to all recordings of a TOML manifest.
 _SHARED = tuple(name for name in COLUMNS if name not in ("path", "label", "start", "end", "reference"))
 #: Columns for a complete recording, and the attributes of annotations for them.
@@ -280,21 +282,14 @@ def is_manifest(path: str | Path) -> bool:
 
 
 def _is_table_of_numbers(path: Path) -> bool:
-    """Return whether the first lines of a CSV file name no column of a manifest and contain a row of numbers."""
+    """Return whether the first lines of a CSV file name no column of a manifest and contain numbers or times only."""
     try:
         with path.open("rb") as file:
             lines = file.read(_HEAD).decode("utf-8-sig", "replace").splitlines()
     except OSError:
         return False
     rows = [[cell.strip().strip('"').lower() for cell in re.split("[,;\t]", line)] for line in lines]
-    return not any({"path", "label"} & set(cells) for cells in rows) and any(map(_all_numbers, rows))
-
-
-def _all_numbers(cells: Sequence[str]) -> bool:
-    try:
-        return [float(cell) for cell in cells if cell] != []
-    except ValueError:
-        return False
+    return not any({"path", "label"} & set(cells) for cells in rows) and any(map(_NUMBERS_ONLY.fullmatch, lines))
 
 
 def read_manifest(path: str | Path) -> Manifest:
@@ -479,6 +474,34 @@ def recordings_in(folder: Path) -> list[Path]:
         what = "its files have other suffixes" if any(folder.iterdir()) else "it is empty"
         raise BadData(f"{folder}: a folder must contain recordings ({', '.join(ENDINGS)}), {what}; choose another one")
     return files
+
+
+def recordings_of(files: Sequence[str]) -> list[str]:
+    """Return files, for a folder that is no dataset the recordings in it, each once."""
+    every: list[str] = []
+    for file in files:
+        if Path(file).is_dir():
+            from cgid.store.folder import is_dataset_folder
+
+            every += [file] if is_dataset_folder(Path(file)) else map(str, recordings_in(Path(file)))
+        else:
+            every.append(file)
+    # A recording named twice, such as by its folder, is read once.
+    once = {os.path.realpath(file): file for file in reversed(every)}
+    return list(reversed(once.values()))
+
+
+def joined(manifests: Sequence[Manifest]) -> Manifest:
+    """Return one manifest of the rows of several, such as one table of `events` for each day."""
+    if len(manifests) == 1:
+        return manifests[0]
+    source, annotations = (
+        " + ".join(one.source for one in manifests),
+        [row for one in manifests for row in one.annotations],
+    )
+    if mistakes := contradictions(annotations):
+        raise BadData(*(f"{source}: {text}" for text in mistakes[:_MAX_MISTAKES]))
+    return Manifest(source=source, annotations=tuple(annotations))
 
 
 def unlabelled(name: str, given: str) -> str:

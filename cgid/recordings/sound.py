@@ -311,7 +311,7 @@ AUDIO_MAGICS = {
     "AU": (b".snd", b"dns."),
 }
 _CODINGS = ("PCM_", "FLOAT", "DOUBLE", "VORBIS", "OPUS", "ALAC_")
-_UNKNOWN_SIZE = (1 << 32) - 1
+_UNKNOWN_SIZE, _ALIGNED = (1 << 32) - 1, 8
 #: Samples of each channel to decode at once.
 _DECODED = 1 << 14
 #: Maximum number of samples of a channel in one byte of a file: a FLAC frame of 65535 equal samples takes about 12
@@ -337,8 +337,12 @@ def read_audio(path: Path, source: str) -> Blocks:
         coding = str(sound.subtype)
     if not coding.startswith(_CODINGS):
         raise BadData(f"{source}: sound must be stored as PCM, float, FLAC or Vorbis, it is {coding}; export it again")
-    if (missing := _missing(path)) is not None:
-        raise BadData(f"{source}: {fault}, it declares {missing} bytes more than it contains; {hint}")
+    declared_end, size = _declared_end(path), path.stat().st_size
+    if declared_end is not None and declared_end > size:
+        raise BadData(f"{source}: {fault}, it declares {declared_end - size} bytes more than it contains; {hint}")
+    warnings = []
+    if declared_end is not None and declared_end + _ALIGNED < size:
+        warnings.append(f"{size - declared_end} bytes after the declared end were left out; check the file")
     # A header may declare more than a file of this size can contain, or nothing.
     n_samples = declared if 0 < declared <= _BEST_PACKING * path.stat().st_size else None
     is_ended, position = _ogg_end(path)
@@ -365,22 +369,23 @@ def read_audio(path: Path, source: str) -> Blocks:
         fallback_unit="FS",
         full_scales=[1.0] * n_channels,
         integers=[coding not in ("FLOAT", "DOUBLE")] * n_channels,
+        warnings=warnings,
     )
 
 
-def _missing(path: Path) -> int | None:
-    """Return the bytes that a W64, AIFF, CAF or AU file declares beyond its end, which libsndfile does not report."""
+def _declared_end(path: Path) -> int | None:
+    """Return the size [bytes] that a W64, AIFF, CAF or AU file declares, which libsndfile does not compare."""
     size = path.stat().st_size
     with path.open("rb") as file:
         head = file.read(24)
-        ends = [0]
+        ends: list[int] = []
         if head.startswith(b"riff"):
             ends.append(int.from_bytes(head[16:24], "little"))
         elif head.startswith(b"FORM"):
             ends.append(8 + int.from_bytes(head[4:8], "big"))
         elif head[:4] in (b".snd", b"dns."):
             start, length = (int.from_bytes(head[at : at + 4], "big" if head[0] == 46 else "little") for at in (4, 8))
-            ends.append(start + length * (length < _UNKNOWN_SIZE))
+            ends += [start + length] if length < _UNKNOWN_SIZE else []
         elif head.startswith(b"caff"):
             at = 8
             while at + 12 <= size and len(ends) < _MAX_CHUNKS:
@@ -389,7 +394,7 @@ def _missing(path: Path) -> int | None:
                 # The last chunk of sound may be of unknown length.
                 at = at + 12 + length if length >= 0 else size
                 ends.append(at)
-    return max(ends) - size if max(ends) > size else None
+    return max(ends, default=None)
 
 
 def _ogg_end(path: Path) -> tuple[bool, int | None]:
