@@ -239,8 +239,8 @@ def _channels(recording: Any, as_json: bool) -> tuple[dict[str, Any], list[str]]
             "impacts": impacts[row] if is_known[row] else None if as_json else _NOT_COUNTED,
         }
     clipped = [
-        f"{channel_name(recording.source, channel.name)}: {n_clipped[row]} of {counted(impacts[row], 'impact')} clipped; "
-        "record with a larger range"
+        f"{channel_name(recording.source, channel.name)}: {n_clipped[row]} of {counted(impacts[row], 'impact')} are "
+        "clipped; record with a larger range"
         for row, channel in enumerate(names)
         if n_clipped[row]
     ]
