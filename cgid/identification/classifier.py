@@ -5,6 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from functools import cache
 from typing import Any, ClassVar
 
 import numpy as np
@@ -20,7 +21,7 @@ from sklearn.neural_network import MLPClassifier
 from sklearn.utils.class_weight import compute_sample_weight
 from sklearn.utils.multiclass import check_classification_targets
 from sklearn.utils.validation import check_is_fitted, validate_data
-from threadpoolctl import threadpool_limits
+from threadpoolctl import ThreadpoolController
 
 from cgid import validation
 from cgid.deprecated import renamed_arguments
@@ -35,6 +36,12 @@ _MAX_CONTRASTED, _CONTRAST_ITERATIONS = 100_000, 300
 _INSIDE = 0.997
 
 Weights = Mapping[str, float] | str | None
+
+
+@cache
+def _libraries() -> ThreadpoolController:
+    # Finding them takes longer than a fit; this module has loaded all that a fit needs.
+    return ThreadpoolController()
 
 
 class ShrunkenDiscriminant(ClassifierMixin, BaseEstimator):  # type: ignore[misc]
@@ -82,11 +89,13 @@ def _shrunken_covariance(centred: Floats, encoded: NDArray[np.intp], priors: Flo
 def _shrinkage(centred: Floats) -> tuple[float, float]:
     """Return the Ledoit-Wolf (2004) shrinkage towards a multiple of the identity, and that multiple."""
     n_rows, n_features = centred.shape
-    products = centred @ centred.T
-    variance = float(np.trace(products)) / (n_rows * n_features)
+    lengths = np.square(centred).sum(axis=1)
+    # Products of rows or of columns have the same sum of squares; there are fewer of the fewer ones.
+    products = centred @ centred.T if n_rows < n_features else centred.T @ centred
+    variance = float(lengths.sum()) / (n_rows * n_features)
     size = float(np.sum(products**2)) / n_rows**2
     distance = size - n_features * variance**2
-    noise = (float(np.sum(np.diag(products) ** 2)) / n_rows - size) / n_rows
+    noise = (float(np.sum(lengths**2)) / n_rows - size) / n_rows
     return (min(max(noise, 0.0), distance) / distance if distance > 0 else 0.0), variance
 
 
@@ -141,7 +150,7 @@ def contrast_of(known: Floats, others: Floats, linear: tuple[int, ...], seed: in
     pick = np.random.default_rng(seed)
     rows = [part[pick.permutation(len(part))[:_MAX_CONTRASTED]] for part in (known, others)]
     inputs, other = np.concatenate(rows), np.repeat([0, 1], [len(part) for part in rows])
-    with threadpool_limits(1):
+    with _libraries().limit(limits=1):
         standardiser = Standardiser.fit(inputs, linear)
         network = _Perceptron(
             (32, 32), activation="tanh", solver="lbfgs", alpha=0.1, max_iter=_CONTRAST_ITERATIONS, random_state=seed
@@ -265,7 +274,7 @@ class ImpactClassifier(ClassifierMixin, BaseEstimator):  # type: ignore[misc]
         self.classes_, encoded = np.unique(labels, return_inverse=True)
         if len(self.classes_) < 2:
             raise ValueError(f"classifier needs at least 2 classes, got 1 class: {self.classes_[0]!r}")
-        with threadpool_limits(1):
+        with _libraries().limit(limits=1):
             self.standardiser_ = Standardiser.fit(features, self.linear)
             standardised = self.standardiser_.apply(features)
             inputs, weights = self._inputs(standardised), row_weights(labels, self.class_weight)
@@ -382,7 +391,7 @@ def _scores_left_out(
     classifier, inputs, encoded, weights = fitting
     training, test = part
     estimator = classifier.ESTIMATORS[classifier.family](classifier)
-    with threadpool_limits(1):
+    with _libraries().limit(limits=1):
         estimator.fit(inputs[training], encoded[training], sample_weight=None if weights is None else weights[training])
         return np.asarray(estimator.decision_function(inputs[test]))
 

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid.errors import InvalidValue
+from cgid.measure.table import LEAST_SAMPLES
 from cgid.measure.vibration import MIN_EVENT
 from cgid.signals import Signal
 from cgid.validation import Floats
@@ -173,7 +174,7 @@ class Framing:
             length = max(round(PULSE_TIME * sampling_rate), _MIN_PART)
             return cls(sampling_rate, quiet, min(lead, quiet // 2), length, _EXTENSIONS * length, None, 0, late)
         quiet = max(round(QUIET_TIME * sampling_rate), 2)
-        length = max(round(EVENT_TIME * sampling_rate), 16)
+        length = max(round(EVENT_TIME * sampling_rate), LEAST_SAMPLES)
         shortest = int(np.ceil(MIN_EVENT * sampling_rate))
         lead = min(lead, quiet // 2)
         return cls(sampling_rate, quiet, lead, length, length, quiet - lead, shortest, late)

@@ -27,9 +27,9 @@ from cgid.identification.reference import Equalisations, MeanSpectrum, equalisat
 from cgid.identification.rows import Rows, Slicing, default_guards, sets_for, union_of
 from cgid.identification.silence import Silence, silence_of
 from cgid.identification.through_beam import ThroughBeam
-from cgid.identification.windows import Grid, NoisyCopies, complete_windows, measure_windows, windows_of
+from cgid.identification.windows import WINDOW_TIME, Grid, NoisyCopies, complete_windows, measure_windows, windows_of
 from cgid.measure.features import FEATURES, choose, extract_array, kind_for, kind_of, require_supported, supported
-from cgid.measure.table import Kind
+from cgid.measure.table import LEAST_SAMPLES, Kind
 from cgid.recordings import MAX_STREAM, RecordingFile, open_recording
 from cgid.recordings.chain import Statement, require_measured
 from cgid.recordings.recording import clear_errors
@@ -336,6 +336,9 @@ def _decided(
     files: Sequence[AnnotatedFile], slicing: Slicing, features: Sequence[str] | None
 ) -> tuple[Slicing, tuple[str, ...], tuple[str, ...]]:
     """Return the slicing by impact or by window, a note with the reason if it was chosen here, and warnings."""
+    if slicing.window_time == WINDOW_TIME:
+        time = max(WINDOW_TIME, LEAST_SAMPLES / min(file.recording.sampling_rate for file in files))
+        slicing = replace(slicing, window_time=time, hop_time=slicing.hop_time * time / WINDOW_TIME)
     if slicing.by == "impact":
         return slicing, (), ()
     if slicing.by is None and features is not None:
@@ -423,7 +426,7 @@ def _names(
             )
         require_supported(selected, rate, _length(kind_of(selected), rate, slicing))
         return selected
-    names_of_sets = union_of(sets_for(kind, level_free=level_free))
+    names_of_sets = union_of(sets_for(kind, rate, level_free=level_free))
     if not names_of_sets:
         raise InvalidValue(f"features of a {kind} must be named, there is no set of level-free ones; or allow all")
     names = supported(names_of_sets, rate, _length(kind, rate, slicing))

@@ -24,7 +24,7 @@ from cgid.identification.windows import CLEAR, WINDOW_TIME, columns_of, require_
 from cgid.measure.beam import Beam
 from cgid.measure.features import FEATURES, any_through_beam, choose, extract_array, kind_for, kind_of, supported
 from cgid.measure.spectra import THIRD_OCTAVES
-from cgid.measure.table import Kind
+from cgid.measure.table import MIN_BANDWIDTH, Kind
 from cgid.measure.vibration import EARLY_BANDS
 from cgid.signals import KNOWN, Batch
 from cgid.units import UNITS, quantity_of
@@ -242,13 +242,19 @@ def _sets(kind: Kind) -> Sets:
         "mel bands and shape": starting("mel") | plain,
         "even bands and shape, level-free": starting("relative_even", "even_deviation") | shape,
         "even bands and shape": starting("even") | plain,
+        "third octaves and shape, level-free": starting("relative_level") | shape,
+        "third octaves and shape": starting("level") | plain,
     }
     return {name: tuple(feature for feature in window_features if feature in some) for name, some in sets.items()}
 
 
-def sets_for(kind: Kind, *, level_free: bool = False) -> Sets:
+def sets_for(kind: Kind, sampling_rate: float, *, level_free: bool = False) -> Sets:
     """Return the feature sets that a training on recordings chooses from, optionally only level-free ones."""
     sets = _sets(kind)
+    if kind == "window":
+        # At low rates [Hz], mel and even bands are too wide.
+        is_low = sampling_rate < 2 * MIN_BANDWIDTH
+        sets = {name: names for name, names in sets.items() if name.startswith("third octaves") == is_low}
     return {name: names for name, names in sets.items() if name.endswith("level-free")} if level_free else sets
 
 

@@ -220,7 +220,7 @@ def train(
         open_sets = pulse_sets(len(rows.labels)) if is_open else (names,)
         fitted = (open_sets, limiting, family or "logistic", class_weights, seed, workers, record)
         return _tried_on_left_out(rows, parts, out_of_distribution, *fitted)
-    sets = {"asked for": names} if names else sets_for(rows.kind, level_free=level_free)
+    sets = {"asked for": names} if names else sets_for(rows.kind, rows.sampling_rates[0], level_free=level_free)
     candidates = candidates_for(sets, rows.names, family or "linear")
     training_set = TrainingSet(rows=rows, candidates=candidates, weights=class_weights, seed=seed)
     return _left_out(training_set, synthetic, level_free, progress, workers, record)

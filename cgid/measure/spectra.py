@@ -14,10 +14,11 @@ from cgid.validation import Floats
 #: Nominal mid-band frequencies of the third-octave bands [Hz] (IEC 61260-1:2014), as in feature names. The exact ones
 #: are 1000 Hz times 10^(number / 10), with numbers from `_FIRST_THIRD_OCTAVE` on.
 THIRD_OCTAVES = (
+    *("8", "10", "12.5", "16", "20", "25"),
     *("31.5", "40", "50", "63", "80", "100", "125", "160", "200", "250", "315", "400", "500"),
     *("630", "800", "1000", "1250", "1600", "2000", "2500", "3150", "4000", "5000", "6300", "8000", "10000"),
 )
-_FIRST_THIRD_OCTAVE = -15
+_FIRST_THIRD_OCTAVE = -21
 #: Spacing of the mel bands [mel], and their number.
 _MEL_STEP, _MEL_BANDS = 100.0, 39
 #: Spacing of the even bands [Hz], and their number.

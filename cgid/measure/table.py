@@ -31,8 +31,11 @@ from cgid.validation import Floats
 ImpactKind = Literal["pulse", "vibration"]
 #: Kind of a signal: an impact, or a window of a recording with any number of impacts.
 Kind = Literal[ImpactKind, "window"]
-#: Least bandwidth of vibrations and windows: half of the lowest sampling rate [Hz].
-MIN_BANDWIDTH = 1000.0
+#: Least bandwidth [Hz], half of the sampling rate, of vibrations and windows, and of features of their bands on a mel
+#: or an even scale, which are too wide below it.
+LEAST_BANDWIDTH, MIN_BANDWIDTH = 125.0, 1000.0
+#: Least number of samples of a vibration and of a window by default, which rates below 1.2 and 1.8 kHz make longer.
+LEAST_SAMPLES = 175
 
 
 @dataclass(frozen=True, eq=False)

@@ -26,7 +26,7 @@ from cgid.measure.spectra import (
     passage,
     third_octave,
 )
-from cgid.measure.table import MIN_BANDWIDTH, Bank, Feature, bank, described
+from cgid.measure.table import LEAST_BANDWIDTH, MIN_BANDWIDTH, Bank, Feature, bank, described
 from cgid.validation import Floats
 
 #: Time constant of the exponential window [s]. It widens a line by 1 / (pi WINDOW_TIME) = 21 Hz.
@@ -371,7 +371,7 @@ def _onset_threshold(peak: Floats, noise: Floats) -> Floats:
 
 # -- features -----------------------------------------------------------------------------------------
 
-_described = partial(described, kind="vibration", highest_frequency=MIN_BANDWIDTH)
+_described = partial(described, kind="vibration", highest_frequency=LEAST_BANDWIDTH)
 _bank = partial(bank, kind="vibration")
 
 _BASIC = _described(
@@ -398,7 +398,7 @@ _LEVELS = _bank(
     "level_*_hz",
     lambda v, n: v.level(*third_octave(n)),
     THIRD_OCTAVES,
-    highest_frequency=[max(high, MIN_BANDWIDTH) for _, high in _OCTAVES],
+    highest_frequency=[max(high, LEAST_BANDWIDTH) for _, high in _OCTAVES],
     # A frame resolves frequencies one over its length apart.
     shortest_frame=[1 / (high - low) for low, high in _OCTAVES],
 )

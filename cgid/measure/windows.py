@@ -27,13 +27,13 @@ from cgid.measure.spectra import (
     packet_energies,
     third_octave,
 )
-from cgid.measure.table import MIN_BANDWIDTH, Bank, Feature, bank, described
+from cgid.measure.table import LEAST_BANDWIDTH, MIN_BANDWIDTH, Bank, Feature, bank, described
 from cgid.validation import Floats
 
-#: Length of a frame [s]; frames overlap by half.
-FRAME_TIME = 10e-3
-#: Averaging time of the envelope, a root mean square [s].
-ENVELOPE_TIME = 1e-3
+#: Length of a frame [s], or [samples] if that is longer; frames overlap by half.
+FRAME_TIME, _FRAME_SAMPLES = 10e-3, 20
+#: Averaging time of the envelope, a root mean square [s], or [samples] if that is longer.
+ENVELOPE_TIME, _ENVELOPE_SAMPLES = 1e-3, 2
 #: An impact is a maximum of the envelope within `IMPACT_TIME` [s] to either side, of at least this many times its mean.
 IMPACT_TIME, IMPACT_OVER_MEAN = 3e-3, 1.5
 #: Smallest root mean square: the fourth power of anything less underflows.
@@ -100,14 +100,14 @@ class WindowBatch:
     @cached_property
     def envelope(self) -> Floats:
         """Root mean square over each `ENVELOPE_TIME`, (n_windows, n_steps)."""
-        length = min(max(round(ENVELOPE_TIME * self.sampling_rate), 1), self._square.shape[1])
+        length = min(round(self._envelope_step * self.sampling_rate), self._square.shape[1])
         count = self._square.shape[1] // length
         steps = self._square[:, : count * length].reshape(-1, count, length)
         return np.asarray(np.sqrt(steps.mean(axis=2)))
 
     @cached_property
     def _envelope_step(self) -> float:
-        return max(round(ENVELOPE_TIME * self.sampling_rate), 1) / self.sampling_rate
+        return max(round(ENVELOPE_TIME * self.sampling_rate), _ENVELOPE_SAMPLES) / self.sampling_rate
 
     @cached_property
     def envelope_moments(self) -> tuple[Floats, Floats, Floats]:
@@ -154,7 +154,7 @@ class WindowBatch:
     @cached_property
     def _frames(self) -> tuple[float, Floats]:
         """Width of a bin [Hz], and the mean square in each bin of each frame, (n_windows, n_frames, n_bins)."""
-        length = min(max(round(FRAME_TIME * self.sampling_rate), 2), self.swing.shape[1])
+        length = min(max(round(FRAME_TIME * self.sampling_rate), _FRAME_SAMPLES), self.swing.shape[1])
         spacing, power = frame_spectra(self.swing, length, self.sampling_rate)
         power *= self.sampling_rate / np.sum(hann(length) ** 2)
         return spacing, power
@@ -168,7 +168,7 @@ class WindowBatch:
     @cached_property
     def dominant_frequencies(self) -> Floats:
         """Frequencies of the three strongest maxima of the spectrum [Hz], (n_windows, 3)."""
-        return self.spectrum.dominant(3, 2 / FRAME_TIME)
+        return self.spectrum.dominant(3, 2 / max(FRAME_TIME, _FRAME_SAMPLES / self.sampling_rate))
 
     @cached_property
     def _fine_spectrum(self) -> EnergySpectrum:
@@ -243,10 +243,10 @@ def _over_frames(levels: Floats) -> tuple[Floats, Floats]:
 
 # -- features -----------------------------------------------------------------------------------------
 
-_described = partial(described, kind="window", highest_frequency=MIN_BANDWIDTH, shortest_frame=MIN_WINDOW)
+_described = partial(described, kind="window", highest_frequency=LEAST_BANDWIDTH, shortest_frame=MIN_WINDOW)
 _bank = partial(bank, kind="window", shortest_frame=MIN_WINDOW)
 
-_BASIC = _described(
+_LEVEL, *_SHAPE = _described(
     {
         "window_level": lambda w: w.level,
         "window_peak": lambda w: w.peak,
@@ -260,7 +260,6 @@ _BASIC = _described(
         "window_rolloff_50": lambda w: w.spectrum.rolloff(0.5),
         "window_rolloff_85": lambda w: w.spectrum.rolloff(0.85),
         "window_flatness": lambda w: w.spectrum.flatness,
-        "window_flux": lambda w: w.flux,
         "window_dominant_frequency": lambda w: w.dominant_frequencies[:, 0],
         "window_second_frequency": lambda w: w.dominant_frequencies[:, 1],
         "window_third_frequency": lambda w: w.dominant_frequencies[:, 2],
@@ -271,7 +270,6 @@ _BASIC = _described(
         "window_envelope_crest": lambda w: w.envelope_quantile(1.0) - w.envelope_quantile(0.5),
     }
 )
-_LEVEL = _BASIC[0]
 
 
 def _triangular(
@@ -290,7 +288,7 @@ _LEVELS = _bank(
     "window_level_*_hz",
     lambda w, n: w.band_level(*third_octave(n)),
     WINDOW_THIRD_OCTAVES,
-    highest_frequency=[max(high, MIN_BANDWIDTH) for _, high in _OCTAVES],
+    highest_frequency=[max(high, LEAST_BANDWIDTH) for _, high in _OCTAVES],
     # A Hann window over all samples makes a line two over its length wide.
     shortest_frame=[max(2 / (high - low), MIN_WINDOW) for low, high in _OCTAVES],
 )
@@ -303,12 +301,14 @@ _PACKETS = _bank(
 )
 
 WINDOW_FEATURES: tuple[Feature | Bank, ...] = (
-    *_BASIC,
+    _LEVEL,
+    *_SHAPE,
+    *_described({"window_flux": lambda w: w.flux}, highest_frequency=MIN_BANDWIDTH),
     _bank(
         "window_envelope_correlation_*_ms",
         lambda w, n: w.envelope_correlation(CORRELATION_LAGS[n]),
         [f"{lag * 1e3:g}" for lag in CORRELATION_LAGS],
-        highest_frequency=MIN_BANDWIDTH,
+        highest_frequency=LEAST_BANDWIDTH,
     ),
     *_described({"window_blow_rate": lambda w: w.blow_rate}),
     _LEVELS,
