@@ -336,8 +336,8 @@ def _decided(
     files: Sequence[AnnotatedFile], slicing: Slicing, features: Sequence[str] | None
 ) -> tuple[Slicing, tuple[str, ...], tuple[str, ...]]:
     """Return the slicing by impact or by window, a note with the reason if it was chosen here, and warnings."""
-    if slicing.window_time == WINDOW_TIME:
-        time = max(WINDOW_TIME, LEAST_SAMPLES / min(file.recording.sampling_rate for file in files))
+    time = LEAST_SAMPLES / min(file.recording.sampling_rate for file in files)
+    if slicing.window_time == WINDOW_TIME < time:
         slicing = replace(slicing, window_time=time, hop_time=slicing.hop_time * time / WINDOW_TIME)
     if slicing.by == "impact":
         return slicing, (), ()

@@ -26,7 +26,7 @@ from cgid.identification.reference import MeanSpectrum, drift
 from cgid.identification.windows import RunningVote, complete_windows, measure_windows, windows_of
 from cgid.measure.features import FEATURES, require_measurable
 from cgid.measure.filters import Equalisation
-from cgid.measure.table import ImpactKind
+from cgid.measure.table import MIN_BANDWIDTH, ImpactKind
 from cgid.recordings.chain import scaled
 from cgid.signals import channel_name
 from cgid.validation import Floats
@@ -118,7 +118,9 @@ def identify_blocks(
     source: str = "signal",
 ) -> Iterator[Step]:
     """Return the predictions for blocks (n_channels, n_samples) in the unit of the model; nan is missing."""
-    needed = max([SLOWEST, *(2 * FEATURES[name].highest_frequency for name in model.measured)])
+    # Below this rate, features of vibrations and windows are those of models that were trained there.
+    trained = 0.0 if model.kind == "pulse" else min(2 * MIN_BANDWIDTH, 0.99 * model.sampling_rates[0])
+    needed = max([SLOWEST, trained, *(2 * FEATURES[name].highest_frequency for name in model.measured)])
     if sampling_rate < needed:
         raise InvalidValue(
             f"{source}: the sampling_rate must be at least {math.ceil(needed)} Hz for this model, got "
