@@ -2,6 +2,7 @@
 
 import re
 import warnings
+from datetime import UTC, datetime
 from importlib.metadata import EntryPoint, EntryPoints
 from pathlib import Path
 from types import SimpleNamespace
@@ -13,7 +14,8 @@ from click.testing import CliRunner
 from benchmarks.fuzz_recordings import fuzz
 from cgid.cli import cli
 from cgid.errors import BadData, CgidError, InvalidValue, MissingOption
-from cgid.recordings import Blocks, open_recording, read_recording
+from cgid.recordings import Blocks, from_sep005, open_recording, read_recording, to_sep005
+from cgid.signals import Signal
 from tests import few
 from tests.recording_files import NAMES, SPECIMENS, UNIT, WRITERS, Channel, blows
 
@@ -190,6 +192,35 @@ def test_samples_missing_between_even_times_are_a_gap(name, tmp_path):
         return
     assert recording.sampling_rate == pytest.approx(800, rel=1e-9) and "20 samples in 1 gap" in said
     np.testing.assert_array_equal(found["rear"], np.where(is_there, REAR, np.nan))
+
+
+# ---- time series of other readers ----
+
+
+def test_signals_go_into_sep005_and_come_back():
+    start = datetime(2026, 3, 4, 10, 11, tzinfo=UTC)
+    given = [
+        Signal(samples=FRONT, sampling_rate=1000.0, unit="m/s^2", channel="front", start_time=start),
+        Signal(samples=REAR, sampling_rate=1000.0, channel="rear"),
+    ]
+    forms = to_sep005(given)
+    assert [sorted(one) for one in forms][1] == ["data", "fs", "name", "unit_str"]
+    for one, back in zip(given, from_sep005(forms), strict=True):
+        assert np.array_equal(back.samples, one.samples)
+        assert (back.sampling_rate, back.unit, back.channel) == (1000.0, one.unit, one.channel)
+        assert back.start_time == one.start_time
+    (timed,) = from_sep005([{"name": "a", "unit_str": "furlong", "data": FRONT.tolist(), "time": np.arange(N) / 500}])
+    assert (timed.sampling_rate, timed.unit) == (pytest.approx(500, rel=1e-9), None)
+    with pytest.raises(BadData, match=r"SEP005 a: .*is missing"):
+        from_sep005([{"name": "a", "data": FRONT}])
+    with pytest.raises(BadData, match="even"):
+        from_sep005([{"name": "a", "unit_str": "g", "data": FRONT, "time": np.arange(N) ** 1.5}])
+
+
+def test_the_checker_of_sdypy_accepts_the_signals():
+    checker = pytest.importorskip("sdypy_sep005.sep005")
+    start = datetime(2026, 3, 4, tzinfo=UTC)
+    checker.assert_sep005(to_sep005([Signal(samples=FRONT, sampling_rate=1000.0, unit="N", start_time=start)]))
 
 
 # ---- readers of other packages ----

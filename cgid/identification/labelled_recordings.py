@@ -29,7 +29,7 @@ from cgid.identification.silence import Silence, silence_of
 from cgid.identification.through_beam import ThroughBeam
 from cgid.identification.windows import WINDOW_TIME, Grid, NoisyCopies, complete_windows, measure_windows, windows_of
 from cgid.measure.features import FEATURES, choose, extract_array, kind_for, kind_of, require_supported, supported
-from cgid.measure.table import LEAST_SAMPLES, Kind
+from cgid.measure.table import LEAST_SAMPLES, LOW_WINDOW_TIME, MIN_BANDWIDTH, Kind
 from cgid.recordings import MAX_STREAM, RecordingFile, open_recording
 from cgid.recordings.chain import Statement, require_measured
 from cgid.recordings.recording import clear_errors
@@ -336,8 +336,9 @@ def _decided(
     files: Sequence[AnnotatedFile], slicing: Slicing, features: Sequence[str] | None
 ) -> tuple[Slicing, tuple[str, ...], tuple[str, ...]]:
     """Return the slicing by impact or by window, a note with the reason if it was chosen here, and warnings."""
-    time = LEAST_SAMPLES / min(file.recording.sampling_rate for file in files)
-    if slicing.window_time == WINDOW_TIME < time:
+    rate = min(file.recording.sampling_rate for file in files)
+    if slicing.window_time == WINDOW_TIME and rate < 2 * MIN_BANDWIDTH:
+        time = max(LOW_WINDOW_TIME, LEAST_SAMPLES / rate)
         slicing = replace(slicing, window_time=time, hop_time=slicing.hop_time * time / WINDOW_TIME)
     if slicing.by == "impact":
         return slicing, (), ()

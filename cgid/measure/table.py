@@ -34,8 +34,9 @@ Kind = Literal[ImpactKind, "window"]
 #: Least bandwidth [Hz], half of the sampling rate, of vibrations and windows, and of features of their bands on a mel
 #: or an even scale, which are too wide below it.
 LEAST_BANDWIDTH, MIN_BANDWIDTH = 125.0, 1000.0
-#: Least number of samples of a vibration and of a window by default, which rates below 1.2 and 1.8 kHz make longer.
-LEAST_SAMPLES = 175
+#: Least number of samples of a vibration or window, which rates below 1.2 kHz make longer than usual, and the length of
+#: windows by default at rates below 2 kHz [s].
+LEAST_SAMPLES, LOW_WINDOW_TIME = 175, 0.35
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from cgid.deprecated import renamed
 from cgid.recordings.formats import MAX_STREAM, is_dataset, open_recording, read_recording
 from cgid.recordings.recording import BLOCK_LENGTH, Blocks, Channel, RecordingFile
+from cgid.recordings.sep005 import from_sep005, to_sep005
 
 __all__ = [
     "BLOCK_LENGTH",
@@ -12,9 +13,11 @@ __all__ = [
     "Blocks",
     "Channel",
     "RecordingFile",
+    "from_sep005",
     "is_dataset",
     "open_recording",
     "read_recording",
+    "to_sep005",
 ]
 
 __getattr__ = renamed(__name__, {"LARGEST_STREAM": "cgid.recordings.MAX_STREAM"})
