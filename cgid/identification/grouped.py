@@ -39,8 +39,9 @@ from cgid.identification.windows import CLEAR, VOTE_TIME, RunningVote, independe
 from cgid.validation import Floats
 from cgid.workers import SERIAL, Workers
 
-#: Maximum number of folds: up to this number of groups each is a fold; more groups share this many folds.
-MAX_FOLDS = 20
+#: Maximum number of folds: up to this number of groups each is a fold; more groups share this many folds, in the inner
+#: loop a quarter of it, since it is run for each fold of the outer one.
+MAX_FOLDS, INNER_FOLDS = 20, 5
 #: Minimum number of blocks of time of a single recording; more, up to `MAX_FOLDS`, if a label is in too few of them.
 MIN_BLOCKS = 8
 #: Impacts on two channels within this time are one impact [s].
@@ -135,7 +136,9 @@ def in_blocks_of_time(rows: Rows) -> Rows:
     return rows
 
 
-def leave_groups_out(labels: NDArray[np.str_], group: NDArray[np.integer], seed: int) -> Iterator[NDArray[np.bool_]]:
+def leave_groups_out(
+    labels: NDArray[np.str_], group: NDArray[np.integer], seed: int, n_folds: int = MAX_FOLDS
+) -> Iterator[NDArray[np.bool_]]:
     """Yield a mask of the rows of each fold: one group, or several if there are many groups."""
     recorded = np.flatnonzero(group >= 0)
     groups = np.unique(group[recorded])
@@ -144,7 +147,7 @@ def leave_groups_out(labels: NDArray[np.str_], group: NDArray[np.integer], seed:
             yield group == one
         return
     # StratifiedGroupKFold allows no more folds than the most frequent label has rows.
-    n_folds = min(MAX_FOLDS, int(np.unique(labels[recorded], return_counts=True)[1].max()))
+    n_folds = min(n_folds, int(np.unique(labels[recorded], return_counts=True)[1].max()))
     splitter = StratifiedGroupKFold(n_folds, shuffle=True, random_state=seed)
     with warnings.catch_warnings():
         # A rare label may be missing in some folds.
@@ -161,7 +164,9 @@ def choose_candidate(training_set: TrainingSet, workers: Workers = SERIAL) -> Se
     rows = training_set.rows
     labels, truth = np.unique(rows.labels, return_inverse=True)
     folds = [
-        fold for fold in leave_groups_out(rows.labels, rows.group, training_set.seed) if _teaches_all(rows.labels, fold)
+        fold
+        for fold in leave_groups_out(rows.labels, rows.group, training_set.seed, INNER_FOLDS)
+        if _teaches_all(rows.labels, fold)
     ]
     if not folds:
         return Selection(0, (0.0,) * len(training_set.candidates), 1.0)
