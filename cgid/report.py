@@ -251,16 +251,15 @@ def _pictures(report: Report) -> Iterator[str]:
 
 
 def _marks(report: Report) -> Iterator[Mark]:
-    """Yield a mark for each prediction of a shown channel, or of all channels together."""
+    """Yield a mark for each prediction, in every shown channel that it is of."""
     names = [channel.name for channel in report.channels]
-    together = "+".join(names)
     for answer in report.answers:
-        of_all = answer.channel == together or answer.channel.startswith(f"{together}+")
-        if not (of_all or answer.channel in names):
-            continue
         # An unknown end is nan.
         end = answer.end if answer.end >= answer.time else answer.time
-        yield Mark(time=answer.time, end=end, label=answer.label, channel=None if of_all else answer.channel)
+        members = [answer.channel] if answer.channel in names else answer.channel.split("+")
+        for name in members:
+            if name in names:
+                yield Mark(time=answer.time, end=end, label=answer.label, channel=name)
 
 
 def _figure(figure: Any, caption: str) -> str:

@@ -270,7 +270,7 @@ class RecordingRows:
         self.source, self.lines, self._model = source, lines, model
         self.kind = "window" if model.kind == "window" else "impact"
         self.tally = RecordingTally(self.kind)
-        self.channels = answering_channels(model, channels)
+        self.channels = answering_channels(model, channels, settings.same_beam)
         self.answers: list[Answer] = []
         self.shares: list[Share] = []
         self.turns: list[Switch] = []

@@ -6,10 +6,10 @@ import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cgid.cli.options import Reading
 from cgid.cli.output import accuracy_text, print_json, progress_bar, say, warn
 
 if TYPE_CHECKING:
+    from cgid.identification.labelled_recordings import Reading
     from cgid.identification.manifest import Manifest
 
 #: Number of impacts checked for a fit to the model before all are measured.
@@ -17,7 +17,7 @@ _LOOK = 20
 
 
 def correct_model(
-    manifest: Manifest, base: str, path: Path, reading: Reading, *, strict: bool, plots: bool, as_json: bool
+    manifest: Manifest, base: str, path: Path, dead_time: float | None, how: Reading, *, plots: bool, as_json: bool
 ) -> int:
     """Write a model corrected by labelled impacts, and report its accuracy."""
     from cgid.identification.card import correction_section, write_model
@@ -30,8 +30,7 @@ def correct_model(
 
     model = Model.load(model_path(base))
     require_correctable(model)
-    how = reading.of_manifest(strict=strict)
-    slicing = Slicing(by="impact", dead_time=reading.dead_time)
+    slicing = Slicing(by="impact", dead_time=dead_time)
     if (manifest.n_intervals or 0) > _LOOK:
         require_known(model, record(manifest.sample(_LOOK), slicing=slicing, reading=how, model=model))
     with progress_bar(manifest.n_intervals, "impacts", "measuring") as progress:

@@ -18,6 +18,7 @@ from cgid.cli.options import (
     overwrite_option,
     reading_options,
     require_no_input_written,
+    same_beam_option,
     strict_option,
 )
 from cgid.cli.output import FileErrors, say, say_error, warn
@@ -29,6 +30,8 @@ if TYPE_CHECKING:
     from cgid.measure.table import ImpactKind
     from cgid.recordings import RecordingFile
 
+#: Channels of each beam, by name or number.
+Groups = tuple[tuple[str, ...], ...]
 #: An interval begins this long before its impact, because channels may measure it at different times [s].
 _BEFORE = 2e-3
 #: Impacts are found without the channels that lack more than this fraction of their samples.
@@ -46,17 +49,22 @@ _MOST_MISSING = 0.01
 )
 @overwrite_option
 @strict_option
+@same_beam_option
 @reading_options
-def events(files: tuple[str, ...], output: str, overwrite: bool, strict: bool, reading: Reading) -> int:
+def events(
+    files: tuple[str, ...], output: str, overwrite: bool, strict: bool, same_beam: tuple[str, ...], reading: Reading
+) -> int:
     """Find the impacts in FILEs, or in the recordings of a folder, and write one row for each.
 
     Fill in the column label (and group, such as a day or a support, if several recordings share one), then train on the
     table: cgid train events.csv -o mine.npz. Delete the rows that you cannot label. An impact measured by several
-    channels is one row.
+    channels is one row. With --same-beam, each beam and each other channel has rows of its own.
     """
     from cgid.files import check_new, write_whole
     from cgid.identification.manifest import manifest_text, recordings_of, require_labels_kept
+    from cgid.identification.prediction_settings import require_groups
 
+    beams = require_groups(same_beam)
     path = None if output == "-" else check_new(Path(output), "a table of impacts", (".csv",), overwrite=overwrite)
     folder = Path() if path is None else path.parent
     rows: list[dict[str, str]] = []
@@ -65,11 +73,11 @@ def events(files: tuple[str, ...], output: str, overwrite: bool, strict: bool, r
     if path is not None:
         require_labels_kept(path)
     reading.require_files(every)
-    _require_trainable(every, reading)
+    _require_trainable(every, reading, beams)
     errors = FileErrors(strict=strict)
     for file in errors.each(every):
         with errors:
-            rows += _rows(file, folder, reading)
+            rows += _rows(file, folder, reading, beams)
     if not rows:
         return errors.code
     text = manifest_text(rows)
@@ -84,7 +92,7 @@ def events(files: tuple[str, ...], output: str, overwrite: bool, strict: bool, r
     return errors.code
 
 
-def _require_trainable(files: Sequence[str], reading: Reading) -> None:
+def _require_trainable(files: Sequence[str], reading: Reading, beams: Groups) -> None:
     """Raise an error if no model could be trained on these recordings, before their impacts are labelled."""
     from cgid.identification.labelled_recordings import require_alike, unit_of
 
@@ -102,18 +110,23 @@ def _require_trainable(files: Sequence[str], reading: Reading) -> None:
                 "or --full-scale '10 V' and the --sensitivity of the sensor, or the unit of the numbers with --unit"
             )
         first = first or recording
-        require_alike(recording, first)
-        if reading.channel and len(recording.channels) > 1:
+        require_alike(recording, first, counts=not beams)
+        if reading.channel and len(recording.channels) > 1 and not beams:
             raise InvalidValue(
                 f"{recording.source}: --channel must name one channel, got {'+'.join(reading.channel)}; single impacts "
-                "use one channel: name one, or leave it out to train on a row of each"
+                "use one channel: name one, give --same-beam if they are on one beam, or leave it out to train on a "
+                "row of each"
             )
 
 
-def _rows(file: str, folder: Path, reading: Reading) -> Iterator[dict[str, str]]:
+def _rows(file: str, folder: Path, reading: Reading, beams: Groups) -> Iterator[dict[str, str]]:
     """Yield a row for each impact of a recording; the columns are those of a manifest and informative ones."""
+    import numpy as np
+
+    from cgid.identification.events import Event
     from cgid.identification.labelled_recordings import unit_of
     from cgid.identification.manifest import path_from
+    from cgid.identification.same_beam import Rocks, grouped
     from cgid.measure.features import kind_for
     from cgid.units import quantity_of
 
@@ -121,7 +134,9 @@ def _rows(file: str, folder: Path, reading: Reading) -> Iterator[dict[str, str]]
         raise InvalidValue("stdin: a table of impacts must name files, a stream has no name; save it first")
     recording = reading.recording(file)
     unit = unit_of(recording)
-    events = found_impacts(recording, kind_for(quantity_of(unit)), reading, joint=True)
+    named = recording.named(beams, "--same-beam")
+    events = found_impacts(recording, kind_for(quantity_of(unit)), reading, joint=not beams)
+    names = [channel.name for channel in recording.channels]
     chain = {name: ";".join(values) for name, values in reading.chain_of(file).items() if values}
     given = {
         **chain,
@@ -133,22 +148,38 @@ def _rows(file: str, folder: Path, reading: Reading) -> Iterator[dict[str, str]]
         "variable": reading.variable or "",
         "format": reading.format or "",
     }
-    rate, before = recording.sampling_rate, 0.0
-    for event, following in zip(events, [*events[1:], None], strict=True):
-        start = max(event.time - _BEFORE, (before + event.time) / 2 if before else 0.0)
-        end = event.end / rate
+    if not beams:
+        yield from ({**given, **row} for row in _intervals([[event] for event in events], unit))
+        return
+    groups = grouped(names, named)
+    rocks = Rocks[Event](groups, recording.sampling_rate).feed(events, np.inf)
+    found = []
+    for rows in groups:
+        channel = "+".join(names[row] for row in rows)
+        given |= {"channel": channel, "same_beam": channel if len(rows) > 1 else ""}
+        found += [given | row for row in _intervals([rock for rock in rocks if rock[0].channel in rows], unit)]
+    yield from sorted(found, key=lambda row: float(row["time_s"]))
+
+
+def _intervals(rocks: Sequence[Sequence[Event]], unit: str) -> Iterator[dict[str, str]]:
+    """Yield the cells of each rock, of which every channel has an event."""
+    before = 0.0
+    for events, following in zip(rocks, [*rocks[1:], None], strict=True):
+        time, end = events[0].time, max(event.end / event.sampling_rate for event in events)
+        start = max(time - _BEFORE, (before + time) / 2 if before else 0.0)
         if following is not None:
-            end = min(end, max(following.time - _BEFORE, (event.time + following.time) / 2))
-        before = event.time
+            end = min(end, max(following[0].time - _BEFORE, (time + following[0].time) / 2))
+        before = time
         yield {
-            **given,
             "start": f"{start:.7f}",
             "end": f"{end:.7f}",
             "label": "",
-            "time_s": f"{event.time:.6f}",
-            "peak": f"{_peak(event):.5g}",
+            "time_s": f"{time:.6f}",
+            "peak": f"{max(map(_peak, events)):.5g}",
             "peak_unit": unit,
-            "flags": " ".join(name for name in ("overlapping", "clipped", "cut") if getattr(event, name)),
+            "flags": " ".join(
+                name for name in ("overlapping", "clipped", "cut") if any(getattr(event, name) for event in events)
+            ),
         }
 
 

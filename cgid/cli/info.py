@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from cgid.cli.help import Command
-from cgid.cli.options import CHAIN, PATH, Reading, json_option, reading_options_for, warn_of_volts
+from cgid.cli.options import CHAIN, PATH, Reading, json_option, reading_options_for, same_beam_option, warn_of_volts
 from cgid.cli.output import FileErrors, print_json, say, warn
 from cgid.cli.table import written_table
 from cgid.terminal import counted
@@ -17,6 +17,8 @@ from cgid.terminal import counted
 if TYPE_CHECKING:
     from cgid.identification.events import Event
 
+#: Channels of each beam.
+Groups = tuple[tuple[str, ...], ...]
 #: Maximum number of samples of all channels held in memory; longer recordings are read block by block.
 MAX_SAMPLES = 1 << 24
 #: Length of the header of an archive's first entry [bytes], and the name that follows it in a model file.
@@ -28,21 +30,24 @@ _LOCAL_HEAD, _HEADER = 30, b"header.npy"
 )
 @click.argument("file", type=PATH)
 @reading_options_for("sampling_rate", "unit", "channel", "variable", "format", *CHAIN)
+@same_beam_option
 @json_option
-def info(file: str, as_json: bool, reading: Reading) -> int:
+def info(file: str, as_json: bool, same_beam: tuple[str, ...], reading: Reading) -> int:
     """Describe FILE: a dataset, a table, a model, a recording (every channel), or each recording of a folder."""
     from cgid.identification.manifest import recordings_of
+    from cgid.identification.prediction_settings import require_groups
 
+    beams = require_groups(same_beam)
     files = recordings_of([file])
     reading.require_files(files)
     errors = FileErrors(strict=len(files) == 1)
     for one in errors.each(files):
         with errors:
-            _describe(one, as_json, reading)
+            _describe(one, as_json, beams, reading)
     return errors.code
 
 
-def _describe(file: str, as_json: bool, reading: Reading) -> None:
+def _describe(file: str, as_json: bool, beams: Groups, reading: Reading) -> None:
     from cgid.recordings import is_dataset
     from cgid.store.table import is_table
 
@@ -55,7 +60,7 @@ def _describe(file: str, as_json: bool, reading: Reading) -> None:
     elif (rows := written_table(file)) is not None:
         content = {"kind": rows.kind, "file": file, "rows": rows.n_rows, "columns": rows.columns}
     else:
-        content = _recording(file, as_json, reading)
+        content = _recording(file, as_json, beams, reading)
     if as_json:
         print_json(content)
     else:
@@ -150,10 +155,10 @@ def is_model(file: str) -> bool:
     return not start.startswith(b"PK") or start[_LOCAL_HEAD:] == _HEADER
 
 
-def _recording(file: str, as_json: bool, reading: Reading) -> dict[str, Any]:
+def _recording(file: str, as_json: bool, beams: Groups, reading: Reading) -> dict[str, Any]:
     recording = reading.recording(file)
     volts = warn_of_volts(recording)
-    channels, clipped = _channels(recording, as_json)
+    channels, clipped = _channels(recording, as_json, recording.named(beams, "--same-beam"))
     for warning in (*recording.warnings, *clipped):
         warn(warning)
     started = {} if recording.start_time is None else {"start_time": recording.start_time.isoformat()}
@@ -170,7 +175,7 @@ def _recording(file: str, as_json: bool, reading: Reading) -> dict[str, Any]:
 _NOT_COUNTED = "not counted, since pulses and vibrations differ; give --unit, such as --unit N or --unit m/s^2"
 
 
-def _channels(recording: Any, as_json: bool) -> tuple[dict[str, Any], list[str]]:
+def _channels(recording: Any, as_json: bool, beams: Groups) -> tuple[dict[str, Any], list[str]]:
     """Return the statistics of each channel, and warnings of clipped ones.
 
     A long recording has no median, which needs all samples, but a mean.
@@ -180,6 +185,7 @@ def _channels(recording: Any, as_json: bool) -> tuple[dict[str, Any], list[str]]
 
     from cgid.errors import BadData
     from cgid.identification.detection import INVERT_HINT, ImpactDetector
+    from cgid.identification.same_beam import Detected, Rocks, grouped
     from cgid.measure.features import kind_for
     from cgid.signals import channel_name
 
@@ -193,15 +199,20 @@ def _channels(recording: Any, as_json: bool) -> tuple[dict[str, Any], list[str]]
     # A channel of unknown quantity may contain pulses or vibrations.
     is_known = [channel.quantity not in (None, "level") for channel in names]
     detectors = [ImpactDetector(rate, kind=kind_for(channel.quantity), gaps=True) for channel in names]
-    impacts, n_clipped = [0] * len(names), [0] * len(names)
+    impacts: list[list[Detected]] = [[] for _ in names]
+    n_clipped = [0] * len(names)
 
     def add(row: int, events: list[Event]) -> None:
-        impacts[row] += len(events)
+        impacts[row] += (Detected(row, event.onset) for event in events)
         n_clipped[row] += sum(event.clipped for event in events)
 
     for block in blocks:
         n_samples, dtype = n_samples + block.shape[1], block.dtype.name
         for row, samples in enumerate(block):
+            # A channel is described even if its numbers are too large to detect impacts.
+            with suppress(BadData):
+                if is_known[row]:
+                    add(row, detectors[row].feed(np.where(np.isfinite(samples), samples, np.nan)))
             there = samples[np.isfinite(samples)]
             n_read[row] += there.size
             if not there.size:
@@ -210,10 +221,6 @@ def _channels(recording: Any, as_json: bool) -> tuple[dict[str, Any], list[str]]
             with np.errstate(over="ignore", invalid="ignore"):
                 total[row] += there.sum(dtype=np.float64)
                 median[row] = np.median(there) if is_short else np.nan
-            # A channel is described even if its numbers are too large to detect impacts.
-            with suppress(BadData):
-                if is_known[row]:
-                    add(row, detectors[row].feed(np.where(np.isfinite(samples), samples, np.nan)))
     if not n_read.any():
         raise BadData(f"{recording.source}: samples must be finite, none is; check sensor, cable and sample format")
     lowest[n_read == 0] = highest[n_read == 0] = total[n_read == 0] = np.nan
@@ -236,14 +243,19 @@ def _channels(recording: Any, as_json: bool) -> tuple[dict[str, Any], list[str]]
             "lowest": float(lowest[row]),
             **{name: float(value) for name, value in middle.items()},
             "highest": float(highest[row]),
-            "impacts": impacts[row] if is_known[row] else None if as_json else _NOT_COUNTED,
+            "impacts": len(impacts[row]) if is_known[row] else None if as_json else _NOT_COUNTED,
         }
     clipped = [
-        f"{channel_name(recording.source, channel.name)}: {n_clipped[row]} of {counted(impacts[row], 'impact')} are "
-        "clipped; record with a larger range"
+        f"{channel_name(recording.source, channel.name)}: {n_clipped[row]} of {counted(len(impacts[row]), 'impact')} "
+        "are clipped; record with a larger range"
         for row, channel in enumerate(names)
         if n_clipped[row]
     ]
+    for rows in grouped([channel.name for channel in names], beams):
+        if len(rows) > 1:
+            found = sorted((one for row in rows for one in impacts[row]), key=lambda one: one.onset)
+            rocks = {"impacts": len(Rocks[Detected]([rows], rate).feed(found, np.inf))}
+            described[f"channels {'+'.join(names[row].name for row in rows)}"] = rocks
     return described, clipped
 
 

@@ -256,7 +256,12 @@ def _follow(
     inbox, delay = Inbox(live, live.sampling_rate), DelayReport(live.source, lines)
     sensors = SensorWatch(live.n_channels, live.sampling_rate)
     gaps = Gaps(
-        live.channels, live.sampling_rate, warned, give_up=settings.give_up, joint=model.together > 1, at_once=True
+        live.channels,
+        live.sampling_rate,
+        warned,
+        give_up=settings.give_up,
+        joint=model.together > 1 and not settings.same_beam,
+        at_once=True,
     )
     blocks: Iterable[NDArray[Any]] = sensors.watching(scaled(gaps.marked(inbox), factors))
     if outputs is not None:

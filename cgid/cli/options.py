@@ -204,11 +204,13 @@ class Reading:
             raise InvalidValue(f"--dead-time must be between 0 and {MAX_DEAD_TIME:g} ms, got {self.milliseconds:g} ms")
         return self.milliseconds * 1e-3
 
-    def of_manifest(self, *, strict: bool) -> ManifestReading:
+    def of_manifest(self, *, strict: bool, same_beam: tuple[str, ...] = ()) -> ManifestReading:
         """Return the settings for recordings of a manifest that do not state them."""
         from cgid.identification.labelled_recordings import Reading as ManifestReading
 
-        return ManifestReading(channels=self.channel or None, strict=strict, failed=say_error, **self.common)
+        return ManifestReading(
+            channels=self.channel or None, same_beam=same_beam, strict=strict, failed=say_error, **self.common
+        )
 
     def wants_complete_dataset(self, path: str, mass: float | None = None) -> bool:
         """Return whether this is a dataset without a chosen signal, which takes no options for reading a recording."""
@@ -346,7 +348,8 @@ _READING: dict[str, Callable[[Any], Any]] = {
     "channel": click.option(
         "--channel",
         multiple=True,
-        help="Read only this channel: its name, or its number from 1; for several give 1+2, or the option again.",
+        help="Read only this channel: its name, or its number from 1; give the option again for several, or 1+2 for "
+        "channels that a model uses together.",
     ),
     "variable": click.option("--variable", help="Choose an array, table or group if the file contains several."),
     "format": click.option(
@@ -391,6 +394,12 @@ def reading_options_for(*names: str) -> Callable[[Callable[..., Any]], Callable[
 
 reading_options = reading_options_for(*_READING)
 CHAIN = ("sensitivity", "gain", "full_scale")
+same_beam_option = click.option(
+    "--same-beam",
+    multiple=True,
+    metavar="CHANNELS",
+    help="Count an impact that several channels of one beam measure once: 1+2; repeat the option for other beams.",
+)
 #: Plant outputs; the command receives the given ones as `outputs`, arguments of `PlantOutputs`.
 plant_options = _bundle(
     "outputs",
@@ -460,6 +469,7 @@ answering_options = _options(
         metavar="NAME",
         help="Name the sensor among those of the model's reference runs; once, or once per channel.",
     ),
+    same_beam_option,
     click.option(
         "--window", "share_time", type=float, help="Set the window of the gangue fraction [s], by default 10."
     ),

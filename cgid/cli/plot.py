@@ -9,7 +9,16 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from cgid.cli.help import Command
-from cgid.cli.options import OUTPUT, PATH, Reading, json_option, overwrite_option, reading_options, warn_of_volts
+from cgid.cli.options import (
+    OUTPUT,
+    PATH,
+    Reading,
+    json_option,
+    overwrite_option,
+    reading_options,
+    same_beam_option,
+    warn_of_volts,
+)
 from cgid.cli.output import print_json, say, warn
 from cgid.terminal import counted
 
@@ -44,6 +53,7 @@ if TYPE_CHECKING:
 )
 @click.option("--from", "begin", type=float, default=0.0, metavar="SECONDS", help="Plot only after this time.")
 @click.option("--to", "end", type=float, metavar="SECONDS", help="Plot only before this time.")
+@same_beam_option
 @overwrite_option
 @json_option
 @reading_options
@@ -54,6 +64,7 @@ def plot(
     kind: ImpactKind | None,
     begin: float,
     end: float | None,
+    same_beam: tuple[str, ...],
     overwrite: bool,
     as_json: bool,
     reading: Reading,
@@ -61,10 +72,11 @@ def plot(
     """Plot the recording FILE: waveform, spectrogram and spectrum of each channel, and detected impacts.
 
     The recording may be of any length, since it is read block by block. Impacts are detected separately in each
-    channel, as in cgid predict.
+    channel, as in cgid predict, and counted once for the channels of one beam (--same-beam).
     """
     from cgid.files import write_whole
     from cgid.identification.detection import INVERT_HINT
+    from cgid.identification.prediction_settings import require_groups
     from cgid.measure.overview import OverviewStream
     from cgid.plots import picture
     from cgid.plots.figure import FORMATS, new_picture
@@ -73,7 +85,9 @@ def plot(
     path = new_picture(output, endings=FORMATS, overwrite=overwrite)
     gap = reading.dead_time
     _require_order(begin, end)
+    beams = require_groups(same_beam)
     recording = _opened(file, reading)
+    beams = recording.named(beams, "--same-beam")
     warn_of_volts(recording)
     channels = recording.channels[:MAX_CHANNELS]
     if len(channels) < len(recording.channels):
@@ -94,7 +108,9 @@ def plot(
     for warning in recording.warnings:
         warn(warning)
     overview = stream.overview()
-    facts = _facts(recording, overview.duration, marks if events else None)
+    names = [channel.name for channel in recording.channels]
+    count = _n_impacts(marks, names, beams, recording.sampling_rate) if events else None
+    facts = _facts(recording, overview.duration, count)
     figure = overview_figure(
         overview, channels, title=Path(recording.source).name, facts=facts, marks=marks, begin=begin
     )
@@ -107,7 +123,7 @@ def plot(
                 "channels": [channel.name for channel in channels],
                 "from_s": begin,
                 "duration_s": overview.duration,
-                "impacts": len(marks) if events else None,
+                "impacts": count,
                 "warnings": list(recording.warnings),
             }
         )
@@ -219,13 +235,24 @@ def _between(recording: RecordingFile, begin: float, end: float | None) -> Itera
         )
 
 
-def _facts(recording: RecordingFile, duration: float, marks: Sequence[Mark] | None) -> str:
+def _n_impacts(
+    marks: Sequence[Mark], names: list[str], same_beam: tuple[tuple[str, ...], ...], sampling_rate: float
+) -> int:
+    """Return the number of impacts, each counted once for the channels of one beam."""
+    from cgid.identification.same_beam import Detected, Rocks, grouped
+
+    rows = {name: row for row, name in enumerate(names)}
+    found = [Detected(rows[str(mark.channel)], round(mark.time * sampling_rate)) for mark in marks]
+    return len(Rocks[Detected](grouped(names, same_beam), sampling_rate).feed(found, float("inf")))
+
+
+def _facts(recording: RecordingFile, duration: float, count: int | None) -> str:
     """Return the line below the title."""
     from cgid.plots.recording import hertz
 
     facts = [recording.format, hertz(recording.sampling_rate), f"{duration:.4g} s"]
     if recording.start_time is not None:
         facts.append(f"started {recording.start_time:%Y-%m-%d %H:%M:%S}")
-    if marks is not None:
-        facts.append(f"{counted(len(marks), 'impact')} found" if marks else "no impacts found")
+    if count is not None:
+        facts.append(f"{counted(count, 'impact')} found" if count else "no impacts found")
     return ", ".join(facts)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -79,6 +79,7 @@ class _Prediction:
     settings: PredictionSettings
     lines: AnswerLines
     reports: list[Report] | None
+    joint: tuple[str, ...] = ()  # channels joined by "+", as on the command line
 
     def recording(self, recording: RecordingFile) -> None:
         """Print the predictions for a recording, read block by block, once for each model that its channels need."""
@@ -87,10 +88,11 @@ class _Prediction:
             model = self.models.of(channel.quantity)
             groups.setdefault(id(model), (model, []))[1].append(number)
         errors: list[CgidError] = []
+        same_beam = recording.named(self.settings.same_beam, "--same-beam")
         try:
             for model, numbers in groups.values():
                 try:
-                    self._channels(recording, model, numbers)
+                    self._channels(recording, model, numbers, same_beam)
                 except CgidError as error:
                     errors.append(error)
         finally:
@@ -102,18 +104,31 @@ class _Prediction:
         for unanswered in errors:
             self.lines.warning(recording.source, str(unanswered))
 
-    def _channels(self, recording: RecordingFile, model: Model, numbers: list[int]) -> None:
+    def _channels(
+        self, recording: RecordingFile, model: Model, numbers: list[int], same_beam: tuple[tuple[str, ...], ...]
+    ) -> None:
         """Print the predictions for the channels of a recording that use this model."""
         from cgid.cli.hints import Hints
+        from cgid.errors import InvalidValue
         from cgid.identification.stream import factors_for, identify_blocks
         from cgid.recordings.chain import scaled
         from cgid.recordings.soundness import SensorWatch
 
-        settings, source, rate = self.settings, recording.source, recording.sampling_rate
+        source, rate = recording.source, recording.sampling_rate
         channels = [recording.channels[number] for number in numbers]
         names = [channel.name for channel in channels]
+        own = tuple(group for group in same_beam if set(group) & set(names))
+        if mixed := ["+".join(group) for group in own if not set(group) <= set(names)]:
+            raise InvalidValue(f"{source}: --same-beam must name channels of one quantity, got {mixed[0]}; correct it")
+        settings = replace(self.settings, same_beam=own)
+        together = [one for one in self.joint if one not in names]
+        if together and model.together == 1 and not own:
+            raise InvalidValue(
+                f"{source}: --channel must name one channel each time, this model uses none together, got "
+                f"{together[0]}; give --same-beam {together[0]} if they are on one beam, else --channel for each"
+            )
         factors = factors_for(model, channels, settings, source)
-        gaps = recording.gaps(numbers, settings.give_up, joint=model.together > 1)
+        gaps = recording.gaps(numbers, settings.give_up, joint=model.together > 1 and not own)
         blocks: Iterable[Any] = recording.blocks(gaps=True)
         if len(channels) < len(recording.channels):
             blocks = (block[numbers] for block in blocks)
@@ -154,6 +169,7 @@ class _Prediction:
         from cgid.store import Dataset
         from cgid.units import UNITS
 
+        self._require_one_signal(path)
         dataset = Dataset(path)
         model = self.models.of(dataset.quantity)
         if dataset.quantity != model.quantity:
@@ -190,6 +206,15 @@ class _Prediction:
         for factor in hints.wrong_scales().values():
             self.lines.warning(path, f"{path}: {hints.level_warning(factor)}")
 
+    def _require_one_signal(self, path: str) -> None:
+        """Raise `InvalidValue` for channels of one beam, which a dataset does not have."""
+        from cgid.errors import InvalidValue
+
+        if self.settings.same_beam:
+            raise InvalidValue(
+                f"{path}: --same-beam is for recordings, a dataset has one signal an impact; leave it out"
+            )
+
     def dataset_signal(self, path: str, index: int, signal: Signal) -> None:
         """Print the prediction for one signal of a dataset."""
         import numpy as np
@@ -198,6 +223,7 @@ class _Prediction:
         from cgid.identification.answers import identify, suited
         from cgid.store import Dataset
 
+        self._require_one_signal(path)
         model = self.models.of(signal.quantity)
         fitting = suited(signal, model, self.settings.mass)
         warn_of_model(fitting.name, fitting.name, fitting.sampling_rate, model, self.settings)
@@ -334,7 +360,13 @@ def predict(
     reading.require_files(files)
     table = TableOutput(output, overwrite=overwrite, as_json=as_json)
     lines = AnswerLines(as_json, table, datasets=any(map(is_dataset, files)))
-    prediction = _Prediction(models=models, settings=settings, lines=lines, reports=None if report is None else [])
+    prediction = _Prediction(
+        models=models,
+        settings=settings,
+        lines=lines,
+        reports=None if report is None else [],
+        joint=tuple(channel for channel in reading.channel if "+" in channel),
+    )
 
     errors = FileErrors(strict=strict, one_output=True)
     with table:

@@ -26,6 +26,7 @@ from cgid.cli.options import (
     reading_options_for,
     refuse,
     require_one_executor,
+    same_beam_option,
     seed_option,
     share_of,
     strict_option,
@@ -36,6 +37,7 @@ from cgid.errors import BadData, InvalidValue
 from cgid.terminal import counted
 
 if TYPE_CHECKING:
+    from cgid.identification.labelled_recordings import Reading as ManifestReading
     from cgid.identification.manifest import Manifest
     from cgid.scene import Scene
     from cgid.signals import Batch
@@ -131,6 +133,7 @@ def _beside_model(path: Path) -> list[Path]:
 )
 @click.option("--level-free", is_flag=True, help="Use only features independent of the gain of a sensor.")
 @reading_options_for("sampling_rate", "unit", "channel", "format", "milliseconds", *CHAIN)
+@same_beam_option
 @strict_option
 @seed_option
 @worker_options
@@ -162,7 +165,7 @@ def train(
     coal/a.wav, gangue/b.wav. A scene is a .toml file or the name of a shipped one; its signals are not written to disk.
 
     A manifest is a .csv file with the columns path and label (and as needed start, end, group, channel, sensor,
-    reference, rate, unit, variable, format, sensitivity, gain, full_scale, invert), or a .toml file with a
+    reference, rate, unit, variable, format, sensitivity, gain, full_scale, invert, same_beam), or a .toml file with a
     [[recording]] for each file, which may list intervals = [{ start, end, label }]. cgid events writes one with a row
     for each impact, --template one with a row for each recording; fill in the labels. A group (a recording, a day, a
     support) is never on both sides of a split; each group in turn judges what was chosen and trained on the others.
@@ -191,7 +194,8 @@ def train(
     path = check_model_output(Path(output), plots=plots, overwrite=overwrite)
     if (base := options.pop("base")) is not None:
         refuse(context, _OF_TRAINING, "--from corrects a model instead of training one")
-        return _correct(data, base, path, reading, strict=options["strict"], plots=plots, as_json=as_json)
+        how = reading.of_manifest(strict=options["strict"], same_beam=options["same_beam"])
+        return _correct(data, base, path, reading, how, plots=plots, as_json=as_json)
     names = options.pop("names")
     options["features"] = None if names is None else choose([name.strip() for name in names.split(",")])
     options["class_weights"] = _class_weights(options["class_weights"])
@@ -220,13 +224,15 @@ def train(
     return failures[0].exit_code if failures else 0
 
 
-def _correct(data: tuple[str, ...], base: str, path: Path, reading: Reading, **given: bool) -> int:
+def _correct(
+    data: tuple[str, ...], base: str, path: Path, reading: Reading, how: ManifestReading, **given: bool
+) -> int:
     """Correct a model by labelled impacts."""
     from cgid.cli.correction import correct_model
 
     if len(data) != 1 or not _recorded(data[0]):
         raise BadData(f"{data[-1]}: --from needs one table of labelled impacts, as written by cgid events")
-    return correct_model(_manifest(data[0]), base, path, reading, **given)
+    return correct_model(_manifest(data[0]), base, path, reading.dead_time, how, **given)
 
 
 def _recorded(item: str) -> bool:
@@ -282,6 +288,12 @@ def _from_signals(data: list[str], options: dict[str, Any]) -> tuple[Any, list[A
     given = options["start_error"]
     sources = _sources(data, None if given is None else share_of("--start-error", given))
     scene = sources[0] if len(sources) == 1 and isinstance(sources[0], Scene) else None
+    points = _points_of_one_beam(scene, options)
+    if points and scene is not None:
+        from cgid.scene.through_beam import moved
+
+        scene = moved(scene, points[0])
+        sources, options = [scene], {**options, "sensors": []}
     given = {name: options[name] for name in (*_COMMON, "test_share", "calibration_share")}
     n_signals = options["n_signals"]
     if scene is not None and not (given["features"] or options["drop_height"] or options["sensors"]):
@@ -290,7 +302,8 @@ def _from_signals(data: list[str], options: dict[str, Any]) -> tuple[Any, list[A
         if is_streamable(scene):
             del given["features"]
             with progress_bar(sum(numbers_of_streams(scene, n_signals)), "simulated streams", "measuring") as progress:
-                return train_on_streams(scene, n_signals, progress=progress, **given), []
+                training = train_on_streams(scene, n_signals, progress=progress, **given)
+            return _behind(training, scene, points, full=True), []
     beam = _beam(sources, options)
     total = sum(n_signals if isinstance(source, Scene) else len(source) for source in sources)
     with progress_bar(total, "signals", "measuring") as progress:
@@ -301,7 +314,37 @@ def _from_signals(data: list[str], options: dict[str, Any]) -> tuple[Any, list[A
             progress=progress,
             **given,
         )
-    return training, []
+    return _behind(training, scene, points), []
+
+
+def _points_of_one_beam(scene: Scene | None, options: dict[str, Any]) -> list[tuple[float, float]]:
+    """Return the points of sensors that are each used alone, and whose answers are joined; none if not requested."""
+    sensors, groups = options["sensors"], list(options["same_beam"])
+    if not groups:
+        return []
+    expected = "+".join(str(number) for number in range(1, len(sensors) + 1))
+    if scene is None or len(sensors) < 2 or groups != [expected]:
+        raise InvalidValue(
+            f"--same-beam must be {expected if len(sensors) > 1 else '1+2'}, the sensors of one scene in the order of "
+            f"two or more --sensor, got {', '.join(groups)}; recordings have their own --same-beam"
+        )
+    return list(sensors)
+
+
+def _behind(training: Any, scene: Scene | None, points: list[tuple[float, float]], *, full: bool = False) -> Any:
+    """Return a training on the first of some sensors of a beam, with a model that knows the places of all."""
+    from dataclasses import replace
+
+    from cgid.scene.through_beam import beam_of, full_beam
+
+    if not points or scene is None:
+        return training
+    model = training.model
+    if model.beam is None:
+        raise InvalidValue("--same-beam of a scene needs features through the beam; leave --features out")
+    arrays = {name: array for name, array in model.arrays.items() if not name.startswith("beam.")}
+    beam = (full_beam if full else beam_of)(scene, sensors=points)
+    return replace(training, model=replace(model, arrays=arrays | beam.arrays))
 
 
 def _from_recordings(
@@ -322,7 +365,7 @@ def _from_recordings(
             manifest,
             options["features"],
             slicing=slicing,
-            reading=reading.of_manifest(strict=options["strict"]),
+            reading=reading.of_manifest(strict=options["strict"], same_beam=options["same_beam"]),
             level_free=options["level_free"],
             augment=True,
             progress=progress,

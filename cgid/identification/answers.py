@@ -240,6 +240,17 @@ def identify_events(
     beam: BeamStream | None = None,
 ) -> list[Answer]:
     """Return one prediction for each detected impact, in order; `beam` is the state of a stream."""
+    return measured_events(events, model, settings, channels, beam)[0]
+
+
+def measured_events(
+    events: Sequence[Event],
+    model: Model,
+    settings: PredictionSettings,
+    channels: Sequence[str],
+    beam: BeamStream | None = None,
+) -> tuple[list[Answer], Floats]:
+    """Return predictions as `identify_events`, and what was measured, (n_events, n_measured), nan where it was not."""
     if model.kind != "window" and any(np.atleast_2d(event.samples).shape[0] != model.together for event in events):
         raise BadData(
             f"channels must be {model.together}, one for each sensor of this model, in the order of its training; give "
@@ -248,12 +259,13 @@ def identify_events(
     sensors = settings.sensors_for(model, channels)
     known = known_columns(model.known, 1, settings.drop_height)
     answers: dict[int, Answer] = {}
+    values = np.full((len(events), len(model.measured)), np.nan)
     for sensor in dict.fromkeys(sensors):
         of_sensor = [number for number, event in enumerate(events) if sensors[event.channel] == sensor]
         for some, frames in frames_alike([events[number] for number in of_sensor]):
             numbers = [of_sensor[number] for number in some]
             event = events[numbers[0]]
-            part = _identified(
+            part, values[numbers] = _identified(
                 frames,
                 event.sampling_rate,
                 model,
@@ -267,7 +279,8 @@ def identify_events(
                 channel=np.array([events[k].since * len(channels) + events[k].channel for k in numbers]),
             )
             answers |= zip(numbers, part, strict=True)
-    return [_placed(answers[number], event, channels) for number, event in enumerate(events)]
+    values[[bool(event.problem) for event in events]] = np.nan
+    return [_placed(answers[number], event, channels) for number, event in enumerate(events)], values
 
 
 def _placed(answer: Answer, event: Event, channels: Sequence[str]) -> Answer:
@@ -337,7 +350,7 @@ def identify_frames(
         pre_trigger=pre_trigger,
         detection_limit=detection_limit,
         equalisation=equalisation,
-    )
+    )[0]
 
 
 def _identified(
@@ -352,11 +365,11 @@ def _identified(
     equalisation: Equalisation | None,
     beam: BeamStream | None = None,
     channel: NDArray[np.intp] | None = None,
-) -> list[Answer]:
-    """Return one prediction for each frame; `known` are inputs of the model besides the features."""
+) -> tuple[list[Answer], Floats]:
+    """Return one prediction for each frame, and what was measured; `known` are inputs besides the features."""
     if frames.shape[-1] < MINIMUM_FRAME:
         short = f"a frame must contain at least {MINIMUM_FRAME} samples, got {frames.shape[-1]}"
-        return [unmeasured(short)] * len(frames)
+        return [unmeasured(short)] * len(frames), np.full((len(frames), len(model.measured)), np.nan)
     values, problems = measured(
         frames.reshape(-1, frames.shape[-1]),
         sampling_rate,
@@ -379,9 +392,9 @@ def _identified(
     ]
     identified = with_frames(identified, frames, sampling_rate, model, pre_trigger)
     if settings.impactors is None:
-        return identified
+        return identified, values
     estimates = settings.impactors(frames, sampling_rate, model, pre_trigger, detection_limit)
-    return [replace(answer, impactor=estimate) for answer, estimate in zip(identified, estimates, strict=True)]
+    return [replace(answer, impactor=one) for answer, one in zip(identified, estimates, strict=True)], values
 
 
 def answers_from(

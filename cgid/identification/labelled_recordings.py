@@ -11,7 +11,8 @@ from bisect import bisect_right
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from itertools import compress, groupby, product
+from functools import cached_property
+from itertools import chain, compress, groupby, product
 from typing import Any, NamedTuple, NoReturn
 
 import numpy as np
@@ -23,8 +24,10 @@ from cgid.identification.detection import ImpactDetector
 from cgid.identification.events import Event, frames_alike
 from cgid.identification.manifest import Annotation, Manifest
 from cgid.identification.model import Model
+from cgid.identification.prediction_settings import require_groups
 from cgid.identification.reference import Equalisations, MeanSpectrum, equalisations_of
 from cgid.identification.rows import Rows, Slicing, default_guards, sets_for, union_of
+from cgid.identification.same_beam import Rocks, agreeing, behind_each_sensor, grouped, joined, pulse_columns
 from cgid.identification.silence import Silence, silence_of
 from cgid.identification.through_beam import ThroughBeam
 from cgid.identification.windows import WINDOW_TIME, Grid, NoisyCopies, complete_windows, measure_windows, windows_of
@@ -46,6 +49,7 @@ class Reading:
     sampling_rate: float | None = None
     unit: str | None = None
     channels: tuple[int | str, ...] | None = None
+    same_beam: tuple[str, ...] = ()
     strict: bool = False
     sensitivity: Statement | None = None
     gain: Statement | None = None
@@ -71,6 +75,12 @@ class AnnotatedFile:
     recording: RecordingFile
     unit: str
     digest: str  # SHA-256 of the file
+    groups: list[tuple[int, ...]]  # rows of the channels of each beam
+
+    @property
+    def is_grouped(self) -> bool:
+        """Whether channels share a beam."""
+        return len(self.groups) < len(self.recording.channels)
 
     @property
     def upright(self) -> float:
@@ -108,7 +118,8 @@ def open_all(
     for rows in _by_channels([one for one in manifest.annotations if one.reference == references]):
         try:
             file = _opened(rows, reading)
-            require_alike(file.recording, (files or [file])[0].recording)
+            first = (files or [file])[0]
+            require_alike(file.recording, first.recording, counts=not (file.is_grouped or first.is_grouped))
             files.append(file)
         except CgidError as error:
             reading.note(error, failures)
@@ -193,7 +204,9 @@ def _opened(annotations: tuple[Annotation, ...], reading: Reading) -> AnnotatedF
             digest = hashlib.file_digest(content, "sha256").hexdigest()
     except OSError as error:
         raise NoInput(f"{first.path}: the file cannot be read ({error.strerror}); check it") from None
-    file = AnnotatedFile(annotations=annotations, recording=recording, unit=unit, digest=digest)
+    named = recording.named(require_groups(first.same_beam or reading.same_beam), "same_beam", all_read=False)
+    groups = grouped([channel.name for channel in recording.channels], named)
+    file = AnnotatedFile(annotations=annotations, recording=recording, unit=unit, digest=digest, groups=groups)
     file.require_inside(recording.n_samples)
     return file
 
@@ -214,8 +227,8 @@ def unit_of(recording: RecordingFile) -> str:
     return unit
 
 
-def require_alike(recording: RecordingFile, first: RecordingFile) -> None:
-    """Raise `BadData` unless two recordings can train one model, with one quantity and number of channels."""
+def require_alike(recording: RecordingFile, first: RecordingFile, *, counts: bool = True) -> None:
+    """Raise `BadData` unless two recordings can train one model, one quantity and, if `counts`, number of channels."""
     units = [unit_of(one) for one in (recording, first)]
     got, required = (f"{quantity_of(unit)} [{unit}]" for unit in units)
     if quantity_of(units[0]) != quantity_of(units[1]):
@@ -223,10 +236,10 @@ def require_alike(recording: RecordingFile, first: RecordingFile) -> None:
             f"{recording.source}: recordings must be of one quantity, got {got} after {required} of {first.source}; "
             "train apart"
         )
-    counts = [len(one.channels) for one in (recording, first)]
-    if counts[0] != counts[1]:
+    n_channels, n_first = len(recording.channels), len(first.channels)
+    if counts and n_channels != n_first:
         raise BadData(
-            f"{recording.source}: recordings must have equally many channels, got {counts[0]} after {counts[1]} of "
+            f"{recording.source}: recordings must have equally many channels, got {n_channels} after {n_first} of "
             f"{first.source}; choose with --channel, or channel in the manifest"
         )
 
@@ -235,10 +248,11 @@ def _require_single(files: Sequence[AnnotatedFile], reading: Reading) -> None:
     """Raise `InvalidValue` if several channels are named for single impacts, which use one channel."""
     for file in files:
         named = file.annotations[0].channels or reading.channels
-        if named and len(file.recording.channels) > 1:
+        if named and len(file.groups) > 1:
             raise InvalidValue(
                 f"{file.recording.source}: channel must be one for single impacts, got {'+'.join(map(str, named))}; "
-                "name one, leave channel out for a row per channel, or give --by window to combine several"
+                "name one, leave channel out for a row per channel, give --same-beam if they are on one beam, or --by "
+                "window to combine several"
             )
 
 
@@ -296,13 +310,18 @@ def record(
     slicing, notes, warnings = _decided(files, slicing, features)
     if slicing.by == "impact":
         _require_single(files, reading)
+    elif grouped_file := next((file for file in files if file.is_grouped), None):
+        raise InvalidValue(
+            f"{grouped_file.recording.source}: same_beam must be left out for windows, which use their channels "
+            "together; or give --by impact"
+        )
     names = _names(features, files, slicing, level_free)
     if model is None:
         names += tuple(name for name in default_guards(names) if name not in names)
     runs = open_all(manifest, replace(reading, strict=True), failures, references=True)
     references = reference_spectra(runs, files[0], slicing.window_time)
-    unit, beam = (files[0].unit, None) if model is None else (model.unit, model.beam)
-    cutting = _Cutting(names, slicing, unit, equalisations_of(references), augment, beam)
+    unit = files[0].unit if model is None else model.unit
+    cutting = _Cutting(names, slicing, unit, equalisations_of(references), augment, model)
     measured: list[tuple[AnnotatedFile, list[Piece]]] = []
     for file in files:
         try:
@@ -467,7 +486,20 @@ class _Cutting:
     unit: str
     equalisations: Equalisations
     augment: bool = False
-    beam: ThroughBeam | None = None
+    model: Model | None = None
+
+    @cached_property
+    def beams(self) -> list[ThroughBeam | None]:
+        """The beam behind each sensor of the model."""
+        assert self.model is not None
+        return [look.beam for look in behind_each_sensor(self.model)]
+
+    def beam(self, file: AnnotatedFile, channel: int) -> ThroughBeam | None:
+        """Return the beam behind a channel."""
+        if self.model is None or not file.is_grouped:
+            return None if self.model is None else self.model.beam
+        rows = next(rows for rows in file.groups if channel in rows)
+        return self.beams[rows.index(channel) % len(self.beams)]
 
 
 class Piece(NamedTuple):
@@ -509,8 +541,11 @@ def _windows(file: AnnotatedFile, cutting: _Cutting) -> Iterator[Piece]:
 
 def _impacts(file: AnnotatedFile, cutting: _Cutting) -> Iterator[Piece]:
     """Yield annotation, times and features of the impacts in annotated intervals; the detector gets all samples."""
-    # As in prediction, channels are separate sensors: an impact gives a row for each channel that measures it.
+    # As in prediction, channels are separate sensors: an impact gives a row for each channel that measures it, or one
+    # for those of a beam.
     recording = file.recording
+    names = [channel.name for channel in recording.channels]
+    rocks: Rocks[_Part] = Rocks(file.groups, recording.sampling_rate)
     sign = file.upright
     detector = ImpactDetector(
         recording.sampling_rate,
@@ -519,12 +554,51 @@ def _impacts(file: AnnotatedFile, cutting: _Cutting) -> Iterator[Piece]:
         dead_time=cutting.slicing.dead_time,
         gaps=True,
     )
-    for block in file.blocks():
-        yield from _measured_events(detector.feed(sign * block), file, cutting)
-    yield from _measured_events(detector.finish(), file, cutting)
+    for block in chain(file.blocks(), [None]):
+        pieces = _measured_events(detector.finish() if block is None else detector.feed(sign * block), file, cutting)
+        if not file.is_grouped:
+            for annotation, channel, times, features in pieces:
+                yield Piece(annotation, times, features, np.full(len(times), np.inf), names[channel])
+            continue
+        parts = [
+            _Part(channel, round(time * recording.sampling_rate), annotation, time, row)
+            for annotation, channel, times, features in pieces
+            for time, row in zip(times.tolist(), features, strict=True)
+        ]
+        known_until = np.inf if block is None else detector.known_until
+        for rock in rocks.feed(sorted(parts, key=lambda part: part.onset), known_until):
+            rows = next(rows for rows in file.groups if rock[0].channel in rows)
+            features, name = _of_rock(rock, cutting.names)[None], "+".join(names[row] for row in rows)
+            yield Piece(rock[0].annotation, np.array([rock[0].time]), features, np.array([np.inf]), name)
 
 
-def _measured_events(events: list[Event], file: AnnotatedFile, cutting: _Cutting) -> Iterator[Piece]:
+class _Part(NamedTuple):
+    """What one channel measures of a rock."""
+
+    channel: int
+    onset: int
+    annotation: Annotation
+    time: float
+    values: Floats
+
+
+def _of_rock(rock: Sequence[_Part], names: tuple[str, ...]) -> Floats:
+    """Return the features of a rock from those of its channels, nan if none could be measured."""
+    measured = [part.values for part in rock if np.isfinite(part.values).all()]
+    if len(measured) < 2:
+        return (measured or [rock[0].values])[0]
+    values = np.stack(measured)
+    if columns := pulse_columns(names):
+        # What a channel leaves unexplained tells which of two is wrong.
+        misfit = values[:, names.index("beam_unexplained")] if "beam_unexplained" in names else np.zeros(len(values))
+        values = values[agreeing(values[:, columns], misfit.tolist())]
+    return joined(values, names)
+
+
+def _measured_events(
+    events: list[Event], file: AnnotatedFile, cutting: _Cutting
+) -> Iterator[tuple[Annotation, int, Floats, Floats]]:
+    """Yield annotation, channel, times and features of the impacts in annotated intervals."""
     starts = [one.start for one in file.annotations]
     inside: dict[tuple[int, int], list[Event]] = {}
     for event in events:
@@ -543,8 +617,7 @@ def _measured_events(events: list[Event], file: AnnotatedFile, cutting: _Cutting
                 invalid="nan",
                 detection_limit=some[0].detection_limit,
                 equalisation=cutting.equalisations[annotation.sensor][channel] if annotation.sensor else None,
-                beam=cutting.beam,
+                beam=cutting.beam(file, channel),
             )
             features[[bool(event.problem) for event in some]] = np.nan
-            times, name = np.array([event.time for event in some]), file.recording.channels[channel].name
-            yield Piece(annotation, times, features, np.full(len(some), np.inf), name)
+            yield annotation, channel, np.array([event.time for event in some]), features

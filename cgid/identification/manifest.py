@@ -21,6 +21,7 @@ from typing import Any
 from cgid import validation
 from cgid.errors import BadData, CannotCreate, CgidError, InvalidValue, NoInput
 from cgid.files import parse_toml, read_regular
+from cgid.identification.prediction_settings import require_groups
 from cgid.recordings.chain import Chain, Gain
 from cgid.terminal import counted, spreadsheet_cell, text_of_cell
 from cgid.units import quantity_of
@@ -29,7 +30,7 @@ from cgid.validation import shown
 #: The columns of a row.
 COLUMNS = (
     *("path", "label", "start", "end", "group", "channel", "gain", "sensor", "reference", "rate", "unit"),
-    *("variable", "format", "sensitivity", "full_scale", "invert"),
+    *("variable", "format", "sensitivity", "full_scale", "invert", "same_beam"),
 )
 #: Name of a column -> its title in a CSV file; the name is also read, since earlier versions wrote it.
 _TITLES = {"start": "start_s", "end": "end_s", "rate": "rate_Hz"}
@@ -55,7 +56,7 @@ _NUMBERS_ONLY = re.compile(r"(?=.*\d)(?:[\d\s.,;:+/\"'-]|[ed][+-]?\d|[ap]m|[tz]|
 _SHARED = tuple(name for name in COLUMNS if name not in ("path", "label", "start", "end", "reference"))
 #: Columns for a complete recording, and the attributes of annotations for them.
 _OF_RECORDINGS = {
-    **{name: name for name in ("sensitivity", "full_scale", "unit", "variable", "format", "invert")},
+    **{name: name for name in ("sensitivity", "full_scale", "unit", "variable", "format", "invert", "same_beam")},
     "gain": "recording_gain",
     "rate": "sampling_rate",
 }
@@ -91,6 +92,7 @@ class Annotation:
     format: str | None = None
     sensitivity: tuple[str, ...] | None = None
     full_scale: tuple[str, ...] | None = None
+    same_beam: tuple[str, ...] = ()  # groups of channels of one beam, such as 1+2, whose impacts are one row
 
     @property
     def name(self) -> str:
@@ -147,6 +149,7 @@ def annotation_of(row: Mapping[str, Any], folder: Path, labels: tuple[str, ...] 
         format=None if format_name is None else _word("format", format_name),
         sensitivity=sensitivity,
         full_scale=full_scale,
+        same_beam=tuple("+".join(group) for group in require_groups(_of_channels(row.get("same_beam")) or ())),
     )
 
 
@@ -237,7 +240,7 @@ def _value_text(value: Any) -> str:
     """Return a value as in a manifest."""
     if isinstance(value, bool):
         return "yes" if value else "no"
-    return " and ".join(value) if isinstance(value, tuple) else "none" if value is None else f"{value}"
+    return " and ".join(value) or "none" if isinstance(value, tuple) else "none" if value is None else f"{value}"
 
 
 # -- the file ---------------------------------------------------------------------------------------------
@@ -477,7 +480,7 @@ def recordings_in(folder: Path) -> list[Path]:
 
 
 def recordings_of(files: Sequence[str]) -> list[str]:
-    """Return files, for a folder that is no dataset the recordings in it."""
+    """Return files, for a folder that is no dataset the recordings in it, each once."""
     every: list[str] = []
     for file in files:
         if Path(file).is_dir():
@@ -486,7 +489,9 @@ def recordings_of(files: Sequence[str]) -> list[str]:
             every += [file] if is_dataset_folder(Path(file)) else map(str, recordings_in(Path(file)))
         else:
             every.append(file)
-    return every
+    # A recording named twice, such as by its folder, is read once.
+    once = {os.path.realpath(file): file for file in reversed(every)}
+    return list(reversed(once.values()))
 
 
 def joined(manifests: Sequence[Manifest]) -> Manifest:

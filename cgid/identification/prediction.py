@@ -35,6 +35,7 @@ if TYPE_CHECKING:
 #: Fields of `PredictionSettings` that `predict` accepts: all except those of the gangue fraction.
 _SETTINGS = (
     "costs", "coverage", "class_conditional", "drop_height", "mass", "invert", "sensors", "dead_time", "vote_time",
+    "same_beam",
 )  # fmt: skip
 
 
@@ -95,7 +96,8 @@ def predict(
         in `cgid.open_recording`. A `full_scale` may include the unit.
     **settings
         Fields of `cgid.identification.prediction_settings.PredictionSettings`, such as ``mass=2.5`` [kg] of an
-        accelerated impactor, ``drop_height=1.5`` [m], ``invert=True``, ``costs={"gangue": 3.0}`` or ``coverage=0.9``.
+        accelerated impactor, ``drop_height=1.5`` [m], ``invert=True``, ``costs={"gangue": 3.0}``, ``coverage=0.9`` or,
+        for channels of one beam, ``same_beam=[("1", "2")]``.
 
     Returns
     -------
@@ -108,8 +110,9 @@ def predict(
     Warns
     -----
     UserWarning
-        A channel has no impact, for the reason given, gives no sound samples for five seconds, has a wrong scale, or
-        samples that no sensor can give are left out.
+        A channel has no impact, for the reason given, gives no sound samples for five seconds, or has a wrong scale;
+        samples that no sensor can give are left out; channels hear the same rocks and are not declared as `same_beam`,
+        or one of such channels is left out.
 
     Raises
     ------
@@ -164,7 +167,8 @@ def predict(
     answers: list[Answer] = []
     reports: list[Report] = []
     diagnosis, sensors = Diagnosis(loaded), SensorWatch(len(names), first.sampling_rate)
-    watch = CavingWatch(loaded, answering_channels(loaded, names), applied, sensors=sensors, channels=names)
+    supports = answering_channels(loaded, names, applied.same_beam)
+    watch = CavingWatch(loaded, supports, applied, sensors=sensors, channels=names)
     for step in identify_blocks(sensors.watching(blocks), first.sampling_rate, loaded, names, applied, first.source):
         answers += step.answers
         reports += watch.feed(step.answers, step.until)

@@ -117,6 +117,9 @@ class PredictionSettings:
         The recording ends where no channel has a sample that a sensor can give for this long; None: it goes on.
     impactors : ExtraColumns, optional
         Estimates the impactor, such as `cgid.impactor.ImpactorColumns`.
+    same_beam : tuple of tuple of str
+        Channels of one beam, by name or number from 1, such as (("1", "2"), ("3", "4")): an impact that several of them
+        measure is one prediction.
     """
 
     costs: Mapping[str, float] = field(default_factory=dict)
@@ -138,6 +141,7 @@ class PredictionSettings:
     blind_after: float | None = None
     give_up: float | None = None
     impactors: ExtraColumns | None = None
+    same_beam: tuple[tuple[str, ...], ...] = ()
 
     def __post_init__(self) -> None:
         validation.instance("costs", self.costs, Mapping)
@@ -145,6 +149,7 @@ class PredictionSettings:
             validation.instance(name, getattr(self, name), bool, np.bool_)
         if not (isinstance(self.sensors, tuple | list) and all(isinstance(one, str) for one in self.sensors)):
             raise InvalidValue(f"sensors must be a tuple of names, as in ('left', 'right'), got {shown(self.sensors)}")
+        object.__setattr__(self, "same_beam", require_groups(self.same_beam))
         for name, rule in RULES.items():
             if (value := getattr(self, name)) is not None:
                 validation.number(name, value, rule=rule)
@@ -235,6 +240,33 @@ class PredictionSettings:
         """Whether an option requests gangue fractions, so that even a single impact has them."""
         decides = (self.share_time, self.dilution_cost, self.evidence, self.hold)
         return bool(self.gangue) or any(one is not None for one in decides)
+
+
+def require_groups(groups: Any) -> tuple[tuple[str, ...], ...]:
+    """Return the groups of channels of one beam; raises `InvalidValue` unless each names two or more, no channel twice.
+
+    >>> require_groups(["1+2", (3, 4)])
+    (('1', '2'), ('3', '4'))
+    """
+    listed = groups if isinstance(groups, list | tuple) else None
+    parts = [one.split("+") if isinstance(one, str) else one for one in listed or ()]
+    if listed is None or not all(isinstance(one, list | tuple) for one in parts):
+        raise InvalidValue(f"same_beam must be groups of channels, as in (('1', '2'), ('3', '4')), got {shown(groups)}")
+    named = tuple(tuple(str(channel).strip() for channel in one) for one in parts)
+    for one in named:
+        if len(one) < 2 or not all(one):
+            raise InvalidValue(
+                f"same_beam must name two or more channels of a beam, as in 1+2, got {'+'.join(one) or 'none'}; a beam "
+                "of one channel needs no group"
+            )
+    channels = [channel for one in named for channel in one]
+    for channel in channels:
+        if channels.count(channel) > 1:
+            raise InvalidValue(
+                f"same_beam must name each channel once, got {channel} twice in {', '.join(map('+'.join, named))}; "
+                "write channels of one beam as one group, such as 1+2+3"
+            )
+    return named
 
 
 def known_columns(known: tuple[str, ...], n_impacts: int, drop_height: ArrayLike | None) -> Floats:

@@ -25,7 +25,7 @@ from cgid.measure.beam import Beam
 from cgid.measure.features import FEATURES, any_through_beam, choose, extract_array, kind_for, kind_of, supported
 from cgid.measure.spectra import THIRD_OCTAVES
 from cgid.measure.table import MIN_BANDWIDTH, Kind
-from cgid.measure.vibration import EARLY_BANDS
+from cgid.measure.vibration import BEAM_PULSE, EARLY_BANDS
 from cgid.signals import KNOWN, Batch
 from cgid.units import UNITS, quantity_of
 from cgid.validation import Floats
@@ -46,17 +46,7 @@ DEFAULT_VIBRATION_FEATURES = (
     *(f"early_level_{low}_{high}_hz" for low, high in EARLY_BANDS),
 )
 #: Features of a model with a beam, and its guards.
-BEAM_FEATURES = (
-    "beam_peak_force",
-    "beam_pulse_width",
-    "beam_restitution",
-    "beam_peak_force_deviation",
-    "beam_pulse_width_deviation",
-    "beam_restitution_deviation",
-    "beam_peak_width_correlation",
-    "beam_peak_restitution_correlation",
-    "beam_width_restitution_correlation",
-)
+BEAM_FEATURES = BEAM_PULSE
 BEAM_GUARDS = ("beam_unexplained", "beam_surely_unexplained")
 #: Synthetic rows of a label per recorded one; more would outweigh the measurements.
 MAX_SYNTHETIC = 10

@@ -23,6 +23,7 @@ from cgid.identification.events import Event
 from cgid.identification.model import Model
 from cgid.identification.prediction_settings import PredictionSettings
 from cgid.identification.reference import MeanSpectrum, drift
+from cgid.identification.same_beam import SameBeam, Together, pooled, rows_of
 from cgid.identification.windows import RunningVote, complete_windows, measure_windows, windows_of
 from cgid.measure.features import FEATURES, require_measurable
 from cgid.measure.filters import Equalisation
@@ -91,9 +92,10 @@ def identify_recording(
         The unit of a channel, or the drop height that the model needs, is not given.
     """
     settings = replace(settings or PredictionSettings(), **fields)
+    settings = replace(settings, same_beam=recording.named(settings.same_beam, "same_beam"))
     channels, source = recording.channels, recording.source
     factors = factors_for(model, channels, settings, source)
-    gaps = recording.gaps(range(len(channels)), settings.give_up, joint=model.together > 1)
+    gaps = recording.gaps(range(len(channels)), settings.give_up, joint=model.together > 1 and not settings.same_beam)
     blocks = scaled(gaps.marked(recording.blocks(gaps=True)), factors)
     names = [channel.name for channel in channels]
     for step in identify_blocks(blocks, recording.sampling_rate, model, names, settings, source):
@@ -152,7 +154,7 @@ def _impacts(
 ) -> Iterator[Step]:
     """Yield the predictions for impacts: when a batch is full, or when no impact is pending."""
     kind: ImpactKind = "pulse" if model.kind == "pulse" else "vibration"
-    joint, beam = model.together > 1, None if model.beam is None else model.beam.stream()
+    joint, beam = model.together > 1 and not settings.same_beam, None if model.beam is None else model.beam.stream()
     waiting: list[Event] = []
     silent, warned = set(range(len(channels))), set[int]()
     quiet = _Quiet(sampling_rate, len(channels)) if kind == "vibration" else None
@@ -161,7 +163,10 @@ def _impacts(
         return source if list(channels) == ["1"] else f"{source} channel {channels[row]}"
 
     with _named(source):
-        names = answering_channels(model, channels)
+        groups = rows_of(model, channels, settings.same_beam)
+        names = answering_channels(model, channels, settings.same_beam)
+        same_beam = SameBeam(model, channels, settings, sampling_rate, source) if settings.same_beam else None
+        together = Together(sampling_rate, ((row,) for row in range(len(channels))))
         detector = ImpactDetector(
             sampling_rate, len(channels), kind=kind, dead_time=settings.dead_time, joint=joint, gaps=True
         )
@@ -177,14 +182,25 @@ def _impacts(
             warned = loud
             if not (ended or heard or not waiting or len(waiting) >= settings.batch):
                 continue
+            until: float = detector.known_until
+            if same_beam is None:
+                answers = identify_events(waiting, model, settings, channels=names, beam=beam)
+                lines = [f"{source}: {text}" for text in together.feed(waiting, channels)]
+            else:
+                answers, begin, lines = same_beam.identified(waiting, np.inf if ended else until)
+                until = min(until, begin)
             yield Step(
-                identify_events(waiting, model, settings, channels=names, beam=beam),
-                detector.known_until / sampling_rate,
+                answers,
+                until / sampling_rate,
                 silent=tuple(
                     f"{named(row)}: {detector.why_silent(row, model.unit)}" for row in sorted(silent) if ended
                 ),
-                warnings=tuple(heard),
-                upside_down=tuple(one for row, one in enumerate(channels) if detector.is_upside_down(row))
+                warnings=(*heard, *lines),
+                upside_down=tuple(
+                    name
+                    for name, rows in zip(names, groups, strict=True)
+                    if any(detector.is_upside_down(row) for row in rows)
+                )
                 if ended
                 else None,
             )
@@ -214,16 +230,11 @@ class _Quiet:
         return set(np.flatnonzero(self._n_quiet < _N_QUIET).tolist())
 
 
-def answering_channels(model: Model, channels: Sequence[str]) -> tuple[str, ...]:
-    """Return the names of the channels of predictions: one per channel, or one for all channels used together."""
-    if model.together == 1:
-        return tuple(channels)
-    if model.together != len(channels):
-        raise BadData(
-            f"channels must be {model.together}, which this model uses together, got {len(channels)}; pick them "
-            "with --channel"
-        )
-    return ("+".join(channels),)
+def answering_channels(
+    model: Model, channels: Sequence[str], same_beam: Sequence[Sequence[str]] = ()
+) -> tuple[str, ...]:
+    """Return the names of the channels of predictions: each channel, or those of one beam or used together in one."""
+    return tuple("+".join(channels[row] for row in rows) for rows in rows_of(model, channels, same_beam))
 
 
 def independence(model: Model, settings: PredictionSettings) -> float:
@@ -241,14 +252,17 @@ def _windows(
 ) -> Iterator[Step]:
     """Yield the predictions for windows as they complete."""
     with _named(source):
-        names = answering_channels(model, channels)
+        groups = rows_of(model, channels, settings.same_beam)
+        names = answering_channels(model, channels, settings.same_beam)
+        # Each has its own votes and sensor.
+        looks = channels if model.n_channels == 1 else names
         times = settings.vote_over(model), model.window_time, model.hop_time
-        votes = [RunningVote.over(*times, model.vote_correlation) for _ in names]
-        sensors = settings.sensors_for(model, names)
+        votes = [RunningVote.over(*times, model.vote_correlation) for _ in looks]
+        sensors = settings.sensors_for(model, looks)
         equalisations = [None if sensor is None else model.equalisation(sensor) for sensor in sensors]
         drifts, seen = Drifts(model, sensors, sampling_rate), False
         for first, windows in windows_of(blocks, sampling_rate, model.window_time, model.hop_time):
-            parts = [windows] if model.n_channels > 1 else [windows[:, [row]] for row in range(len(names))]
+            parts = [windows] if model.n_channels > 1 else [windows[:, [row]] for row in range(len(looks))]
             predicted = [
                 _predicted(part, sampling_rate, model, settings, vote, equalisation)
                 for part, vote, equalisation in zip(parts, votes, equalisations, strict=True)
@@ -256,6 +270,11 @@ def _windows(
             for number, part in enumerate(parts):
                 drifts.see(number, part)
             length, seen = windows.shape[2], True
+            if settings.same_beam:
+                predicted = [
+                    [pooled(parts, model, settings) for parts in zip(*(predicted[row] for row in rows), strict=True)]
+                    for rows in groups
+                ]
             answers = [
                 replace(answered[row], time=start / sampling_rate, end=(start + length) / sampling_rate, channel=name)
                 for row, start in enumerate(first.tolist())

@@ -98,6 +98,11 @@ class Beam:
         """Number of sensors; their samples are inverted together."""
         return len(self.shares)
 
+    def of_sensor(self, number: int) -> Beam:
+        """Return the beam as one of its sensors measures it alone."""
+        alone = replace(self.modes, at_sensor=np.ones((1, len(self.poles))))
+        return replace(self, modes=alone).with_shapes(self.participation * self.shares[number][:, None, None])
+
     def with_shapes(self, participation: Floats) -> Beam:
         """Return the beam with other participations at the nodes."""
         return replace(self, modes=replace(self.modes, at_impact=NodeShapes(participation, self.region)))

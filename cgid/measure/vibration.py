@@ -423,11 +423,16 @@ _PACKETS = _bank(
     extra="wavelets",
 )
 
-#: Features of the contact forces, recovered through the beam.
-_BEAM = (
+#: Features of the pulse of the contact force, recovered through the beam: three quantities, the deviations of their
+#: logarithms, and the correlations of first and second, first and third, second and third.
+BEAM_PULSE = (
     *("beam_peak_force", "beam_pulse_width", "beam_restitution"),
     *("beam_peak_force_deviation", "beam_pulse_width_deviation", "beam_restitution_deviation"),
     *("beam_peak_width_correlation", "beam_peak_restitution_correlation", "beam_width_restitution_correlation"),
+)
+#: These, and features of the location and of what remains unexplained.
+_BEAM = (
+    *BEAM_PULSE,
     *("beam_impact_x", "beam_impact_y", "beam_place_deviation"),
     *("beam_misfit", "beam_unexplained", "beam_surely_unexplained"),
 )

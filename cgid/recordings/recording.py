@@ -406,6 +406,27 @@ class RecordingFile:
         """The warnings, without remarks."""
         return tuple(one for one in self.messages if not isinstance(one, Remark))
 
+    def named(
+        self, groups: Sequence[Sequence[str]], option: str, *, all_read: bool = True
+    ) -> tuple[tuple[str, ...], ...]:
+        """Return the names of groups of channels, each given by its name or its number in the file, from 1.
+
+        Raises `InvalidValue` for channels that are not selected; unless `all_read`, a group of such channels is left
+        out.
+        """
+        found = []
+        for group in groups:
+            rows = [row for one in group for row in self._contents.selected(one, self.source, option)]
+            if lacking := [row for row in rows if row not in self._selected]:
+                if len(lacking) == len(rows) and not all_read:
+                    continue
+                raise InvalidValue(
+                    f"{self.source}: {option} must name channels that are read, {self._contents.label(lacking[0])} is "
+                    "not; add it to --channel, or leave it out"
+                )
+            found.append(tuple(self._contents.label(row) for row in rows))
+        return tuple(found)
+
     def gaps(self, rows: Sequence[int], give_up: float | None = None, *, joint: bool = False) -> Gaps:
         """Return a marker of gaps in some channels for one reading, adding to `warnings`; arguments as in `Gaps`."""
         channels = [self.channels[row] for row in rows]

@@ -75,11 +75,11 @@ def through_modes(scene: Scene, beam: Beam) -> Beam:
     return replace(beam, modes=at_node)
 
 
-def full_beam(scene: Scene) -> Beam:
-    """Return the beam of a scene to look through, as far as rocks bounce; raises as `beam_of`."""
+def full_beam(scene: Scene, sensors: Iterable[tuple[float, float]] = ()) -> Beam:
+    """Return the beam of a scene to look through, as far as rocks bounce; arguments as of `beam_of`."""
     content = json.loads(scene.text)
     spread_over(content.get("tail_beam", {}))
-    return beam_of(parse_scene(content, folder=scene.folder))
+    return beam_of(parse_scene(content, folder=scene.folder), sensors=sensors)
 
 
 def spread_over(beam: dict[str, Any]) -> None:
