@@ -397,6 +397,8 @@ def _manifests(folder: Path, good: np.ndarray) -> None:
     intervals = "pair.csv,0,0.005,coal,{0}\npair.csv,0.005,1,gangue,{0}\n"
     for name, channel in (("m_pair", ""), ("m_together", "1+2")):
         (folder / f"{name}.csv").write_text("path,start,end,label,channel\n" + intervals.format(channel))
+    (folder / "m_beam.csv").write_text("path,label,same_beam\npair.csv,coal,1+1\n")
+    (folder / "mixed.csv").write_text(f"{header}left,right\n{rows}")
     wavfile.write(folder / "full_scale.wav", round(RATE), (good / 1e4).astype(np.float32))
     (folder / "papers" / "readme.md").write_text("nothing")
     _csv(folder / "loose" / "a.csv", good)
@@ -579,6 +581,23 @@ _COMMANDS = r"""
 65 | events pair.csv --channel 1+2 -o e.csv | pair.csv
 65 | train m_pair.csv --by impact --channel 1+2 -o new.npz | pair.csv
 65 | train m_together.csv --by impact -o new.npz | pair.csv
+65 | predict pair.csv --same-beam 1+1 | once, got 1 twice
+65 | predict pair.csv --same-beam 1 | two or more channels
+65 | predict pair.csv --same-beam left+up | channel 'up' is none of them
+65 | predict pair.csv --same-beam left+1 | got left twice
+65 | predict pair.csv --channel 1 --same-beam 1+2 | channels that are read, right is not
+65 | predict mixed.csv --unit 1=N,2=m/s^2 --same-beam 1+2 | one quantity
+65 | predict pair.csv --channel 1+2 | give --same-beam 1+2
+65 | predict two.h5 --same-beam 1+2 | --same-beam
+65 | events pair.csv --same-beam 1+9 -o e.csv | channel '9' is none of them
+65 | train m_pair.csv --by impact --same-beam 1+9 -o new.npz | channel '9' is none of them
+65 | train m_pair.csv --by window --same-beam 1+2 -o new.npz | same_beam
+65 | train m_beam.csv -o new.npz | row 2: same_beam
+65 | train reference --same-beam 1+2 -o new.npz | --same-beam must be 1+2
+65 | train tail_beam --sensor 0.5,0.4 --sensor 1,1 --same-beam 2+1 -o new.npz | --same-beam must be 1+2
+65 | info pair.csv --same-beam 1+9 | channel '9' is none of them
+65 | plot pair.csv --same-beam 1+9 -o new.png | channel '9' is none of them
+65 | monitor - --same-beam 1+1 | once, got 1 twice
 65 | events - -o e.csv | stdin
 66 | events gone.csv -o e.csv | gone.csv
 65 | events void -o e.csv | void

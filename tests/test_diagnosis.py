@@ -351,7 +351,7 @@ def recordings_with_hints(folder: Path) -> dict[str, tuple[str, list[str]]]:
         ),
         array("picked.npy", *two, motion): (
             "shape",
-            [*unstated, "--unit", "g", "--channel", "3+1", "--coverage", ".9"],
+            [*unstated, "--unit", "g", "--channel", "3", "--channel", "1", "--coverage", ".9"],
         ),
         "two channels.wav": ("shape", ["--full-scale", "5 g", "--dead-time", "6"]),
         array("faster.npy", resample_poly(motion, 2, 1)): ("shape", ["--rate", "51200", "--unit", "m/s^2"]),
