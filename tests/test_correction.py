@@ -209,6 +209,8 @@ def test_a_rock_that_two_channels_heard_counts_once(model: Model) -> None:
     one, two = (correct(model, recorded(impacts(40, 7), n_channels=n)) for n in (1, 2))
     assert [one.model.training["correction"][name] for name in ("n", "n_rocks")] == [40, 40]
     assert [two.model.training["correction"][name] for name in ("n", "n_rocks")] == [80, 40]
+    # A few impacts say less of the levels than the training.
+    assert two.model.level_range == model.level_range and two.model.level_deviation > 0
     # The other channel says the same: no further evidence.
     share = two.after["accuracy"]
     assert two.after["accuracy_interval_95"] == pytest.approx(wilson_interval(share, 40), abs=0.02)

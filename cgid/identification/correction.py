@@ -22,10 +22,10 @@ from scipy.optimize import minimize
 from cgid import validation
 from cgid.errors import BadData, InvalidValue
 from cgid.identification.families import Contrast, Standardiser, softmax
-from cgid.identification.grouped import SAME_IMPACT, groups_of_labels, level_range, warnings_of_few
+from cgid.identification.grouped import SAME_IMPACT, groups_of_labels, warnings_of_few
 from cgid.identification.metrics import clustered_interval, evaluate
 from cgid.identification.model import Model
-from cgid.identification.model_file import LEVEL_RANGE, STANDARDISER
+from cgid.identification.model_file import STANDARDISER
 from cgid.identification.rows import Rows
 from cgid.measure.features import FEATURES
 from cgid.units import quantity_of
@@ -124,10 +124,8 @@ def correct(model: Model, rows: Rows) -> Correction:
     # The metrics remain those of the training, of thousands; prediction sets have no guarantee for another beam.
     metrics = {**model.training.get("metrics", {}), "prediction_sets": []}
     training = {**model.training, "metrics": metrics, "correction": correction}
-    corrected = shifted(model, shift)
-    training[LEVEL_RANGE] = level_range(rows, corrected.levels(features))
     return Correction(
-        replace(corrected, training=training),
+        replace(shifted(model, shift), training=training),
         shift,
         before,
         after,

@@ -36,6 +36,7 @@ from cgid.identification.metrics import paired_difference
 from cgid.identification.model import MIN_GROUPS, inputs_of, level_weights
 from cgid.identification.rows import Rows, Sets, adapted, linear_columns
 from cgid.identification.windows import CLEAR, VOTE_TIME, RunningVote, independent_windows
+from cgid.terminal import counted
 from cgid.validation import Floats
 from cgid.workers import SERIAL, Workers
 
@@ -236,9 +237,9 @@ def warnings_of_few(counts: Mapping[str, int]) -> list[str]:
     if counts[label] >= MIN_GROUPS:
         return []
     return [
-        f"label {label} has {counts[label]} groups of recordings (days, supports); with fewer than {MIN_GROUPS} of "
-        "each label, expect lower accuracy on another day, which the intervals do not cover; add recordings of other "
-        "days"
+        f"label {label} has {counted(counts[label], 'group')} of recordings (days, supports); with fewer than "
+        f"{MIN_GROUPS} of each label, expect lower accuracy on another day, which the intervals do not cover; add "
+        "recordings of other days"
     ]
 
 
