@@ -480,7 +480,7 @@ def recordings_in(folder: Path) -> list[Path]:
 
 
 def recordings_of(files: Sequence[str]) -> list[str]:
-    """Return files, for a folder that is no dataset the recordings in it, each once."""
+    """Return files, for a folder that is no dataset the recordings in it."""
     every: list[str] = []
     for file in files:
         if Path(file).is_dir():
@@ -489,9 +489,7 @@ def recordings_of(files: Sequence[str]) -> list[str]:
             every += [file] if is_dataset_folder(Path(file)) else map(str, recordings_in(Path(file)))
         else:
             every.append(file)
-    # A recording named twice, such as by its folder, is read once.
-    once = {os.path.realpath(file): file for file in reversed(every)}
-    return list(reversed(once.values()))
+    return every
 
 
 def joined(manifests: Sequence[Manifest]) -> Manifest:

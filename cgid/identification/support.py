@@ -178,6 +178,7 @@ class CavingWatch:
         }
         self._waiting: deque[Answer] = deque()
         self._steps = 0
+        self._is_new = False  # whether predictions have come since the last gangue fraction
         self._changes: list[Change] = []
 
     def feed(self, answers: Iterable[Answer], until: float) -> list[Report]:
@@ -195,7 +196,7 @@ class CavingWatch:
     def finish(self, duration: float) -> list[Report]:
         """Return the remaining reports at the end of a recording of this duration [s]."""
         found = self.feed((), duration)
-        return found + list(self._at(duration)) if self._waiting or not self._steps else found
+        return found + list(self._at(duration)) if self._waiting or self._is_new or not self._steps else found
 
     def stopped(self, reason: str) -> list[Report]:
         """Return the reports of a stream whose samples have stopped; the next `feed` takes them up again."""
@@ -220,6 +221,7 @@ class CavingWatch:
         while self._waiting and self._waiting[0].time <= end:
             answer = self._waiting.popleft()
             self.diagnosis.add((answer,))
+            self._is_new = True
             support = self._supports[answer.channel]
             support.window.add(answer.time, self._probability(answer))
             if answer.label != UNKNOWN:
@@ -230,6 +232,7 @@ class CavingWatch:
                 turned = (name for name, one in self._supports.items() if self._sensors.turned[one.rows].any())
                 self.diagnosis.add((), turned)
         self._changes += self.diagnosis.changes(end)
+        self._is_new = self._is_new and in_between
         for name, support in self._supports.items():
             ground, since, reason = self._ground(name, support, end)
             if not in_between or ground != (Ground.SEEN if support.state is None else support.state.ground):

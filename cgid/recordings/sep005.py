@@ -15,7 +15,24 @@ from cgid.units import known_unit
 
 
 def from_sep005(channels: Iterable[Mapping[str, Any]], source: str = "SEP005") -> list[Signal]:
-    """Return the channels of another reader as signals; `BadData` names what one lacks. See the how-to on readers."""
+    """Return the channels of another reader as signals.
+
+    Parameters
+    ----------
+    channels : iterable of mapping
+        Channels in the form SEP005, with data (n_samples,), name, unit_str, and fs [Hz] or time [s].
+    source : str
+        Name of the recording.
+
+    Returns
+    -------
+    list of Signal
+
+    Raises
+    ------
+    BadData
+        A channel lacks one of these, or its times have a gap.
+    """
     signals = []
     for channel in channels:
         name = f"{source} {channel.get('name', '')}".strip()
@@ -42,7 +59,17 @@ def from_sep005(channels: Iterable[Mapping[str, Any]], source: str = "SEP005") -
 
 
 def to_sep005(signals: Iterable[Signal]) -> list[dict[str, Any]]:
-    """Return signals as SEP005; a unit that is not known is "-"."""
+    """Return signals as channels in the form SEP005.
+
+    Parameters
+    ----------
+    signals : iterable of Signal
+
+    Returns
+    -------
+    list of dict
+        A unit that is not known is "-".
+    """
     forms = []
     for one in signals:
         form = {"name": one.channel, "unit_str": one.unit or "-", "data": one.samples, "fs": one.sampling_rate}
