@@ -468,7 +468,7 @@ class RecordingFile:
     def blocks_with_gaps(self, *, joint: bool = False) -> Iterator[NDArray[Any]]:
         """Yield the samples as `blocks` does, with nan for impossible numbers; `warnings` report where.
 
-        Raises `BadData` at the end if no sample is readable, or if all channels (any `joint` one) were given up.
+        Raises `BadData` at the end if no sample of all channels (of a `joint` one) is readable.
         """
         gaps = self.gaps(range(len(self.channels)), joint=joint)
         yield from gaps.marked(self.blocks(gaps=True))
