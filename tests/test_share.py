@@ -469,6 +469,22 @@ def test_a_dead_sensor_is_blind_after_five_seconds_until_its_samples_are_sound(l
     }
 
 
+def test_what_came_on_another_ground_is_no_evidence() -> None:
+    """Sixty unknown impacts among gangue end with five that are coal: these alone count."""
+    rng = np.random.default_rng(2)
+    gangue = [
+        answer(t, gangue=0.99, novelty=2.0 if k % 6 else 0.5) for k, t in enumerate(np.arange(0, 10, 0.1).tolist())
+    ]
+    coal = flow(rng, 10, 16, 0.0)
+    reports = [one for one in reported(gangue + coal, [16.0], share_step=0.5) if one.state.share.channel == "1"]
+    unknown = [one.state.time for one in reports if one.state.ground == Ground.MOSTLY_UNKNOWN]
+    assert unknown
+    after = [one for one in reports if one.state.time > max(unknown)]
+    assert after[0].state.share.n_impacts == 0
+    assert "shut" not in {one.kind for one in after}
+    assert after[-1].state.decision == Decision.DRAW
+
+
 def test_a_quiet_pause_is_not_blind_and_a_sensor_that_never_gave_a_sample_is() -> None:
     rng = np.random.default_rng(0)
     samples = np.stack([rng.normal(0, 1, 40_000), np.zeros(40_000), rng.normal(0, 1, 40_000)])

@@ -164,6 +164,11 @@ class ShareWindow:
         """Add the gangue probability of an impact at a time [s], nan if unknown; calls must be in order of time."""
         self._impacts.append((time, probability))
 
+    def restart(self, time: float) -> Share:
+        """Drop all impacts up to a time [s], and return the fraction of the window without them."""
+        self._impacts.clear()
+        return self.at(time)
+
     def at(self, time: float) -> Share:
         """Return the fraction in the window that ends at a time [s], and drop all earlier impacts."""
         start = time - self.length

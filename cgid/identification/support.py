@@ -275,6 +275,9 @@ class _Support:
     def at(self, share: Share, ground: Ground, since: float, reason: str) -> Iterator[Report]:
         """Yield the reports of the window that ends now."""
         before, switch = self.state, None
+        if before is not None and before.ground != Ground.SEEN and ground == Ground.SEEN:
+            # What came on another ground is no evidence.
+            share = self.window.restart(share.time)
         if self.rule is not None and ground == Ground.SEEN:
             switch = self.rule.watch(share)
         elif self.rule is not None:
