@@ -42,9 +42,6 @@ _HOMES = {
     "train": "cgid.identification.training",
 }
 
-#: Former public name -> new name, for one version.
-_RENAMED = {"strikers": "cgid.estimate_impactors"}
-
 __all__ = sorted([*_HOMES, "__version__"])  # pyright: ignore[reportUnsupportedDunderAll]
 
 
@@ -52,9 +49,7 @@ def __getattr__(name: str) -> object:
     from importlib import import_module
 
     if name not in _HOMES:
-        from cgid.deprecated import renamed
-
-        return renamed(__name__, _RENAMED)(name)
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     return getattr(import_module(_HOMES[name]), name)
 
 

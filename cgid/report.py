@@ -18,7 +18,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid import __version__
-from cgid.deprecated import renamed_attribute
 from cgid.files import check_new, write_whole
 from cgid.identification.answers import Answer
 from cgid.identification.diagnosis import Hint
@@ -81,8 +80,6 @@ class Report:
         for state in self.states if self.threshold is not None else ():
             where = f", channel {state.share.channel}" if len(self.states) > 1 else ""
             yield str(state.decision), f"decision at the end ({str(state.ground).replace('_', ' ')}{where})"
-
-    has_course = renamed_attribute("has_course", "has_time_history")
 
     @property
     def has_time_history(self) -> bool:

@@ -495,7 +495,6 @@ _COMMANDS = r"""
 73 | predict good.csv --impactor reference --masses m.txt | m.txt
 65 | predict acceleration.csv --model acceleration.npz --impactor reference | impactor needs the force [N]
 65 | predict good.csv --miss-cost granite=2 | granite
-65 | predict good.csv --cost granite=2 | granite
 73 | predict good.csv -o rows.txt | rows.txt
 73 | predict good.csv -o good.csv | good.csv
 73 | features good.csv -o no/rows.csv | folder no must exist

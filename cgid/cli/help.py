@@ -49,8 +49,6 @@ _COMMANDS = {
     "Models": "train export-model",
     "Datasets and scenes": "generate check ceiling tap calibrate verify export fetch",
 }
-#: Former option -> its new name; the former one still works, with a warning.
-RENAMED = {"--cost": "--miss-cost", "--gangue-cost": "--dilution-cost", "--striker": "--impactor"}
 #: One line for the startup file of each shell.
 _COMPLETION = (
     ("bash", 'eval "$(_CGID_COMPLETE=bash_source cgid)"'),
@@ -74,15 +72,8 @@ class Command(click.Command):
         self.example = example
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        """Read the arguments, with former options under their new names."""
-        flags = {flag for option in self.params for flag in option.opts}
+        """Read the arguments, and note the flags for messages."""
         output.flags = {str(one.name): max(one.opts, key=len) for one in self.params if isinstance(one, click.Option)}
-        for number, argument in enumerate(args):
-            old, equals, value = argument.partition("=")
-            new = RENAMED.get(old, "")
-            if new in flags and "--" not in args[:number]:
-                output.warn(f"{old} is now called {new}; the old name goes with version 0.3")
-                args[number] = f"{new}{equals}{value}"
         return super().parse_args(ctx, args)
 
     def invoke(self, ctx: click.Context) -> Any:

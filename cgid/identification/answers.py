@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cgid.deprecated import renamed_arguments, renamed_attribute
 from cgid.errors import BadData, InvalidValue, MissingOption
 from cgid.identification.detection import find_impacts
 from cgid.identification.diagnosis import Cause, causes_of, with_frames
@@ -85,8 +84,6 @@ class Answer:
     unexplained: float = float("nan")
     level: float = float("nan")
     impactor: Mapping[str, Any] | None = None
-
-    striker = renamed_attribute("striker", "impactor")
 
     def __repr__(self) -> str:
         probabilities = (
@@ -184,7 +181,6 @@ def _unit_options(model: Model) -> str:
     return option if model.quantity != "force" else f"{option}, or --unit m/s^2 of an accelerometer"
 
 
-@renamed_arguments(question="settings")
 def identify(signal: Signal, model: Model, settings: PredictionSettings | None = None, **fields: Any) -> list[Answer]:
     """Return one prediction for each impact in a recording.
 
@@ -295,7 +291,6 @@ def _placed(answer: Answer, event: Event, channels: Sequence[str]) -> Answer:
     )
 
 
-@renamed_arguments(question="settings")
 def identify_frames(
     frames: NDArray[np.floating],
     sampling_rate: float,

@@ -24,7 +24,6 @@ from sklearn.utils.validation import check_is_fitted, validate_data
 from threadpoolctl import ThreadpoolController
 
 from cgid import validation
-from cgid.deprecated import renamed_arguments
 from cgid.identification.families import Contrast, Linear, Neighbourhood, Network, Standardiser, softmax, squares
 from cgid.validation import Floats
 from cgid.workers import SERIAL, Workers
@@ -242,7 +241,6 @@ class ImpactClassifier(ClassifierMixin, BaseEstimator):  # type: ignore[misc]
         self.rejects = rejects
         self.random_state = random_state
 
-    @renamed_arguments(crew="workers")
     def fit(
         self, X: ArrayLike, y: ArrayLike, groups: ArrayLike | None = None, *, workers: Workers = SERIAL
     ) -> ImpactClassifier:

@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid import validation
-from cgid.deprecated import renamed_attribute
 from cgid.errors import BadData, InvalidValue
 from cgid.files import read_regular
 from cgid.identification.conformal import Conformal
@@ -369,9 +368,6 @@ class Model:
         if self._level_weights is None:
             return np.full(len(inputs), np.nan)
         return np.asarray(self._standardised(inputs) @ self._level_weights[0])
-
-    foremost = renamed_attribute("foremost", "most_distant")
-    drowned = renamed_attribute("drowned", "noise_novelty")
 
     def most_distant(self, inputs: Floats) -> NDArray[np.intp]:
         """Return the index of the input that contributes most to the distance of each impact, (n_impacts,)."""

@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from cgid import validation
-from cgid.deprecated import renamed_arguments
 from cgid.errors import BadData, CgidError, InvalidValue
 from cgid.identification.through_beam import ThroughBeam
 from cgid.identification.windows import CLEAR, WINDOW_TIME, columns_of, require_times
@@ -290,7 +289,6 @@ def linear_columns(features: Sequence[str]) -> tuple[int, ...]:
 # -- rows of scenes and datasets --------------------------------------------------------------------------
 
 
-@renamed_arguments(crew="workers")
 def measure(
     batches: Iterable[Batch],
     features: Iterable[str] | None = None,

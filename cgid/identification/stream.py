@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cgid.deprecated import renamed_arguments
 from cgid.errors import BadData, InvalidValue
 from cgid.identification.answers import Answer, answers_from, factor_to, identify_events, unmeasured
 from cgid.identification.detection import ImpactDetector
@@ -65,7 +64,6 @@ class Step:
     upside_down: tuple[str, ...] | None = None  # at the end, the channels whose pulses seem to point downwards
 
 
-@renamed_arguments(question="settings")
 def identify_recording(
     recording: RecordingFile, model: Model, settings: PredictionSettings | None = None, **fields: Any
 ) -> Iterator[Answer]:

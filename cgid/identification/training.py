@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from cgid import __version__, validation
-from cgid.deprecated import renamed_arguments
 from cgid.errors import BadData, InvalidValue
 from cgid.identification.classifier import ImpactClassifier, Weights, contrast_of
 from cgid.identification.conformal import Conformal
@@ -113,7 +112,6 @@ class Training:
         return f"Training({model}; accuracy {accuracy:.3f} on {len(self.test_labels)} test rows)"
 
 
-@renamed_arguments(crew="workers", strangers="out_of_distribution")
 def train(
     data: Iterable[Batch] | Rows,
     *,

@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cgid import validation
-from cgid.deprecated import renamed_arguments, renamed_attribute
 from cgid.errors import BadData, InvalidValue
 from cgid.impactor.measured import MeasuredPulses
 from cgid.impactor.posterior import QUANTITIES, ImpactorPopulation
@@ -62,7 +61,6 @@ class Detection:
         return np.asarray(1 / (1 + np.exp(-np.clip(np.nan_to_num(steep, nan=0.0), -700, 700))))
 
     @classmethod
-    @renamed_arguments(found="detected")
     def learned(cls, peak: ArrayLike, detected: ArrayLike) -> Detection:
         """Return the fit to peak forces [N] of simulated impacts and to whether they were detected, each (n,)."""
         log_peak = np.log(validation.positive("peak", peak, "N"))
@@ -114,10 +112,6 @@ class SizeDistribution:
     probability: Floats
     n_impacts: int
     n_unknown: int
-
-    found = renamed_attribute("found", "detected")
-    low_found = renamed_attribute("low_found", "low_detected")
-    high_found = renamed_attribute("high_found", "high_detected")
 
 
 def size_distribution(

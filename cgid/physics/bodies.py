@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from cgid import validation
-from cgid.deprecated import renamed_attribute
 from cgid.physics.materials import Material
 from cgid.validation import Floats
 
@@ -65,8 +64,6 @@ class Sphere:
     def contact_radius(self) -> Floats:
         """Radius of curvature at the contact [m]."""
         return np.asarray(self.radius, np.float64) * np.asarray(self.curvature, np.float64)
-
-    mass_in_blow = renamed_attribute("mass_in_blow", "impact_mass")
 
     @property
     def impact_mass(self) -> Floats:

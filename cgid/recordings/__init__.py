@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from cgid.deprecated import renamed
 from cgid.recordings.formats import MAX_STREAM, is_dataset, open_recording, read_recording
 from cgid.recordings.recording import BLOCK_LENGTH, Blocks, Channel, RecordingFile
 from cgid.recordings.sep005 import from_sep005, to_sep005
@@ -19,5 +18,3 @@ __all__ = [
     "read_recording",
     "to_sep005",
 ]
-
-__getattr__ = renamed(__name__, {"LARGEST_STREAM": "cgid.recordings.MAX_STREAM"})

@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cgid.deprecated import renamed_attribute
 from cgid.errors import BadData, CgidError, InvalidValue, MissingOption, NoInput, optional
 from cgid.recordings.chain import Chain, scaled
 from cgid.recordings.gaps import Gaps
@@ -398,8 +397,6 @@ class RecordingFile:
     def messages(self) -> tuple[str, ...]:
         """The warnings without the name of the source."""
         return tuple(dict.fromkeys(self._contents.warnings))
-
-    said = renamed_attribute("said", "messages")
 
     @property
     def damage(self) -> tuple[str, ...]:

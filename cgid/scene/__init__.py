@@ -1,6 +1,5 @@
 """Scene files, and the signals of many impacts that a sensor records."""
 
-from cgid.deprecated import renamed
 from cgid.scene.calibration import Calibration, CalibrationImpact, calibrated
 from cgid.scene.generation import generate
 from cgid.scene.given_pulses import synthesise_given
@@ -25,5 +24,3 @@ __all__ = [
     "synthesise_given",
     "varied",
 ]
-
-__getattr__ = renamed(__name__, {"Blow": "cgid.scene.CalibrationImpact"})

@@ -11,7 +11,6 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from cgid import validation
-from cgid.deprecated import renamed_arguments
 from cgid.errors import BadData, InvalidValue
 from cgid.physics import Impact
 from cgid.physics.response import Resonance, Response
@@ -125,7 +124,6 @@ class Calibration:
     delays: Floats
 
 
-@renamed_arguments(blows="impacts")
 def calibrated(scene: Scene | str | Path, impacts: Sequence[CalibrationImpact]) -> Calibration:
     """Fit the gain of a scene's sensor to recorded impacts: hammer taps, or drops of known mass.
 

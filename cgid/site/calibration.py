@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from cgid import validation
-from cgid.deprecated import renamed_arguments, renamed_attribute
 from cgid.errors import BadData, InvalidValue
 from cgid.files import check_new, write_together
 from cgid.identification.detection import ImpactDetector
@@ -93,9 +92,6 @@ class SiteCalibration:
     crossings: int
     has_converged: bool
 
-    n_blows = renamed_attribute("n_blows", "n_impacts")
-    at_rest = renamed_attribute("at_rest", "has_converged")
-
     def save(self, path: str | Path, *, overwrite: bool = False) -> tuple[Path, Path]:
         """Write the scene as a .toml file, and its modes as a table next to it; return both paths."""
         path = check_new(Path(path), "a site", (".toml",), overwrite=overwrite)
@@ -139,7 +135,6 @@ def usable_impacts(events: Iterable[Event]) -> tuple[list[Event], dict[str, int]
     return usable, lost
 
 
-@renamed_arguments(most_blows="max_impacts")
 def calibrate(
     scene: Scene | str | Path,
     frames: NDArray[np.floating],

@@ -14,7 +14,6 @@ from pathlib import Path
 import numpy as np
 
 from cgid import validation
-from cgid.deprecated import renamed_attribute
 from cgid.errors import BadData, InvalidValue
 from cgid.files import check_new, read_cells, write_whole
 from cgid.identification.detection import ImpactDetector
@@ -96,9 +95,6 @@ class TapTest:
     duration: float
     band: tuple[float, float]
     poles: Poles
-
-    frequency = renamed_attribute("frequency", "modes.frequency")
-    damping_ratio = renamed_attribute("damping_ratio", "modes.damping_ratio")
 
     @property
     def used(self) -> list[Tap]:

@@ -5,8 +5,6 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from cgid.deprecated import renamed
-
 if TYPE_CHECKING:
     from cgid.store.description import FORMAT, SCHEMA_VERSION
     from cgid.store.reading import Dataset
@@ -20,16 +18,11 @@ _HOMES = dict.fromkeys(__all__, "table") | {
     "SCHEMA_VERSION": "description",
     "Dataset": "reading",
 }
-#: Former public name -> present one.
-_MOVED = {"check_output": "cgid.store.run.check_output"} | {
-    name: f"cgid.store.table.{name}"
-    for name in ("Rows", "TableHeader", "check_table_output", "is_table", "table_writer")
-}
 
 
 def __getattr__(name: str) -> Any:
     if name not in _HOMES:
-        return renamed(__name__, _MOVED)(name)
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     return getattr(import_module(f"cgid.store.{_HOMES[name]}"), name)
 
 
