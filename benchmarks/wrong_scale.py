@@ -242,7 +242,7 @@ def trained(folder: Path, recordings: Sequence[Recording], *options: str) -> Pat
     model, table = folder / "model.npz", folder / "labels.csv"
     with table.open("w", newline="") as stream:
         rows = csv.writer(stream)
-        rows.writerow(["path", "label", "start", "end", "rate", "unit"])
+        rows.writerow(["path", "label", "start_s", "end_s", "rate_Hz", "unit"])
         for k, one in enumerate(recordings):
             np.save(folder / f"labelled_{k}.npy", one.samples)
             rows.writerows(

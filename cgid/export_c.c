@@ -528,14 +528,12 @@ static int is_row(const char *text)
     return *text == ',' || (end != text && (*end == ',' || *end == '\n' || *end == '\r' || *end == '\0'));
 }
 
-/* Return the number of the value that a column names, also as `name [unit]` of older tables; -1 if it is none. */
+/* Return the number of the value that a column names, with or without its unit; -1 if it is none. */
 static int value_named(const char *name)
 {
     int i;
     for (i = 0; i < CGID_N_VALUES; i++) {
-        size_t length = strlen(cgid_values[i]);
-        int begins = strncmp(name, cgid_values[i], length) == 0;
-        if (strcmp(name, cgid_columns[i]) == 0 || (begins && (!name[length] || strncmp(name + length, " [", 2) == 0))) {
+        if (strcmp(name, cgid_columns[i]) == 0 || strcmp(name, cgid_values[i]) == 0) {
             return i;
         }
     }

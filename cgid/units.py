@@ -231,13 +231,11 @@ def column_title(name: str, unit: str = "") -> str:
 
 
 def column_unit(title: str) -> str | None:
-    """Return the unit that ends the title of a column, as in `time_s` or the older `time [s]`; None without.
+    """Return the unit that ends the title of a column, as in `time_s`; None without.
 
-    >>> column_unit("width_10_s"), column_unit("peak_acceleration_m_s2"), column_unit("time [s]"), column_unit("label")
-    ('s', 'm/s^2', 's', None)
+    >>> column_unit("width_10_s"), column_unit("peak_acceleration_m_s2"), column_unit("label")
+    ('s', 'm/s^2', None)
     """
-    if title.endswith("]") and " [" in title:
-        return title.rpartition(" [")[2].removesuffix("]")
     listed = [unit for units in UNITS.values() for unit in units] + ["s", "Hz", "kg"]
     spelled = {column_title("", unit): unit for unit in reversed(listed)}
     ends = (title[position:] for position, sign in enumerate(title) if sign == "_" and position)

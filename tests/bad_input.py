@@ -130,7 +130,7 @@ def _tapped(folder: Path) -> None:
         limit = 20.0 if name == "clipped_taps" else 1e9
         _csv(folder / f"{name}.csv", np.clip(samples + rng.normal(0, 0.02, samples.size), -limit, limit), head)
     _csv(folder / "nan_taps.csv", np.append(samples, np.nan), head)
-    (folder / "tap_times.csv").write_text("time [s]\n7.5\n")
+    (folder / "tap_times.csv").write_text("time_s\n7.5\n")
     (folder / "tap_table.csv").write_text("when\n7.5\n")
 
 
@@ -381,11 +381,13 @@ def _manifests(folder: Path, good: np.ndarray) -> None:
     (folder / "m_label.toml").write_text(
         'labels = ["coal", "gangue"]\n[[recording]]\npath = "good.csv"\nlabel = "cole"\n'
     )
-    (folder / "m_group.csv").write_text("path,label,start,end\ntwice.csv,coal,0,0.005\ntwice.csv,gangue,0.005,\n")
+    (folder / "m_group.csv").write_text("path,label,start_s,end_s\ntwice.csv,coal,0,0.005\ntwice.csv,gangue,0.005,\n")
     (folder / "m_both.csv").write_text("path,label\ngood.csv,coal\ngood.csv,gangue\n")
-    (folder / "m_half.csv").write_text("path,start,end,label,peak\ngood.csv,0,1,,9\ntwice.csv,0,1,coal,9\nb.csv,,,,9\n")
-    (folder / "m_outside.csv").write_text("path,start,end,label\ngood.csv,0,1,coal\ntwice.csv,7,8,gangue\n")
-    (folder / "m_overlap.csv").write_text("path,start,end,label\ntwice.csv,0,0.004,coal\ntwice.csv,0.003,1,gangue\n")
+    (folder / "m_half.csv").write_text(
+        "path,start_s,end_s,label,peak\ngood.csv,0,1,,9\ntwice.csv,0,1,coal,9\nb.csv,,,,9\n"
+    )
+    (folder / "m_outside.csv").write_text("path,start_s,end_s,label\ngood.csv,0,1,coal\ntwice.csv,7,8,gangue\n")
+    (folder / "m_overlap.csv").write_text("path,start_s,end_s,label\ntwice.csv,0,4e-3,coal\ntwice.csv,3e-3,1,gangue\n")
     (folder / "m_shale.csv").write_text("path,label\ngood.csv,coal\ntwice.csv,shale\n")
     (folder / "m_same.csv").write_text("path,label\ngood.csv,coal\ntwice.csv,coal\n")
     for name in ("void", "papers", "loose", "junk/coal", "junk/gangue", "two_manifests"):
@@ -396,7 +398,7 @@ def _manifests(folder: Path, good: np.ndarray) -> None:
     (folder / "pair.csv").write_text(f"{header}left (N),right (N)\n{rows}")
     intervals = "pair.csv,0,0.005,coal,{0}\npair.csv,0.005,1,gangue,{0}\n"
     for name, channel in (("m_pair", ""), ("m_together", "1+2")):
-        (folder / f"{name}.csv").write_text("path,start,end,label,channel\n" + intervals.format(channel))
+        (folder / f"{name}.csv").write_text("path,start_s,end_s,label,channel\n" + intervals.format(channel))
     (folder / "m_beam.csv").write_text("path,label,same_beam\npair.csv,coal,1+1\n")
     (folder / "mixed.csv").write_text(f"{header}left,right\n{rows}")
     wavfile.write(folder / "full_scale.wav", round(RATE), (good / 1e4).astype(np.float32))

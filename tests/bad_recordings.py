@@ -72,16 +72,16 @@ _MANIFESTS = {
     "label": "path,label\nblow.wav,\n",
     "script": "path,label\nblow.wav,<script>\n",
     "stranger": "path,label\nblow.wav,unknown\n",
-    "interval": "path,label,start,end\nblow.wav,coal,3,2\n",
-    "beyond": "path,label,start,end\nblow.wav,coal,100,101\n",
+    "interval": "path,label,start_s,end_s\nblow.wav,coal,3,2\n",
+    "beyond": "path,label,start_s,end_s\nblow.wav,coal,100,101\n",
     "gain": "path,label,gain\nblow.wav,coal,loud\n",
     "channel": "path,label,channel\nblow.wav,coal,7\n",
     "unsensed": "path,label\nvolts.csv,coal\n",
     "deaf": "path,label,sensitivity\nvolts.csv,coal,10.2 g/mV\n",
-    "rates": "path,label,start,end,rate,unit\nblow.npy,coal,0,0.1,25600,g\nblow.npy,gangue,0.1,0.2,51200,g\n",
-    "turned": "path,label,start,end,invert\nblow.wav,coal,0,0.1,\nblow.wav,gangue,0.1,0.2,yes\n",
+    "rates": "path,label,start_s,end_s,rate_Hz,unit\nblow.npy,coal,0,0.1,25600,g\nblow.npy,gangue,0.1,0.2,51200,g\n",
+    "turned": "path,label,start_s,end_s,invert\nblow.wav,coal,0,0.1,\nblow.wav,gangue,0.1,0.2,yes\n",
     "copied": "path,label,group\nblow.wav,coal,day\ncopy.wav,gangue,day\n",
-    "ranges": "path,label,start,end,full_scale\ncounts.wav,coal,0,0.1,5 V\ncounts.wav,coal,0.1,0.2,10 V\n",
+    "ranges": "path,label,start_s,end_s,full_scale\ncounts.wav,coal,0,0.1,5 V\ncounts.wav,coal,0.1,0.2,10 V\n",
 }
 _SAID = ("--rate", "25600", "--unit", "m/s^2")
 _RAW = ("--rate", "25600", "--channels", "1", "--sample-format", "f32le", "--unit", "m/s^2")

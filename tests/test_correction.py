@@ -139,7 +139,7 @@ def test_labelled_impacts_correct_a_shipped_model(tmp_path: Path, capsys: Any) -
     length = blows.shape[1] / 25_600
     with (tmp_path / "lumps.csv").open("w", newline="") as stream:
         rows = csv.writer(stream)
-        rows.writerow(["path", "label", "start", "end", "rate", "unit"])
+        rows.writerow(["path", "label", "start_s", "end_s", "rate_Hz", "unit"])
         for k, label in enumerate(batch.labels):
             rows.writerow(["blows.npy", label, k * length, (k + 0.8) * length, 25_600, "m/s^2"])
     arguments = ["train", str(tmp_path / "lumps.csv"), "--from", "default-acceleration", "-o", str(tmp_path / "s.npz")]
@@ -161,7 +161,7 @@ def test_a_site_that_the_model_does_not_know_is_refused_after_twenty_impacts(
     model: Model, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     """Of 200 labelled impacts only a sample is measured."""
-    table = "path,label,start,end\n" + "".join(f"a.csv,coal,{k},{k}.5\n" for k in range(200))
+    table = "path,label,start_s,end_s\n" + "".join(f"a.csv,coal,{k},{k}.5\n" for k in range(200))
     (tmp_path / "events.csv").write_text(table)
     (tmp_path / "a.csv").write_text("0\n1\n")
     (tmp_path / "m.npz").write_bytes(model.to_bytes())

@@ -600,7 +600,7 @@ def of_labels(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]
     @cache
     def trained(kind: str) -> Path:
         folder = tmp_path_factory.mktemp(kind)
-        rows = ["path,label,start,end,rate,unit"]
+        rows = ["path,label,start_s,end_s,rate_Hz,unit"]
         for number in range(8):
             samples, rate, unit, labels = labelled_recording(kind, number)
             np.save(folder / f"{number}.npy", samples)

@@ -30,7 +30,7 @@ def written(folder: Path, content: str, name: str = "m.csv", encoding: str = "ut
 def test_rows_of_a_table_say_everything(tmp_path: Path) -> None:
     text = (
         "# our second support\n"
-        "Path;label;start;end;group;channel;gain;sensor;reference;rate;unit;variable\n"
+        "Path;label;Start_s;end_s;group;channel;gain;sensor;reference;rate_hz;unit;variable\n"
         "a.wav;coal;0.5;1.25;monday;1+left;6 dB;one;no;8000;g;x\n"
         "\n"
         "ref.wav;;;;;2;10;one;yes;;;\n"
@@ -55,9 +55,8 @@ def test_recordings_are_their_own_groups_and_last_to_their_ends(tmp_path: Path) 
 
 
 def test_both_formats_say_the_same(tmp_path: Path) -> None:
-    table = (
-        "path,label,start,end,group,unit,channel\na.wav,coal,0,1,x,g,1\na.wav,gangue,1,2.5,x,g,1\nb.wav,coal,,,y,g,1\n"
-    )
+    table = "path,label,start_s,end_s,group,unit,channel\n"
+    table += "a.wav,coal,0,1,x,g,1\na.wav,gangue,1,2.5,x,g,1\nb.wav,coal,,,y,g,1\n"
     toml = """
         labels = ["coal", "gangue"]
         unit = "g"
@@ -104,7 +103,7 @@ def test_a_spreadsheet_may_save_what_we_wrote(tmp_path: Path) -> None:
     (one,) = read_manifest(written(tmp_path, volts)).annotations
     assert (one.sensitivity, one.gain, one.full_scale) == (("1=10.2 mV/g", "2=2.3 mV/N"), 1.5, ("2.5 V",))
     with pytest.raises(BadData, match="start must be a number in s, got '0,5'"):
-        read_manifest(written(tmp_path, 'path,label,start\na.wav,coal,"0,5"\n'))
+        read_manifest(written(tmp_path, 'path,label,start_s\na.wav,coal,"0,5"\n'))
 
 
 def test_paths_are_those_from_the_folder_of_the_manifest(tmp_path: Path) -> None:
@@ -135,17 +134,18 @@ MISTAKES = {
     "no rows": ("path,label\n", "there is none"),
     "nothing": ("", "there is none"),
     "column twice": ("path,label,label\na,b,c\n", "'label' is there twice"),
-    "column and its former name": ("path,start,start_s,label\na,1,1,b\n", "start_s"),
+    "column without its unit": ("path,start,label\na,1,b\n", "got 'start'; did you mean 'start_s'?"),
+    "title twice, in two cases": ("path,rate_Hz,Rate_hz,label\na,1,1,b\n", "'rate_Hz' is there twice"),
     "near a column": ("path,starts_s,label\na,1,b\n", "'start_s'"),
     "no path column": ("label,group\na,b\n", "must include path"),
     "too many cells": ("path,label\na,b,c\n", "row 2: must have 2 cells"),
     "no label": ("path,label\na,\n", "every row must have a label, 1 of 1 have none (the first is row 2)"),
     "endless label": (f"path,label\na,{'x' * 101}\n", "at most 100 characters"),
-    "negative start": ("path,label,start\na,b,-1\n", "start and end must rise"),
-    "start no number": ("path,label,start\na,b,soon\n", "start must be a number in s, got 'soon'"),
-    "start not finite": ("path,label,start\na,b,inf\n", "start and end must rise"),
+    "negative start": ("path,label,start_s\na,b,-1\n", "start and end must rise"),
+    "start no number": ("path,label,start_s\na,b,soon\n", "start must be a number in s, got 'soon'"),
+    "start not finite": ("path,label,start_s\na,b,inf\n", "start and end must rise"),
     "gain zero": ("path,label,gain\na,b,0\n", "gain must be above 0"),
-    "rate zero": ("path,label,rate\na,b,0\n", "rate must be above 0"),
+    "rate zero": ("path,label,rate_Hz\na,b,0\n", "rate must be above 0"),
     "unknown unit": ("path,label,unit\na,b,stone\n", "unit must be a known one"),
     "channel twice": ("path,label,channel\na,b,1+1\n", "channel must be a name or a number"),
     "reference neither yes nor no": ("path,label,reference\na,b,maybe\n", "reference must be yes or no"),
@@ -155,9 +155,9 @@ MISTAKES = {
     "sensor without a reference": ("path,label,sensor\na,b,left\n", "sensor left must have a reference run"),
     "one sensor unsaid": ("path,label,sensor,reference\nr,,s,yes\na,b,s,no\nc,d,,no\n", "must have a sensor"),
     "half of the labels": ("path,label\na,\nb,coal\nc,\n", "2 of 3 have none (the first is row 2); fill in"),
-    "recording in two groups": ("path,label,start,end,group\na,b,0,1,x\na,c,1,2,y\n", "must be in one group"),
-    "rate of one row": ("path,label,start,end,rate\na,b,0,1,8e3\na,c,1,2,\n", "one rate, got 8000.0 and none"),
-    "unit of one row": ("path,label,start,end,unit\na,b,0,1,\na,c,1,2,g\n", "one unit, got none and g"),
+    "recording in two groups": ("path,label,start_s,end_s,group\na,b,0,1,x\na,c,1,2,y\n", "must be in one group"),
+    "rate of one row": ("path,label,start_s,end_s,rate_Hz\na,b,0,1,8e3\na,c,1,2,\n", "one rate, got 8000.0 and none"),
+    "unit of one row": ("path,label,start_s,end_s,unit\na,b,0,1,\na,c,1,2,g\n", "one unit, got none and g"),
     "path with a zero byte": ("path,label\na\0b,c\n", "path must be the name of a file"),
 }
 TOML_MISTAKES = {
@@ -202,7 +202,7 @@ def test_mistake_in_toml_is_one_line(name: str, tmp_path: Path) -> None:
 def test_every_mistake_is_said_at_once(tmp_path: Path) -> None:
     rows = "".join(f"a{k},b,{-k}\n" for k in range(1, 31))
     with pytest.raises(BadData) as error:
-        read_manifest(written(tmp_path, "path,label,start\n" + rows))
+        read_manifest(written(tmp_path, "path,label,start_s\n" + rows))
     lines = str(error.value).splitlines()
     assert len(lines) == 21
     assert "row 2" in lines[0]
@@ -212,7 +212,7 @@ def test_every_mistake_is_said_at_once(tmp_path: Path) -> None:
 def test_no_damage_is_more_than_an_error_of_ours(tmp_path: Path) -> None:
     generator = np.random.default_rng(4)
     contents = {
-        "m.csv": b"path,label,start,end,gain,channel\na.wav,coal,0,1,6 dB,1+2\nb.wav,gangue,0.5,2,3,left\n",
+        "m.csv": b"path,label,start_s,end_s,gain,channel\na.wav,coal,0,1,6 dB,1+2\nb.wav,gangue,0.5,2,3,left\n",
         "m.toml": b'unit = "g"\n[[recording]]\npath = "a"\nintervals = [{ start = 0, end = 1, label = "coal" }]\n',
     }
     for name, content in contents.items():

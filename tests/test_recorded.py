@@ -61,11 +61,11 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         label = ("coal", "gangue")[number % 2]
         np.save(path / f"{number}.npy", flow(label, number))
         rows.append(f"{number}.npy,{label},{RATE},g\n")
-    (path / "good.csv").write_text("path,label,rate,unit\n" + "".join(rows))
-    (path / "gone.csv").write_text("path,label,rate,unit\n" + "".join(rows) + f"gone.npy,coal,{RATE},g\n")
-    (path / "alone.csv").write_text("path,label,rate,unit\n" + "".join(rows) + f"extra.npy,cole,{RATE},g\n")
-    (path / "one_group.csv").write_text("path,label,rate,unit,group\n" + "".join(f"{r.strip()},x\n" for r in rows))
-    (path / "one_label.csv").write_text("path,label,rate,unit\n" + "".join(rows[::2]))
+    (path / "good.csv").write_text("path,label,rate_Hz,unit\n" + "".join(rows))
+    (path / "gone.csv").write_text("path,label,rate_Hz,unit\n" + "".join(rows) + f"gone.npy,coal,{RATE},g\n")
+    (path / "alone.csv").write_text("path,label,rate_Hz,unit\n" + "".join(rows) + f"extra.npy,cole,{RATE},g\n")
+    (path / "one_group.csv").write_text("path,label,rate_Hz,unit,group\n" + "".join(f"{r.strip()},x\n" for r in rows))
+    (path / "one_label.csv").write_text("path,label,rate_Hz,unit\n" + "".join(rows[::2]))
     np.save(path / "extra.npy", flow("coal", 99))
     return path
 
@@ -138,7 +138,9 @@ def test_rows_are_those_of_the_windows_of_each_file(folder: Path, recorded: Rows
 
 
 def test_windows_lie_in_their_intervals_as_a_whole(folder: Path, tmp_path: Path) -> None:
-    text = f"path,label,start,end,rate,unit\n{folder}/0.npy,a,0.13,0.4,{RATE},g\n{folder}/0.npy,b,0.55,,{RATE},g\n"
+    text = (
+        f"path,label,start_s,end_s,rate_Hz,unit\n{folder}/0.npy,a,0.13,0.4,{RATE},g\n{folder}/0.npy,b,0.55,,{RATE},g\n"
+    )
     (tmp_path / "m.csv").write_text(text)
     rows = record(read_manifest(tmp_path / "m.csv"), NAMES)
     samples = np.load(folder / "0.npy")[0]
@@ -151,7 +153,7 @@ def test_windows_lie_in_their_intervals_as_a_whole(folder: Path, tmp_path: Path)
 
 
 def test_channels_that_are_annotated_apart_are_recordings_of_their_own(tmp_path: Path) -> None:
-    rows = ["path,label,channel,rate,unit"]
+    rows = ["path,label,channel,rate_Hz,unit"]
     for number in range(2):
         both = np.concatenate([flow(label, number) for label in ("coal", "gangue")])
         np.save(tmp_path / f"{number}.npy", both)
@@ -169,7 +171,7 @@ def test_channels_that_are_annotated_apart_are_recordings_of_their_own(tmp_path:
 
 
 def test_a_gap_costs_the_windows_that_lack_samples(folder: Path, tmp_path: Path) -> None:
-    text = f"path,label,rate,unit\n{folder}/0.npy,coal,{RATE},g\nbroken.npy,gangue,{RATE},g\n"
+    text = f"path,label,rate_Hz,unit\n{folder}/0.npy,coal,{RATE},g\nbroken.npy,gangue,{RATE},g\n"
     (tmp_path / "m.csv").write_text(text)
 
     def recorded(samples: np.ndarray) -> Rows:
@@ -306,7 +308,7 @@ def test_recordings_say_whether_impacts_or_windows(gap: float, noise: float, by:
         samples = beaten([label] * round(4 / gap), number, gap) if gap else np.zeros((2, 80_000))
         rustle = np.random.default_rng(number).normal(0, 1, samples.shape)
         np.save(tmp_path / f"{number}.npy", samples + noise * rustle)
-    text = "path,label,rate,unit\n0.npy,coal,20000,g\n1.npy,gangue,20000,g\n"
+    text = "path,label,rate_Hz,unit\n0.npy,coal,20000,g\n1.npy,gangue,20000,g\n"
     (tmp_path / "m.csv").write_text(text)
     rows = record(read_manifest(tmp_path / "m.csv"))
     assert rows.slicing is not None and rows.slicing.by == by
@@ -466,7 +468,7 @@ def test_shuffled_labels_of_recordings_score_at_chance(tmp_path: Path) -> None:
         label = ("coal", "gangue")[number % 2]
         np.save(tmp_path / f"{number}.npy", flow(label, number, 0.5))
         rows.append(f"{number}.npy,{label},{RATE},g\n")
-    (tmp_path / "m.csv").write_text("path,label,rate,unit\n" + "".join(rows))
+    (tmp_path / "m.csv").write_text("path,label,rate_Hz,unit\n" + "".join(rows))
     shuffled = record(read_manifest(tmp_path / "m.csv"), NAMES)
     accuracies = [
         train(shuffled, features=NAMES, shuffle_labels=True, seed=seed).metrics["accuracy"] for seed in range(3)
@@ -509,7 +511,7 @@ def test_two_channels_are_looked_at_together(tmp_path: Path) -> None:
         samples = generator.normal(size=(2, loudness.size)) * [loudness, second]
         np.save(tmp_path / f"{number}.npy", samples)
         rows.append(f"{number}.npy,{('unlike', 'alike')[number % 2]},{RATE},g\n")
-    (tmp_path / "m.csv").write_text("path,label,rate,unit\n" + "".join(rows))
+    (tmp_path / "m.csv").write_text("path,label,rate_Hz,unit\n" + "".join(rows))
     both = record(read_manifest(tmp_path / "m.csv"), ["window_level"], slicing=Slicing(hop_time=0.1))
     assert both.n_channels == 2
     training = train(both, features=["window_level"], family="logistic")
@@ -547,7 +549,7 @@ def test_windows_drowned_in_noise_are_unknown(n_channels: int, tmp_path: Path, c
         label = ("coal", "gangue")[number % 2]
         np.save(tmp_path / f"{number}.npy", flow(label, number, n_channels=n_channels))
         rows.append(f"{number}.npy,{label},{RATE},g\n")
-    (tmp_path / "m.csv").write_text("path,label,rate,unit\n" + "".join(rows))
+    (tmp_path / "m.csv").write_text("path,label,rate_Hz,unit\n" + "".join(rows))
     channels = [option for number in range(n_channels) for option in ("--channel", str(number + 1))]
     bands = ",".join(f"window_relative_mel_{centre:.0f}_hz" for centre in MEL_BANDS.centres[2:20])
     arguments = ["train", str(tmp_path / "m.csv"), "-o", str(tmp_path / "m.npz"), "--by", "window", *channels]
@@ -599,7 +601,7 @@ def test_reference_runs_make_up_for_another_sensor(tmp_path: Path) -> None:
         for label, samples in flows.items():
             np.save(tmp_path / f"{sensor}_{label}.npy", heard(samples))
             rows.append(f"{sensor}_{label}.npy,{label},{RATE},g,{sensor},no\n")
-    head = "path,label,rate,unit,sensor,reference\n"
+    head = "path,label,rate_Hz,unit,sensor,reference\n"
     (tmp_path / "m.csv").write_text(head + "".join(rows))
     bands = tuple(f"window_mel_{centre:.0f}_hz" for centre in MEL_BANDS.centres[2:12])
     cured = record(read_manifest(tmp_path / "m.csv"), bands)
@@ -658,7 +660,7 @@ def test_a_scene_teaches_what_four_recordings_do_not(tmp_path: Path) -> None:
         hum = np.random.default_rng(number).normal(0, 0.02e-3 / 9.80665, blows.size)
         np.save(tmp_path / f"{number}.npy", blows + hum)
         rows.append(f"{number}.npy,{label},20000,g\n")
-    (tmp_path / "m.csv").write_text("path,label,rate,unit\n" + "".join(rows))
+    (tmp_path / "m.csv").write_text("path,label,rate_Hz,unit\n" + "".join(rows))
     names = ("level_800_hz", "level_1000_hz", "level_1250_hz", "level_1600_hz", "level_total")
     few = record(read_manifest(tmp_path / "m.csv"), names, slicing=Slicing(by="impact"))
     assert len(few.labels) == 24

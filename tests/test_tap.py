@@ -161,7 +161,7 @@ def test_command(tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     response, force, times = taps(3, gap=0.6, seed=1)
     file = recording(tmp_path / "taps.csv", [response, force])
-    (tmp_path / "times.csv").write_text(f"time [s],by\n{times[0]:.2f},me\n{times[2]:.2f},me\n")
+    (tmp_path / "times.csv").write_text(f"time_s,by\n{times[0]:.2f},me\n{times[2]:.2f},me\n")
     given = ["tap", file, "--hammer", "2", "-o", "modes.csv", "--band", "400", "800"]
     assert run([*given, "--plot", "modes.png"]) == 0
     printed = capsys.readouterr()

@@ -308,20 +308,20 @@ def test_a_manifest_in_volts_gives_the_rows_of_one_in_newtons(tmp_path: Path) ->
         ("q", "unit,sensitivity,gain", "V,1=4 pC/N,0.5 mV/pC"),
     ):
         path = tmp_path / f"{name}.csv"
-        path.write_text(f"path,label,rate,{columns}\n{name}.npy,coal,200000,{cells}\n")
+        path.write_text(f"path,label,rate_Hz,{columns}\n{name}.npy,coal,200000,{cells}\n")
         rows.append(record(read_manifest(path), slicing=Slicing(by="impact")))
     # What a manifest does not state, options may.
-    path.write_text("path,label,rate\nq.npy,coal,200000\n")
+    path.write_text("path,label,rate_Hz\nq.npy,coal,200000\n")
     stated = {"unit": "V", "sensitivity": "4 pC/N", "gain": "0.5 mV/pC"}
     rows.append(record(read_manifest(path), slicing=Slicing(by="impact"), reading=Reading(**stated)))
-    path.write_text("path,label,rate,unit,sensitivity,gain\nv.npy,coal,200000,mV,2.3 mV/N,-60 dB\n")
+    path.write_text("path,label,rate_Hz,unit,sensitivity,gain\nv.npy,coal,200000,mV,2.3 mV/N,-60 dB\n")
     rows.append(record(read_manifest(path), slicing=Slicing(by="impact"), reading=Reading(**stated)))
     assert len(rows[0].features) == 2
     for other in rows[1:]:
         assert other.unit == rows[0].unit == "N"
         np.testing.assert_allclose(other.features, rows[0].features, rtol=1e-6)
     (tmp_path / "two.csv").write_text(
-        "path,label,start,end,sensitivity\nv.npy,coal,0,0.01,2 mV/N\nv.npy,coal,0.01,0.02,2.3 mV/N\n"
+        "path,label,start_s,end_s,sensitivity\nv.npy,coal,0,0.01,2 mV/N\nv.npy,coal,0.01,0.02,2.3 mV/N\n"
     )
     with pytest.raises(BadData, match=r"must have one sensitivity, got 2 mV/N and 2.3 mV/N"):
         read_manifest(tmp_path / "two.csv")

@@ -23,9 +23,7 @@ if TYPE_CHECKING:
     from cgid.identification.support import SupportState
     from cgid.recordings.soundness import SensorWatch
 
-#: Version of the lines of --json: since 2 each has a kind; since 3 the source is the file alone, and the most likely
-#: label and all probabilities replace one probability; since 4 the key `striker` is `impactor`, with the unit in each
-#: name; since 5 `share`, `shut` and `open` hold the record of a support, and there are lines `state`.
+#: Version of the lines of --json; it rises if a key goes or has another meaning.
 ANSWERS_VERSION = 5
 
 #: Columns of a table that JSON has, too.

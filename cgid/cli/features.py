@@ -15,7 +15,7 @@ from cgid.errors import BadData
 from cgid.signals import Signal
 from cgid.terminal import counted
 
-#: Version of the lines of --json: since 2 the source is the file alone, next to the channel or the index.
+#: Version of the lines of --json; see `cgid.cli.answer_rows`.
 FEATURES_VERSION = 2
 #: Maximum number of unmeasurable impacts or channels, and left-out columns, that are named one by one.
 _MAX_REPORTED = 3

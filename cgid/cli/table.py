@@ -146,8 +146,8 @@ class WrittenTable(NamedTuple):
     n_rows: int
 
 
-#: First columns of these tables; before version 0.2 the time had its unit in brackets, or none in HDF5.
-_HEADS = tuple(("source", "channel", time) for time in ("time_s", "time [s]", "time"))
+#: First columns of these tables.
+_HEAD = ("source", "channel", "time_s")
 
 
 def written_table(path: str) -> WrittenTable | None:
@@ -160,14 +160,14 @@ def written_table(path: str) -> WrittenTable | None:
         columns, n_rows = ([], 0) if read is None else read(file)
     except OSError:  # opening it later reports the error
         return None
-    if not any(set(head) <= set(columns) for head in _HEADS):
+    if not set(_HEAD) <= set(columns):
         return None
     return WrittenTable(f"table of {'answers' if 'novelty' in columns else 'features'}", columns, n_rows)
 
 
 def _csv_table(file: Path) -> tuple[list[str], int]:
     with file.open(encoding="utf-8", errors="replace", newline="") as stream:
-        if not stream.read(_MAX_HEAD_LENGTH).startswith(tuple(",".join(head) for head in _HEADS)):
+        if not stream.read(_MAX_HEAD_LENGTH).startswith(",".join(_HEAD)):
             return [], 0
         stream.seek(0)
         rows = csv.reader(stream)
@@ -190,7 +190,7 @@ def _json_table(file: Path) -> tuple[list[str], int]:
                 row = json.loads(line)
             except (ValueError, RecursionError):
                 row = None
-            if n_rows == 1 and not (isinstance(row, dict) and tuple(row)[:3] in _HEADS):
+            if n_rows == 1 and not (isinstance(row, dict) and tuple(row)[:3] == _HEAD):
                 return [], 0
             columns = columns or list(row)
             if not isinstance(row, dict) or list(row) != columns:
@@ -201,7 +201,7 @@ def _json_table(file: Path) -> tuple[list[str], int]:
 def _parquet_table(file: Path) -> tuple[list[str], int]:
     from cgid.recordings.parquet import parquet_columns
 
-    return next((table for head in _HEADS if (table := parquet_columns(file, str(file), head))[0]), ([], 0))
+    return parquet_columns(file, str(file), _HEAD)
 
 
 def _hdf5_table(file: Path) -> tuple[list[str], int]:
@@ -211,7 +211,7 @@ def _hdf5_table(file: Path) -> tuple[list[str], int]:
         return [], 0
     from cgid.store.foreign import foreign_columns
 
-    return next((table for head in _HEADS if (table := foreign_columns(file, head))[0]), ([], 0))
+    return foreign_columns(file, _HEAD)
 
 
 def _damaged(file: Path, fault: str) -> BadData:

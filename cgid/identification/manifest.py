@@ -32,10 +32,10 @@ COLUMNS = (
     *("path", "label", "start", "end", "group", "channel", "gain", "sensor", "reference", "rate", "unit"),
     *("variable", "format", "sensitivity", "full_scale", "invert", "same_beam"),
 )
-#: Name of a column -> its title in a CSV file; the name is also read, since earlier versions wrote it.
+#: Name of a column -> its title in a CSV file, where they differ.
 _TITLES = {"start": "start_s", "end": "end_s", "rate": "rate_Hz"}
 #: Columns of a CSV file for the person who labels the rows.
-INFORMATIVE = ("time_s", "time [s]", "peak", "peak_unit", "flags", "content", "note")
+INFORMATIVE = ("time_s", "peak", "peak_unit", "flags", "content", "note")
 #: Columns of numbers, which a spreadsheet may write with a decimal comma.
 _NUMBERS = ("start", "end", "gain", "rate", "sensitivity", "full_scale")
 #: Names of manifests in a folder, and suffixes of recordings in it.
@@ -354,7 +354,7 @@ def _csv_table(path: Path) -> tuple[list[list[str]], str]:
 def _csv_rows(path: Path) -> tuple[list[Row], tuple[str, ...] | None]:
     """Return the rows of a CSV manifest with their line numbers, and None: it lists no labels."""
     table, separator = _csv_table(path)
-    by_title = {title.lower(): name for name, title in _TITLES.items()}
+    by_title = {_TITLES.get(name, name).lower(): name for name in (*COLUMNS, *INFORMATIVE)}
     names: list[str] = []
     rows: list[Row] = []
     for number, cells in enumerate(table, 1):
@@ -362,8 +362,12 @@ def _csv_rows(path: Path) -> tuple[list[Row], tuple[str, ...] | None]:
         if not any(cells):
             continue
         if not names:
-            names = [by_title.get(cell.lower(), cell.lower()) for cell in cells]
-            titles = [_TITLES.get(name, name) for name in names if name not in INFORMATIVE]
+            names = [by_title.get(cell.lower(), "") for cell in cells]
+            titles = [
+                _TITLES.get(name, name or cell.lower())
+                for name, cell in zip(names, cells, strict=True)
+                if name not in INFORMATIVE
+            ]
             allowed = tuple(_TITLES.get(name, name) for name in COLUMNS)
             _check_names(titles, allowed, f"{path}: columns", required="path")
             continue

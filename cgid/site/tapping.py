@@ -221,13 +221,12 @@ def tap_test(
 
 
 def read_times(path: str | Path) -> list[float]:
-    """Return the times [s] of a table of taps: a CSV file with a column `time_s`, formerly `time [s]`."""
+    """Return the times [s] of a table of taps: a CSV file with a column `time_s`."""
     lines = read_cells(path, "the table of taps", _MAX_FILE_SIZE)
     titles = lines[0][1] if lines else []
-    title = next((name for name in ("time_s", "time [s]") if name in titles), None)
-    if title is None or len(lines) < 2:
+    if "time_s" not in titles or len(lines) < 2:
         raise BadData(f"{path}: a table of hammer taps must have the column time_s [s] and one line per tap; add them")
-    column, out = titles.index(title), []
+    column, out = titles.index("time_s"), []
     for number, cells in lines[1:]:
         cell = cells[column] if column < len(cells) else ""
         try:
