@@ -255,6 +255,8 @@ def make_files(folder: Path) -> None:
         (folder / name).symlink_to(name)
     (folder / "unfinished").mkdir()
     shutil.copy(folder / "two.h5", folder / "unfinished" / "shard-00000.h5")
+    shutil.copytree(folder / "unfinished", folder / "former")
+    (folder / "former" / "manifest.json").write_text("{}")
     shutil.copy(folder / "two.h5", folder / "tagged.h5")
     with h5py.File(folder / "tagged.h5", "r+") as file:
         file["labels"][:5] = b"<b>"
@@ -426,7 +428,7 @@ def _beam_models(folder: Path, good: np.ndarray) -> None:
 
 
 def _old_model(path: Path, model: Model) -> None:
-    header = json.dumps(model.header | {"schema_version": 1}).encode()
+    header = json.dumps(model.header | {"schema_version": 3}).encode()
     np.savez(path, header=np.frombuffer(header, np.uint8), **model.arrays)
 
 
@@ -460,6 +462,9 @@ _COMMANDS = r"""
 65 | predict truncated.npy --rate 2e5 --unit N | truncated.npy
 65 | predict truncated.h5 | truncated.h5
 65 | train unfinished -o new.npz | description.json
+65 | train former -o new.npz | former
+65 | verify --repair former | former
+73 | generate reference.toml -o former --overwrite | manifest.json
 65 | features nan.csv | nan
 65 | features inf.csv | inf
 65 | predict noise.csv | no impact
@@ -502,7 +507,7 @@ _COMMANDS = r"""
 73 | features good.csv -o no/rows.csv | folder no must exist
 2 | features good.csv --json -o new.csv | --json
 2 | predict good.csv --miss-cost coal=much | LABEL=COST
-65 | predict good.csv --model old.npz | old.npz
+65 | predict good.csv --model old.npz | schema_version
 65 | train reference -n 600 --features beam_peak_force -o new.npz | [tail_beam]
 65 | features longer.csv --features beam_peak_force | beam_peak_force must have a beam
 65 | predict slow.csv --model beamless.npz | arrays of a beam

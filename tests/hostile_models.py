@@ -33,7 +33,7 @@ class _Bomb:
 
 
 def golden_files() -> list[Path]:
-    return sorted(path for path in GOLDEN.glob("models-*.npz") if "discriminant" not in path.name)
+    return sorted(GOLDEN.glob("models-4-*.npz"))
 
 
 def golden(family: str) -> Model:
@@ -548,6 +548,8 @@ def signed_anew(model: Model, random: np.random.Generator) -> bytes:
 
 
 def _changed_array(array: np.ndarray, random: np.random.Generator) -> np.ndarray:
+    if not array.size:  # the change before has left nothing
+        return np.zeros(1, array.dtype)
     numbers = array.copy()
     where = slice(None) if random.random() < 0.2 else int(random.integers(array.size))
     with np.errstate(all="ignore"), warnings.catch_warnings():

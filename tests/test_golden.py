@@ -1,4 +1,4 @@
-"""The golden files under tests/golden: what an older cgid wrote is read for ever after, and gives the same answers.
+"""The golden files under tests/golden: what a release wrote, later ones read, with the same answers.
 
 But for answers.json they are never made again; `tests/golden/make.py` says what they are and by what they were made.
 """
@@ -9,25 +9,23 @@ import json
 import shutil
 from pathlib import Path
 
+import h5py
 import numpy as np
 import pytest
 
 from cgid.cli.main import run
 from cgid.errors import BadData
+from cgid.identification.classifier import FAMILIES
 from cgid.identification.model import Model
+from cgid.identification.model_file import SCHEMA_VERSION, signed
 from cgid.store import Dataset, read_table
 from cgid.store.reading import Recording
 from tests.golden.make import ANSWERS
 
 GOLDEN = Path(__file__).parent / "golden"
 DATA = json.loads((GOLDEN / "data.json").read_text())
-DATASETS = sorted({key.partition("/")[0] for key, said in DATA.items() if "signals" in said} - {"manifest-1"})
-MODELS = {
-    name: said
-    for file in GOLDEN.glob("models-*.json")
-    for name, said in json.loads(file.read_text()).items()
-    if "discriminant" not in name
-}
+DATASETS = sorted({key.partition("/")[0] for key, said in DATA.items() if "signals" in said})
+MODELS = {name: said for file in GOLDEN.glob("models-*.json") for name, said in json.loads(file.read_text()).items()}
 
 
 def sha256_of(values):
@@ -35,8 +33,8 @@ def sha256_of(values):
 
 
 def test_every_golden_model_has_its_answers():
-    assert {path.name for path in GOLDEN.glob("models-*.npz") if "discriminant" not in path.name} == MODELS.keys()
-    assert {name.split("-")[1] for name in MODELS} == {"2", "3", "4"}
+    assert {path.name for path in GOLDEN.glob("models-*.npz")} == MODELS.keys()
+    assert {name.removesuffix(".npz") for name in MODELS} >= {f"models-{SCHEMA_VERSION}-{name}" for name in FAMILIES}
 
 
 @pytest.mark.parametrize("name", sorted(MODELS))
@@ -52,20 +50,10 @@ def test_models_answer_as_the_estimators_that_they_were_made_of(name):
     np.testing.assert_array_equal(again.probabilities(inputs), model.probabilities(inputs))
 
 
-@pytest.mark.parametrize("schema", [2, 3, 4])
-def test_a_family_that_was_dropped_is_refused_by_its_name(schema, capsys):
-    path = GOLDEN / f"models-{schema}-discriminant.npz"
-    told = r"family must be one of 'boosting', .*, got 'discriminant', which cgid 0.2 no longer has; train it again"
-    with pytest.raises(BadData, match=told):
-        Model.load(path)
-    assert run(["info", str(path)]) == 65
-    assert capsys.readouterr().err.count("\n") == 1
-
-
 def test_a_model_of_this_schema_is_written_to_the_same_bytes():
     for name in MODELS:
         content = (GOLDEN / name).read_bytes()
-        assert (Model.from_bytes(content).to_bytes() == content) == name.startswith("models-4")
+        assert (Model.from_bytes(content).to_bytes() == content) == name.startswith(f"models-{SCHEMA_VERSION}-")
 
 
 @pytest.mark.parametrize("name", DATASETS)
@@ -89,19 +77,8 @@ def test_datasets_hold_what_h5py_found_in_them(name):
         first = rows.stop
 
 
-@pytest.mark.parametrize("command", ["info", "verify", "export", "predict"])
-def test_version_1_and_unfinished_folders_are_refused_by_name(command, tmp_path, capsys):
-    first, unfinished = GOLDEN / "manifest-1", tmp_path / "unfinished"
-    shutil.copytree(GOLDEN / "manifest-2", unfinished)
-    (unfinished / "manifest.json").rename(unfinished / "unfinished.jsonl")
-    for path in (first, unfinished):
-        output = ["-o", str(tmp_path / "all.h5")] if command == "export" else []
-        assert run([command, str(path), *output]) == 65
-        assert str(path) in capsys.readouterr().err
-
-
-@pytest.mark.parametrize("name", ["manifest-2", "single.h5", "gzip.h5"])
-def test_datasets_of_an_earlier_version_are_exported_and_predicted(name, tmp_path, capsys):
+@pytest.mark.parametrize("name", DATASETS)
+def test_datasets_are_exported_and_predicted(name, tmp_path, capsys):
     path = tmp_path / "all.h5"
     assert run(["export", str(GOLDEN / name), "-o", str(path)]) == 0
     assert len(Dataset(path)) == len(Dataset(GOLDEN / name))
@@ -109,18 +86,6 @@ def test_datasets_of_an_earlier_version_are_exported_and_predicted(name, tmp_pat
         np.testing.assert_array_equal(batch.signals[: len(other)], other.signals[: len(batch)])
     assert run(["predict", str(GOLDEN / name), "--json"]) == 0
     assert len(capsys.readouterr().out.splitlines()) == len(Dataset(path))
-
-
-def test_a_folder_of_recordings_of_an_earlier_version(tmp_path):
-    """Recordings and their sums, without a description."""
-    shutil.copy(GOLDEN / "recording.h5", tmp_path / "recording-00000.h5")
-    digest = hashlib.sha256((GOLDEN / "recording.h5").read_bytes()).hexdigest()
-    (tmp_path / "SHA256SUMS").write_text(f"{digest}  recording-00000.h5\n")
-    assert run(["verify", str(tmp_path)]) == 0
-    with (tmp_path / "recording-00000.h5").open("r+b") as file:
-        file.seek(5000)
-        file.write(b"\1")
-    assert run(["verify", str(tmp_path)]) == 65
 
 
 def test_the_recording_holds_what_h5py_found_in_it():
@@ -151,17 +116,65 @@ def test_tables_hold_what_others_found_in_them(name, tmp_path):
 
 @pytest.mark.parametrize("schema", [5, 9, 10**30])
 def test_a_newer_model_is_refused_by_its_version(schema, tmp_path, capsys):
-    from cgid.identification.model_file import signed
-
     model = Model.load(GOLDEN / "models-4-linear.npz")
     header = np.frombuffer(signed({**model.header, "schema_version": schema, "colour": "red"}, model.arrays), np.uint8)
     # Of kinds, too, that only a later version knows.
     np.savez(tmp_path / "m.npz", header=header, halves=np.ones(3, np.float16), **model.arrays)
-    told = rf"m.npz: schema_version {str(schema)[:20]} is newer than this cgid \(reads 2 to 4\): upgrade cgid$"
+    told = rf"m.npz: schema_version {str(schema)[:20]} is newer than this cgid \(reads 4\): upgrade cgid$"
     with pytest.raises(BadData, match=told):
         Model.load(tmp_path / "m.npz")
     assert run(["info", str(tmp_path / "m.npz")]) == 65
     assert capsys.readouterr().err.count("\n") == 1
+
+
+# -- what earlier development versions wrote ----------------------------------------------------------------
+
+
+def refused(capsys, *arguments):
+    """Return the one line of a command that refuses its input."""
+    assert run([*map(str, arguments)]) == 65
+    (line,) = capsys.readouterr().err.splitlines()
+    return line
+
+
+@pytest.mark.parametrize("change", [{"schema_version": 2}, {"schema_version": 3}, {"family": "discriminant"}], ids=str)
+def test_a_model_of_a_development_version_is_refused(change, tmp_path, capsys):
+    model = Model.load(GOLDEN / "models-4-linear.npz")
+    header = np.frombuffer(signed(model.header | change, model.arrays), np.uint8)
+    np.savez(tmp_path / "m.npz", header=header, **model.arrays)
+    for command in (["info"], ["predict", GOLDEN / "single.h5", "--model"]):
+        line = refused(capsys, *command, tmp_path / "m.npz")
+        ((name, value),) = change.items()
+        assert f"m.npz: not a valid model: {name} must be " in line
+        assert f"got {value!r}" in line
+        assert line.endswith("train it again with cgid train")
+
+
+@pytest.mark.parametrize("command", ["info", "verify", "export", "predict"])
+@pytest.mark.parametrize("mark", ["manifest.json", "unfinished.jsonl"])
+def test_a_dataset_of_a_development_version_is_refused(mark, command, tmp_path, capsys):
+    shutil.copytree(GOLDEN / "folder-3", tmp_path / "old", ignore=shutil.ignore_patterns("*[!5]"))
+    (tmp_path / "old" / mark).write_text("{}")
+    output = ["-o", tmp_path / "all.h5"] if command == "export" else []
+    line = refused(capsys, command, tmp_path / "old", *output)
+    assert f"{tmp_path / 'old'}: " in line and line.endswith("make it anew in another folder with cgid generate")
+
+
+@pytest.mark.parametrize("options", [[], ["--repair"]])
+def test_recordings_of_a_development_version_are_refused(options, tmp_path, capsys):
+    """They and their sums, without a description."""
+    shutil.copy(GOLDEN / "recording.h5", tmp_path / "recording-00000.h5")
+    digest = hashlib.sha256((GOLDEN / "recording.h5").read_bytes()).hexdigest()
+    (tmp_path / "SHA256SUMS").write_text(f"{digest}  recording-00000.h5\n")
+    assert "make it anew in another folder" in refused(capsys, "verify", tmp_path, *options)
+
+
+def test_a_shard_of_another_schema_is_refused(tmp_path, capsys):
+    shutil.copy(GOLDEN / "single.h5", tmp_path / "old.h5")
+    with h5py.File(tmp_path / "old.h5", "r+") as file:
+        file.attrs["schema_version"] = 0
+    line = refused(capsys, "predict", tmp_path / "old.h5")
+    assert "schema_version must be 1, got 0, of an earlier development version of cgid; make the file anew" in line
 
 
 # -- what this version answers ------------------------------------------------------------------------------

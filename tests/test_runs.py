@@ -199,15 +199,25 @@ def test_a_shard_without_a_sum_that_is_not_whole_is_made_again(whole, path):
     assert files(path) == whole[dataset]
 
 
+@pytest.mark.parametrize("options", [{"resume": True}, {"overwrite": True}])
 @pytest.mark.parametrize("name", ["manifest.json", "unfinished.jsonl"])
-def test_folders_of_an_earlier_version_are_not_resumed(whole, path, name):
+def test_datasets_of_a_development_version_are_left_alone(path, name, options):
     path.mkdir()
     (path / name).write_text('{"format": "cgid-dataset"}')
-    with pytest.raises(CannotCreate, match="--overwrite"):
-        dataset(path, resume=True)
-    assert (path / name).exists()
-    dataset(path, overwrite=True)
-    assert files(path) == whole[dataset]
+    with pytest.raises(CannotCreate, match=name):
+        dataset(path, **options)
+    assert [left.name for left in path.iterdir()] == [name]
+
+
+def test_recordings_of_a_development_version_are_not_resumed(whole, path):
+    """They have sums without a description, so that nothing says of what scene they are."""
+    path.mkdir()
+    (path / "SHA256SUMS").write_text(f"{64 * '0'}  recording-00000.h5\n")
+    with pytest.raises(BadData, match="another folder"):
+        recordings(path, resume=True)
+    assert not (path / "description.json").exists()
+    recordings(path, overwrite=True)
+    assert files(path) == whole[recordings]
 
 
 def test_one_file(tmp_path):

@@ -28,7 +28,6 @@ from tests.test_stream import content
 SCENE = small_scene(2048)
 #: Signals of 8 kB, of which 64 lie in a chunk.
 N, IN_SHARD = 400, 150
-GOLDEN = Path(__file__).parent / "golden"
 STREAM = parse_scene(content(duration="3 s", sensor={"absolute_noise": "10 N"}))
 
 
@@ -226,15 +225,6 @@ def test_sums_that_are_wrong_make_nothing_again(made: Path, copies: Path, change
     assert mended(folder)
     assert contents(folder) == contents(made / "folder")
     assert {file: file.stat().st_mtime_ns for file in folder.glob("*.h5")} == times
-
-
-@pytest.mark.parametrize("version", ["1", "2"])
-def test_folders_of_an_earlier_version_are_verified_and_not_repaired(tmp_path: Path, version: str) -> None:
-    folder = Path(shutil.copytree(GOLDEN / f"manifest-{version}", tmp_path / "old"))
-    assert problems(folder) == ({"manifest.json": "damaged"} if version == "1" else {})
-    flip(folder / "shard-00001.h5", 5000)
-    before = contents(folder)
-    assert not mended(folder) and contents(folder) == before
 
 
 def test_shards_of_another_dataset_than_the_description_are_never_replaced(

@@ -528,7 +528,7 @@ def _factor_of(levels: Sequence[float], model: Model, looks: float = 1.0, wide: 
         excess = max(end - known["high"], 0.0) + min(end - known["low"], 0.0)
         likely = float(np.exp(end - (known["low"] + known["high"]) / 2))
         return likely if abs(excess) > np.sqrt(wide * known["between"] + looks * known["within"] / n) else 1.0
-    # Of vibrations and windows that earlier versions labelled, it is not known by how much recordings differ.
+    # Of labelled vibrations and windows without levels, it is not known by how much recordings differ.
     if not deviation or ("recorded" in model.training and model.kind != "pulse"):
         return 1.0
     excess = upper_end(np.array(levels), deviation) / deviation - _UPPER

@@ -95,12 +95,7 @@ def _array(stored: bytes, name: str) -> NDArray[Any]:
 # -- the header -------------------------------------------------------------------------------------------
 
 FORMAT = "cgid-model"
-#: 2: known quantities, guards, prediction sets, networks. 3: windows, several channels, reference spectra, linear
-#: discriminants. 4: a digest of header and arrays.
 SCHEMA_VERSION = 4
-_OLDEST_SCHEMA = 2
-#: Fields missing in schema 2.
-_SINCE_3: dict[str, Any] = {"window_time": 0.0, "hop_time": 0.0, "n_channels": 1, "sensors": []}
 #: Longest header [bytes]: 100 bytes for each of 20,000 recordings.
 MAX_HEADER_SIZE = 2 << 20
 #: Deepest nesting of lists and objects; real headers have seven levels.
@@ -149,27 +144,28 @@ def read_header(stored: NDArray[Any]) -> dict[str, Any]:
     if _is_deeper(header, _DEEPEST):
         raise BadData(f"its header must not nest deeper than {_DEEPEST}")
     version = header.get("schema_version")
-    if type(version) is not int or version < _OLDEST_SCHEMA:
-        raise BadData(f"schema_version must be {_OLDEST_SCHEMA} to {SCHEMA_VERSION}, got {repr(version)[:20]}")
-    if version > SCHEMA_VERSION:
-        reads = f"{_OLDEST_SCHEMA} to {SCHEMA_VERSION}"
-        raise NewerSchema(f"schema_version {str(version)[:20]} is newer than this cgid (reads {reads}): upgrade cgid")
+    if type(version) is int and version > SCHEMA_VERSION:
+        raise NewerSchema(
+            f"schema_version {str(version)[:20]} is newer than this cgid (reads {SCHEMA_VERSION}): upgrade cgid"
+        )
+    if type(version) is not int or version != SCHEMA_VERSION:
+        raise BadData(
+            f"schema_version must be {SCHEMA_VERSION}, got {repr(version)[:20]}, of an earlier development version"
+        )
     return header
 
 
 def fields_of(header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> dict[str, Any]:
     """Return the fields of a model from a header whose digest matches, lists as tuples."""
-    version = header["schema_version"]
-    if version >= 4 and header.get("sha256") != digest(header, arrays):
+    if header.get("sha256") != digest(header, arrays):
         raise BadData("header and arrays must match the SHA-256 in the header, they were changed")
-    fields: dict[str, Any] = (_SINCE_3 if version == 2 else {}) | dict(header)
-    if unknown := fields.keys() - FIELDS.keys() - _FURTHER_FIELDS:
+    if unknown := header.keys() - FIELDS.keys() - _FURTHER_FIELDS:
         raise BadData(f"the header must have the fields of a model only, got {min(unknown)[:40]!r}")
     for name, kind in FIELDS.items():
-        good = _is(fields.get(name), kind)
-        if not good or (name in _LISTS_OF_NUMBERS and not all(_is(number, float) for number in fields[name])):
+        good = _is(header.get(name), kind)
+        if not good or (name in _LISTS_OF_NUMBERS and not all(_is(number, float) for number in header[name])):
             raise BadData(f"{name} is missing or of a wrong kind in the header")
-    return {name: tuple(fields[name]) if kind is list else fields[name] for name, kind in FIELDS.items()}
+    return {name: tuple(header[name]) if kind is list else header[name] for name, kind in FIELDS.items()}
 
 
 def signed(header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> bytes:
@@ -217,10 +213,6 @@ STANDARDISER = "standardiser."
 MAX_LABELS, _MAX_SENSORS = 1000, 1000
 #: Maximum number of characters of a label or sensor name.
 _MAX_WORD_LENGTH = 100
-#: Families of earlier versions, no longer supported.
-_DROPPED = ("discriminant",)
-
-
 #: Arrays that remain integers.
 _INTEGERS = {"conformal.labels", *(f"family.{name}" for name in Boosting.INDICES)}
 
@@ -237,9 +229,6 @@ def with_floats(arrays: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
 
 def check_names(model: Model) -> None:
     """Raise unless family, labels, features, guards and known quantities are valid and distinct."""
-    if model.family in _DROPPED:
-        families = ", ".join(map(repr, BY_NAME))
-        raise BadData(f"family must be one of {families}, got {model.family!r}, which cgid 0.2 no longer has")
     validation.choice("family", model.family, tuple(BY_NAME))
     for name, values, min_count in (
         ("labels", model.labels, 2),

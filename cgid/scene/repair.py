@@ -51,13 +51,11 @@ def repair(verified: Verified, scene: Scene | None = None, progress: Progress | 
     if not path.is_dir():
         raise BadData(_how_to_make(path))
     folder = read_folder(path)
-    if folder.digest is None:
-        raise BadData(f"{path}: an earlier cgid made it; generate it again with --overwrite")
-    names = folder.description.names
+    digest, names = folder.description.sha256, folder.description.names
     lost = {finding.file.name for finding in verified.damage} & {*names}
     for name in sorted(lost):
         is_there = (path / name).is_file() and not (path / name).is_symlink()
-        if is_there and examine_file(path / name).about.get(DIGEST, folder.digest) != folder.digest:
+        if is_there and examine_file(path / name).about.get(DIGEST, digest) != digest:
             raise BadData(f"{path / name}: belongs to another description, so it is not replaced; move it away")
     make = _maker(path, folder.description, scene, len(lost)) if lost else None
     with begun(path, folder.description, resume=True) as run:

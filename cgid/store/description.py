@@ -52,7 +52,10 @@ def require_schema(source: str, version: Any, known: int) -> None:
     if type(version) is int and version > known:
         raise BadData(f"{source}: schema_version {version!s:.20} is newer than this cgid ({known}): upgrade cgid")
     if type(version) is not int or version != known:
-        raise BadData(f"{source}: schema_version must be {known}, got {version!r:.40}: use the cgid that wrote it")
+        raise BadData(
+            f"{source}: schema_version must be {known}, got {version!r:.40}, of an earlier development version of "
+            "cgid; make the file anew"
+        )
 
 
 def require_scene(source: str, attributes: Mapping[str, Any]) -> None:

@@ -24,13 +24,13 @@ from typing import Any
 
 from cgid.errors import BadData, CannotCreate, NoInput
 from cgid.files import half_written
-from cgid.store.description import COMPRESSIONS, FORMAT, RECORDING_FORMAT, is_sound, require_schema
+from cgid.store.description import COMPRESSIONS, FORMAT, RECORDING_FORMAT, require_schema
 from cgid.validation import RATES
 
 DESCRIPTION, SUMS, LOCK = "description.json", "SHA256SUMS", ".lock"
 FOLDER_VERSION = 3
-#: Files of earlier versions: the sums of a finished dataset and the journal of an unfinished run.
-MANIFEST, JOURNAL, MANIFEST_VERSION = "manifest.json", "unfinished.jsonl", 2
+#: What earlier development versions wrote instead of a description.
+_FORMER = ("manifest.json", "unfinished.jsonl")
 #: Links in folders are not followed, because folders are untrusted.
 LINKED = "must be in the folder itself, it is a link; copy the file there"
 #: Maximum number of files of a description.
@@ -204,17 +204,11 @@ def _flat(description: Mapping[str, Any]) -> dict[str, Any]:
 
 @dataclass(frozen=True, kw_only=True)
 class Folder:
-    """The description of a folder, the known sums of its files, and the digest they carry (None before version 3)."""
+    """The description of a folder, whose digest its files carry, and the known sums of them."""
 
     path: Path
     description: Description
     sums: Mapping[str, str]
-    digest: str | None
-
-    @property
-    def listing(self) -> str:
-        """Name of the file with the sums."""
-        return MANIFEST if self.digest is None else SUMS
 
 
 def read_folder(path: Path) -> Folder:
@@ -223,48 +217,30 @@ def read_folder(path: Path) -> Folder:
     text = read_text(file)
     if text is not None:
         description = parse_description(text, file)
-        return Folder(
-            path=path, description=description, sums=read_sums(path, description.sha256), digest=description.sha256
-        )
-    text = read_text(path / MANIFEST)
-    if text is not None:
-        return _of_manifest(path, _json(text, path / MANIFEST))
-    if (path / JOURNAL).exists():
-        raise BadData(f"{path}: an earlier cgid has not finished it ({JOURNAL}); generate it again with --overwrite")
+        return Folder(path=path, description=description, sums=read_sums(path, description.sha256))
+    require_not_former(path)
     raise BadData(f"{path}: must have a {DESCRIPTION}, it has none; cgid generate ... --resume writes it again")
 
 
-def _of_manifest(path: Path, content: dict[str, Any]) -> Folder:
-    """Return the folder of a manifest, which earlier versions wrote for a complete dataset."""
-    file = path / MANIFEST
-    if content.get("format") != FORMAT:
-        raise BadData(f"{file}: must have format {FORMAT!r}; this is another manifest")
-    require_schema(str(file), content.get("schema_version"), MANIFEST_VERSION)
-    if not is_sound(content):
-        raise BadData(f"{file}: must match its own SHA-256, the file is damaged; copy it again")
-    _require_fields(content, file)
-    description, shards = Description(content, b""), content.get("shards")
-    try:
-        sums = {shard["file"]: shard["sha256"] for shard in shards or ()}
-        sound = all(re.fullmatch("[0-9a-f]{64}", sha256) for sha256 in sums.values())
-    except (TypeError, KeyError):
-        sums, sound = {}, False
-    if not sound or [*sums] != description.names:
-        raise BadData(f"{file}: shards must list file and sha256 of every shard once; generate the dataset again")
-    return Folder(path=path, description=description, sums=sums, digest=None)
+def require_not_former(path: Path) -> None:
+    """Raise `BadData` if a folder without a description is of an earlier development version."""
+    sums = read_sums(path, None)  # those of recordings were without a description
+    if (sums and DESCRIPTION not in sums) or any((path / name).exists() for name in _FORMER):
+        raise BadData(
+            f"{path}: must have a {DESCRIPTION}, an earlier development version of cgid made it without; make it anew "
+            "in another folder with cgid generate"
+        )
 
 
 def is_dataset_folder(folder: Path) -> bool:
     """Return whether a folder is a dataset, even an unfinished or damaged one: by its description or its shards."""
-    if any(mark.exists() for mark in (folder / MANIFEST, folder / JOURNAL, *folder.glob("shard-*.h5"))):
-        return True
-    return (folder / DESCRIPTION).exists() and not any(folder.glob("recording-*.h5"))
+    is_described = (folder / DESCRIPTION).exists() and not any(folder.glob("recording-*.h5"))
+    return is_described or any(folder.glob("shard-*.h5"))
 
 
 def names_of(kind: str) -> re.Pattern[str]:
     """Return the names of the files that a run of this kind may replace, including half-written ones."""
     names = rf"{_STEMS[kind]}-[0-9]{{5,}}\.h5|{re.escape(DESCRIPTION)}|{SUMS}|{re.escape(LOCK)}"
-    names += rf"|{re.escape(MANIFEST)}|{re.escape(JOURNAL)}" if kind == FORMAT else rf"|{re.escape(JOURNAL)}"
     return re.compile(f"{names}|{half_written(names)}")
 
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from cgid.errors import BadData, InvalidValue, NoInput
 from cgid.signals import Batch, Signal
 from cgid.store.description import DIGEST, FORMAT, RECORDING_FORMAT, ShardHeader, hdf5_format, text_of
-from cgid.store.folder import LINKED, Folder, read_folder
+from cgid.store.folder import LINKED, SUMS, Folder, read_folder
 from cgid.store.gates import Identity, identity_of, opened
 from cgid.store.headers import recording_header, rows, shard_header
 from cgid.terminal import counted
@@ -31,8 +31,8 @@ _BLOCK, _IMPACTS = 1 << 20, 1 << 16
 _COMMON = ("n_samples", "dtype", "sampling_rate", "pre_trigger", "unit", "parameter_units", "label_width")
 
 
-def state_of(path: Path, sha256: str | None = None, listing: str = "") -> Identity:
-    """Return the state of a file; raises `BadData` if it has another SHA-256 than in `listing`."""
+def state_of(path: Path, sha256: str | None = None) -> Identity:
+    """Return the state of a file; raises `BadData` if it has another SHA-256 than is listed."""
     try:
         if not path.is_file():
             raise BadData(f"{path}: must be a regular file; copy it to one first")
@@ -40,7 +40,7 @@ def state_of(path: Path, sha256: str | None = None, listing: str = "") -> Identi
             state = identity_of(os.fstat(stream.fileno()))
             if sha256 is not None and hashlib.file_digest(stream, "sha256").hexdigest() != sha256:
                 raise BadData(
-                    f"{path}: must match the SHA-256 in {listing}, it is damaged or another file; see cgid verify"
+                    f"{path}: must match the SHA-256 in {SUMS}, it is damaged or another file; see cgid verify"
                 )
             return state
     except PermissionError as error:
@@ -51,7 +51,7 @@ def state_of(path: Path, sha256: str | None = None, listing: str = "") -> Identi
 
 def require_own(path: Path, folder: Folder, number: int, about: dict[str, Any]) -> None:
     """Raise `BadData` unless a file with these attributes, and `n_signals`, is that of this number in a folder."""
-    if folder.digest is not None and about.get(DIGEST) != folder.digest:
+    if about.get(DIGEST) != folder.description.sha256:
         attributes = folder.description.content["attributes"]
         name = next((name for name in attributes if attributes[name] != about.get(name)), "description")
         values = [f"{attributes_of.get(name, 'another')!s:.80}" for attributes_of in (attributes, about)]
@@ -117,7 +117,7 @@ class Dataset:
         shard, folder = self._shards[number], self._folder
         if folder is not None and shard.is_symlink():
             raise BadData(f"{shard}: {LINKED}")
-        state = state_of(shard) if folder is None else state_of(shard, folder.sums.get(shard.name), folder.listing)
+        state = state_of(shard) if folder is None else state_of(shard, folder.sums.get(shard.name))
         with opened(shard, str(shard), state) as file:
             header = shard_header(file, str(shard))
         if not self._states:

@@ -15,9 +15,7 @@ from cgid.files import clear_half_written, looking_at, write_whole
 from cgid.store.description import DIGEST, is_hdf5
 from cgid.store.folder import (
     DESCRIPTION,
-    JOURNAL,
     LOCK,
-    MANIFEST,
     SUMS,
     Description,
     Folder,
@@ -26,6 +24,7 @@ from cgid.store.folder import (
     parse_description,
     read_sums,
     read_text,
+    require_not_former,
     require_same,
     sha256_of,
     sums_text,
@@ -182,11 +181,10 @@ def check_output(output: str | Path, kind: str, overwrite: bool = False) -> Path
             raise CannotCreate(f"{path}: is a file; choose another name for the folder, or one ending in .h5")
         content = sorted(entry.name for entry in path.iterdir()) if path.is_dir() else None
         foreign = [name for name in content or () if not ours.fullmatch(name)]
-        for name in (DESCRIPTION, MANIFEST):
-            if (path / name).is_file():
-                with (path / name).open("rb") as stream:
-                    if f'"{kind}"'.encode() not in stream.read(_HEAD):
-                        foreign.append(name)
+        if (path / DESCRIPTION).is_file():
+            with (path / DESCRIPTION).open("rb") as stream:
+                if f'"{kind}"'.encode() not in stream.read(_HEAD):
+                    foreign.append(DESCRIPTION)
         if foreign:
             raise CannotCreate(
                 f"{path}: is a folder with other files in it, such as {foreign[0]}, and is not overwritten; choose "
@@ -231,8 +229,7 @@ def _started(output: Path, description: Description, overwrite: bool, resume: bo
         if not keep:
             check_output(output, description.kind, overwrite or resume)  # another run may have written here
             # Without sums no file of an earlier description is taken for one of this run.
-            for name in (SUMS, MANIFEST, JOURNAL):
-                (output / name).unlink(missing_ok=True)
+            (output / SUMS).unlink(missing_ok=True)
         if read_text(output / DESCRIPTION) != description.text:
             write_whole(output / DESCRIPTION, description.text)
         clear(output, names_of(description.kind), keep={*description.names, DESCRIPTION, SUMS, LOCK})
@@ -249,14 +246,12 @@ def _is_resumed(output: Path, description: Description, overwrite: bool) -> bool
     # A lost or damaged description is written again: sums and files show whether they fit it.
     if text == description.text or read_sums(output, description.sha256):
         return True
-    # Recordings of an earlier version have sums without a description, so their scene is unknown.
-    is_old = text is None and read_sums(output, None) and DESCRIPTION not in read_sums(output, None)
-    if text is None and not is_old and not (output / MANIFEST).exists() and not (output / JOURNAL).exists():
+    if text is None:
+        if not overwrite:
+            require_not_former(output)
         return True
     if overwrite:
         return False
-    if text is None:
-        raise CannotCreate(f"{output}: an earlier cgid began it, which cannot be continued; start with --overwrite")
     try:
         present = parse_description(text, output / DESCRIPTION).content
     except BadData as error:
@@ -269,7 +264,7 @@ def _is_resumed(output: Path, description: Description, overwrite: bool) -> bool
 def _complete_files(output: Path, description: Description) -> dict[str, str]:
     """Return the sums of the complete files in a folder."""
     listed, present = read_sums(output, description.sha256), _names(output)
-    folder = Folder(path=output, description=description, sums=listed, digest=description.sha256)
+    folder = Folder(path=output, description=description, sums=listed)
     sums = {}
     for number, name in enumerate(description.names):
         if name not in present or not (path := output / name).is_file() or path.is_symlink():

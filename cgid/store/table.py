@@ -382,8 +382,7 @@ def _header_of(path: str | Path, text: str) -> TableHeader:
     if not isinstance(units, dict) or not isinstance(attributes, dict):
         raise BadData(f"{path}: must state units and attributes, it does not; make it again")
     require_scene(str(path), attributes)
-    # Older tables have no digest.
-    if "digest" in content and not is_sound(content):
+    if not is_sound(content):
         raise BadData(f"{path}: the header must match its SHA-256, it is damaged; make it again")
     return TableHeader(kind=str(content.get("kind")), units=units, attributes=attributes)
 

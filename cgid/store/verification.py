@@ -13,15 +13,13 @@ from cgid.files import half_written
 from cgid.store.description import FORMAT, RECORDING_FORMAT, TABLE_FORMAT
 from cgid.store.folder import (
     DESCRIPTION,
-    JOURNAL,
     LINKED,
     LOCK,
-    MANIFEST,
     SUMS,
     Folder,
     has_sum,
     read_folder,
-    read_sums,
+    require_not_former,
 )
 from cgid.store.gates import attributes_of, codes_of, opened
 from cgid.store.headers import KINDS, damaged_rows, header_of
@@ -36,7 +34,7 @@ _COMPRESSIONS = {1: "gzip", 32015: "zstd", 32026: "blosc2"}
 #: Problems without damage.
 _HARMLESS = ("leftover", "foreign")
 _FILE = r"(shard|recording)-\d{5,}\.h5"
-_TEXTS = (DESCRIPTION, SUMS, MANIFEST, JOURNAL)
+_TEXTS = (DESCRIPTION, SUMS)
 
 
 class Examined(NamedTuple):
@@ -144,6 +142,8 @@ def verify(path: str | Path) -> Verified:
     ------
     NoInput
         The path does not exist or cannot be read.
+    BadData
+        An earlier development version made the folder.
     """
     path = Path(path)
     try:
@@ -174,18 +174,14 @@ def _verify_folder(path: Path) -> Verified:
     names = sorted(entry.name for entry in path.iterdir())
     files = [name for name in names if re.fullmatch(_FILE, name)]
     folder, sums, findings = None, dict[str, str](), list[Finding]()
-    is_old = bool(files) and files[0].startswith("recording") and not {DESCRIPTION, MANIFEST, JOURNAL} & {*names}
-    if is_old and DESCRIPTION not in (sums := read_sums(path, None)):
-        files = sorted({*files, *sums})  # recordings of an earlier version have no description
-    else:
-        try:
-            folder = read_folder(path)
-            files, sums = folder.description.names, dict(folder.sums)
-        except BadData as error:
-            text = next((name for name in (DESCRIPTION, MANIFEST, JOURNAL) if name in names), None)
-            problem = {None: "missing", JOURNAL: "unfinished"}.get(text, "damaged")
-            findings.append(Finding(file=path / (text or DESCRIPTION), problem=problem, what=str(error)))
-            sums = {}
+    if DESCRIPTION not in names:
+        require_not_former(path)
+    try:
+        folder = read_folder(path)
+        files, sums = folder.description.names, dict(folder.sums)
+    except BadData as error:
+        problem = "damaged" if DESCRIPTION in names else "missing"
+        findings.append(Finding(file=path / DESCRIPTION, problem=problem, what=str(error)))
     present, n_absent, n_unlisted = {*names}, 0, 0
     for number, name in enumerate(files):
         if name not in sums and name not in present:
@@ -206,8 +202,9 @@ def _verify_folder(path: Path) -> Verified:
     for name in sorted(present - {*files, *_TEXTS, LOCK}):
         problem, what = ("leftover", "of a stopped run") if part.fullmatch(name) else ("foreign", "not part of it")
         findings.append(Finding(file=path / name, problem=problem, what=what))
-    kind = _NOUNS[folder.description.kind] if folder else "recording" if is_old else "dataset"
-    return Verified(path=path, kind=kind, n_files=len(files) + (not is_old), findings=tuple(findings))
+    looks = RECORDING_FORMAT if files and files[0].startswith("recording") else FORMAT
+    form = folder.description.kind if folder else looks
+    return Verified(path=path, kind=_NOUNS[form], n_files=len(files) + 1, findings=tuple(findings))
 
 
 def _finding(path: Path, sha256: str | None, folder: Folder | None, number: int) -> Finding | None:
@@ -220,5 +217,5 @@ def _finding(path: Path, sha256: str | None, folder: Folder | None, number: int)
         return None
     what = examine_file(path).fault if folder is None else why_incomplete(folder, number)
     if sha256 and not what:
-        what = f"does not match the SHA-256 in {folder.listing if folder else SUMS}, though all of it is readable"
+        what = f"does not match the SHA-256 in {SUMS}, though all of it is readable"
     return Finding(file=path, problem="damaged", what=what) if what else None

@@ -1,15 +1,11 @@
-"""Make the golden files of this version of cgid: data and models that every later version must read.
+"""Make the golden files of this version of cgid: data and models that every later release must read.
 
     python tests/golden/make.py data         # datasets, a recording, tables, and another reader's view of them
     python tests/golden/make.py models       # a model of each family, and the answers of the estimators behind them
     python tests/golden/make.py answers      # what predict, train and calibrate find today
 
-Files of an older version are made by a checkout of that version and never again: there, the same command writes the
-files of its own schemas, which are then added to the existing ones. Origins:
-
-    models-2-*                                                      by commit 9ae1126
-    models-3-*, manifest-1, single, gzip, recording, table, data    by commit 54cf5f0
-    models-4-*, manifest-2                                          by the commits that added them
+What a release has written is never made again: the files of a later one are added to them. Before the first release,
+data and models are of the commits that added them.
 
 answers.json is of this version: make it anew where a change is meant to move an answer, a card or a calibration, and
 say so in CHANGELOG.md. `test_golden.py` has the tolerances.
@@ -50,7 +46,7 @@ def make_data(folder: Path) -> None:
     scene = load_scene(SCENE)
     whole = generate(scene, folder / "shards", N_SIGNALS, SEED, shard_signals=8)
     version = json.loads((whole / "description.json").read_text())["schema_version"]
-    whole = whole.rename(folder / f"manifest-{version}")
+    whole = whole.rename(folder / f"folder-{version}")
     generate(scene, folder / "single.h5", N_SIGNALS, SEED)
     generate(scene, folder / "gzip.h5", N_SIGNALS, SEED, compression="gzip", dtype="float64")
     assert len(Dataset(whole)) == N_SIGNALS
