@@ -1,6 +1,7 @@
 """`cgid tap`: modes from taps on beams whose modes are known, recorded without cgid."""
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,7 @@ from cgid.measure.modes import LEARNED_COLUMNS, read_modes
 from cgid.scene import load_scene
 from cgid.scene.impacts import beam_modes
 from cgid.shipped import scene_path
-from cgid.site import tap_test
+from cgid.site import Flaw, tap_test
 from cgid.site.matching import matched
 from cgid.site.poles import poles_of
 from tests.tapped import DAMPING, FREQUENCY, PARTICIPATION, taps
@@ -95,11 +96,59 @@ def test_flawed_taps_are_left_out_and_named():
     response = np.clip(response, -1.2 * np.abs(response[:first]).max(), 1.2 * np.abs(response[:first]).max())
     for hammer in (None, force):
         test = tap_test(response[None], RATE, hammer=hammer, band=(90.0, 150.0))
-        flaws = {round(tap.time, 1): tap.flaw for tap in test.taps}
-        assert any("double tap" in flaw for flaw in flaws.values())
-        assert any("too close to the next tap" in flaw for flaw in flaws.values())
-        assert any(flaw == "clipped" for flaw in flaws.values())
+        flaws = {tap.flaw: tap.reason for tap in test.taps}
+        assert flaws.keys() == {None, Flaw.DOUBLE, Flaw.BEFORE_NEXT, Flaw.CLIPPED}
+        assert re.fullmatch(r"double tap, another impact follows .*", flaws[Flaw.DOUBLE])
+        assert re.fullmatch(r"too close to the next tap, .* s where .* s are needed", flaws[Flaw.BEFORE_NEXT])
+        assert (flaws[None], flaws[Flaw.CLIPPED]) == ("", "clipped")
         assert np.abs(np.log(test.modes.frequency[:1] / FREQUENCY[0])).max() < 1e-3
+
+
+def _all_with(flaw):
+    """Return a recording of two taps that both have a flaw, or are not listed, and options to read it."""
+    response, hammer, times = taps(2, gap=0.7, seed=2)
+    first, second = (round(time * RATE) for time in times)
+    match flaw:
+        case Flaw.CUT_OFF:
+            part = slice(first + 2, second - 500)
+            return response[part], {"hammer": hammer[part]}
+        case Flaw.DOUBLE:
+            response, hammer, times = taps(2, gap=0.7, seed=2, also=((0, 0.05, 0.8), (1, 0.05, 0.8)))
+            return response, {"hammer": hammer, "times": times.tolist()}
+        case Flaw.CLIPPED:
+            limit = 0.3 * min(np.abs(response[at : at + 500]).max() for at in (first, second))
+            return np.clip(response, -limit, limit), {"hammer": hammer}
+        case Flaw.BEFORE_NEXT:
+            response, _, times = taps(2, gap=0.12, seed=2)
+            return response, {"times": times[:1].tolist(), "contact": times[1] - times[0] - 0.02}
+        case Flaw.BEFORE_END:
+            return response[: first + 500], {"hammer": hammer[: first + 500]}
+        case Flaw.NOT_LISTED:
+            return response, {"hammer": hammer, "times": []}
+
+
+CURES = [
+    (Flaw.CUT_OFF, "record again, some samples before a tap"),
+    (Flaw.DOUBLE, "tap again, and lift the hammer at once"),
+    (Flaw.CLIPPED, "record with a larger range, or tap more gently"),
+    (Flaw.BEFORE_NEXT, "leave a second or more between taps"),
+    (Flaw.BEFORE_END, "leave a second or more after the last tap"),
+    (Flaw.NOT_LISTED, "add other taps to the table"),
+]
+
+
+@pytest.mark.parametrize(("flaw", "cure"), CURES)
+def test_each_flaw_of_all_taps_has_its_cure(flaw, cure):
+    response, options = _all_with(flaw)
+    with pytest.raises(BadData) as error:
+        tap_test(response[None], RATE, band=BAND, **options)
+    _, listed, *cures = re.split("; |usable, ", str(error.value))
+    assert re.search(rf": (\d .*, )?\d {flaw}", listed)
+    assert cure in cures
+
+
+def test_no_flaw_is_without_a_case():
+    assert {flaw for flaw, _ in CURES} == set(Flaw)
 
 
 @pytest.mark.long

@@ -246,6 +246,6 @@ def _content(test: TapTest, path: Path, known: Any) -> dict[str, Any]:
         "band": list(test.band),
         "absolute": test.modes.scaled,
         "n_matched": None if known is None else int(known.sum()),
-        "taps": [{"time": one.time, "used": not one.flaw, "flaw": one.flaw} for one in test.taps],
+        "taps": [{"time": one.time, "used": not one.flaw, "flaw": one.reason} for one in test.taps],
         "modes": [dict(zip(columns, row, strict=True)) for row in rows],
     }

@@ -7,8 +7,10 @@ the Laplace transform of the force at its pole: the estimate H1 at the pole, wit
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from enum import StrEnum
 from pathlib import Path
 
 import numpy as np
@@ -51,6 +53,28 @@ _LEAST = 1e-12
 _MAX_FILE_SIZE = 1 << 20
 
 
+class Flaw(StrEnum):
+    """Why a tap is not used."""
+
+    CUT_OFF = "cut off by the start of the recording"
+    DOUBLE = "double tap"
+    CLIPPED = "clipped"
+    BEFORE_NEXT = "too close to the next tap"
+    BEFORE_END = "too close to the end of the recording"
+    NOT_LISTED = "not in the table of taps"
+
+
+#: What to do where no tap is usable, by flaw.
+_CURES = {
+    Flaw.CUT_OFF: "record again, some samples before a tap",
+    Flaw.DOUBLE: "tap again, and lift the hammer at once",
+    Flaw.CLIPPED: "record with a larger range, or tap more gently",
+    Flaw.BEFORE_NEXT: "leave a second or more between taps",
+    Flaw.BEFORE_END: "leave a second or more after the last tap",
+    Flaw.NOT_LISTED: "add other taps to the table",
+}
+
+
 @dataclass(frozen=True, kw_only=True)
 class Tap:
     """A hammer tap in a recording.
@@ -61,14 +85,22 @@ class Tap:
         Of its onset.
     start, stop : int
         Samples of its free decay.
-    flaw : str
-        Why it is not used; empty if used.
+    flaw : Flaw or None
+        Why it is not used; None if used.
+    detail : str
+        The flaw in numbers, where it has any.
     """
 
     time: float
     start: int
     stop: int
-    flaw: str = ""
+    flaw: Flaw | None = None
+    detail: str = ""
+
+    @property
+    def reason(self) -> str:
+        """Why it is not used, as text; empty if used."""
+        return ", ".join(filter(None, (self.flaw, self.detail)))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -191,7 +223,7 @@ def tap_test(
     taps = _judged(response, sampling_rate, events, contact, times, source)
     used = [tap for tap in taps if not tap.flaw]
     if not used:
-        raise BadData(f"{source}: at least one tap must be usable, of {_listed(taps)}; {_hint(taps)}")
+        raise BadData(f"{source}: at least one tap must be usable, of {_listed(taps)}; {_cures(taps)}")
     length = min(min(tap.stop - tap.start for tap in used), _LONGEST)
     low, high = _band(band, length / sampling_rate, sampling_rate, source)
     decays = np.stack([row[tap.start : tap.start + length] for row in response for tap in used])
@@ -303,16 +335,16 @@ def _judged(
         start = (event.end + round(_AFTER * sampling_rate)) if known else event.onset + round(contact * sampling_rate)
         stop = following - (round(_BEFORE_NEXT * sampling_rate) if following < n else 0)
         separation = (following - event.onset) / sampling_rate
-        flaw = ""
+        flaw, detail = None, ""
         if event.onset < 2 or (event.cut and event.onset < _BEFORE_NEXT * sampling_rate):
-            flaw = "cut off by the start of the recording"
+            flaw = Flaw.CUT_OFF
         elif following < n and separation < DOUBLE:
-            flaw = f"double tap, another impact follows after {1e3 * separation:.3g} ms"
+            flaw, detail = Flaw.DOUBLE, f"another impact follows after {1e3 * separation:.3g} ms"
         elif not known and event.overlapping and _alone(event, events, sampling_rate):
-            flaw = "double tap, another impact follows within some milliseconds"
+            flaw, detail = Flaw.DOUBLE, "another impact follows within some milliseconds"
         elif _is_clipped(response[:, event.onset : max(stop, event.onset + 1)], *limits) or (known and event.clipped):
-            flaw = "clipped"
-        taps.append(Tap(time=event.onset / sampling_rate, start=start, stop=stop, flaw=flaw))
+            flaw = Flaw.CLIPPED
+        taps.append(Tap(time=event.onset / sampling_rate, start=start, stop=stop, flaw=flaw, detail=detail))
     taps = _required(taps, times, source)
     return _long_enough(taps, sampling_rate, n)
 
@@ -347,8 +379,7 @@ def _required(taps: list[Tap], times: Sequence[float] | None, source: str) -> li
                 f"{taps[near].time:.4g} s; correct the table of taps"
             )
         selected.add(near)
-    unwanted = "not in the table of taps"
-    return [tap if k in selected else replace(tap, flaw=tap.flaw or unwanted) for k, tap in enumerate(taps)]
+    return [tap if k in selected or tap.flaw else replace(tap, flaw=Flaw.NOT_LISTED) for k, tap in enumerate(taps)]
 
 
 def _long_enough(taps: list[Tap], sampling_rate: float, n: int) -> list[Tap]:
@@ -359,27 +390,21 @@ def _long_enough(taps: list[Tap], sampling_rate: float, n: int) -> list[Tap]:
     for tap in taps:
         duration = max(tap.stop - tap.start, 0) / sampling_rate
         if not tap.flaw and duration < needed:
-            after = "the end of the recording" if tap.stop == n else "the next tap"
-            tap = replace(tap, flaw=f"too close to {after}, {duration:.3g} s where {needed:.3g} s are needed")
+            flaw = Flaw.BEFORE_END if tap.stop == n else Flaw.BEFORE_NEXT
+            tap = replace(tap, flaw=flaw, detail=f"{duration:.3g} s where {needed:.3g} s are needed")
         out.append(tap)
     return out
 
 
 def _listed(taps: Sequence[Tap]) -> str:
-    """Return the number of taps, with the flaw of the first."""
-    count = {flaw: sum(tap.flaw.split(",")[0] == flaw for tap in taps) for flaw in (t.flaw.split(",")[0] for t in taps)}
-    reasons = ", ".join(f"{number} {flaw}" for flaw, number in count.items() if flaw)
+    """Return the number of taps, none of them usable, and of each flaw."""
+    reasons = ", ".join(f"{number} {flaw}" for flaw, number in Counter(tap.flaw for tap in taps).items())
     return f"{counted(len(taps), 'tap')}: {reasons}"
 
 
-def _hint(taps: Sequence[Tap]) -> str:
-    flaws = " ".join(tap.flaw for tap in taps)
-    cures = {
-        "clipped": "record with a larger range, or tap more gently",
-        "double": "tap again, and lift the hammer at once",
-        "too near": "leave a second or more between taps, and after the last",
-    }
-    return "; ".join(hint for word, hint in cures.items() if word in flaws) or "record again, some samples before a tap"
+def _cures(taps: Sequence[Tap]) -> str:
+    """Return what to do about the flaws."""
+    return "; ".join(_CURES[flaw] for flaw in dict.fromkeys(tap.flaw for tap in taps) if flaw is not None)
 
 
 def _band(band: tuple[float, float] | None, duration: float, sampling_rate: float, source: str) -> tuple[float, float]:
