@@ -169,6 +169,18 @@ def test_a_wrong_sampling_rate_is_told_by_the_true_one() -> None:
     assert hint.commands == ("cgid predict x.csv --unit g --mass 2 --rate 25600",)
 
 
+@pytest.mark.parametrize("model", [PULSES, BEAM])
+def test_frames_without_an_impact_are_too_weak(model: Model) -> None:
+    """Those that are cut off cannot be measured, either, but for another reason."""
+    rate = model.sampling_rates[0]
+    quiet = np.random.default_rng(0).normal(0, 0.1, (30, 1060))
+    rising = quiet + np.append(np.zeros(1000), 100 * np.sin(np.linspace(0, 1.5, 60)))
+    for frames, cause in ((np.full_like(quiet, 0.5), "noise"), (rising, "unmeasured")):
+        hints = Hints(model, rate, "x")
+        hints.add(identify_frames(frames, rate, model, pre_trigger=1000))
+        assert [(hint.cause, hint.n_unknown) for hint in hints.hints()] == [(cause, 30)]
+
+
 def test_causes_add_up_to_the_distance() -> None:
     """The foremost input is the one without which the squared distance falls most, by finite differences."""
     frames = ringing_batch(40, noise=1e-3).signals

@@ -17,7 +17,7 @@ from cgid.identification.model import Model
 from cgid.identification.prediction_settings import PredictionSettings, known_columns
 from cgid.measure.features import as_rows, measured, require_measurable
 from cgid.measure.filters import Equalisation
-from cgid.measure.frames import DETECTION_LIMIT, MINIMUM_FRAME, frames_of
+from cgid.measure.frames import DETECTION_LIMIT, MINIMUM_FRAME, Problem, ProblemKind, frames_of
 from cgid.recordings.chain import require_measured
 from cgid.signals import Signal, force_factor
 from cgid.units import ELECTRICAL, UNITS, quantity_of
@@ -47,7 +47,9 @@ class Answer:
     in_training_range : bool
         Whether the novelty is at most 1 and the model was trained at this sampling rate.
     problem : str
-        Why the label is unknown or doubtful; else empty.
+        Why the label is unknown or doubtful, as text; else empty.
+    problem_kind : ProblemKind or None
+        The rule that its frame breaks, where that is why it could not be measured.
     prediction_set : tuple of str or None
         Labels that cannot be ruled out at the coverage; None without a coverage or a measurement.
     channel : str
@@ -74,6 +76,7 @@ class Answer:
     novelty: float
     in_training_range: bool = False
     problem: str = ""
+    problem_kind: ProblemKind | None = None
     prediction_set: tuple[str, ...] | None = None
     channel: str = "1"
     end: float = float("nan")
@@ -363,7 +366,8 @@ def _identified(
 ) -> tuple[list[Answer], Floats]:
     """Return one prediction for each frame, and what was measured; `known` are inputs besides the features."""
     if frames.shape[-1] < MINIMUM_FRAME:
-        short = f"a frame must contain at least {MINIMUM_FRAME} samples, got {frames.shape[-1]}"
+        text = f"a frame must contain at least {MINIMUM_FRAME} samples, got {frames.shape[-1]}"
+        short = Problem(ProblemKind.TOO_SHORT, text)
         return [unmeasured(short)] * len(frames), np.full((len(frames), len(model.measured)), np.nan)
     values, problems = measured(
         frames.reshape(-1, frames.shape[-1]),
@@ -428,6 +432,7 @@ def answers_from(
         )
 
 
-def unmeasured(problem: str, time: float = 0.0) -> Answer:
+def unmeasured(problem: Problem | str, time: float = 0.0) -> Answer:
     """Return the prediction for an impact or window that cannot be measured."""
-    return Answer(time=time, label=UNKNOWN, probabilities={}, novelty=float("nan"), problem=problem)
+    kind, text = (None, problem) if isinstance(problem, str) else problem
+    return Answer(time=time, label=UNKNOWN, probabilities={}, novelty=float("nan"), problem=text, problem_kind=kind)

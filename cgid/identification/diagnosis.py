@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from cgid.errors import CgidError
 from cgid.identification.events import EVENT_TIME
 from cgid.measure.features import FEATURES, extract_array
+from cgid.measure.frames import ProblemKind
 from cgid.validation import UNKNOWN, Floats
 
 if TYPE_CHECKING:
@@ -583,7 +584,7 @@ def _cause_of(answer: Answer, crowded: bool) -> tuple[str, bool]:
     if answer.cut:
         return "cut_off", True
     if not answer.probabilities:
-        return ("noise" if answer.problem.startswith("no impact") else "unmeasured"), False
+        return ("noise" if answer.problem_kind is ProblemKind.NO_IMPACT else "unmeasured"), False
     if not cause:
         return "coverage", False
     if cause.endswith(("misfit", "unexplained")):

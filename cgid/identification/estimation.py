@@ -222,7 +222,7 @@ def estimate(
         )
         if failures := without_impact(pulses.samples, parts[-1]):
             row = min(failures)
-            raise BadData(f"signal {first + row}: {failures[row]}" if n > 1 else failures[row])
+            raise BadData(f"signal {first + row}: {failures[row].text}" if n > 1 else failures[row].text)
         cut = parts[-1].clipped > 0
         overloads.append(np.where(cut, parts[-1].peak / (level if level is not None else 1.0) - 1, 0.0).clip(0.0))
     fit = PulseFit.joined(parts)

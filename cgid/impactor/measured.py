@@ -120,8 +120,8 @@ class MeasuredPulses:
     @classmethod
     def of_frames(cls, pulses: PulseBatch) -> MeasuredPulses:
         """Return the pulses fitted to frames of force [N]; a frame that cannot be fitted is not usable."""
-        fit = pulses.fit
-        return cls._of_fit(fit.duration / pulses.sampling_rate, fit.shape, fit, pulses.overload, pulses.fit_problems())
+        fit, failed = pulses.fit, {row: problem.text for row, problem in pulses.fit_problems().items()}
+        return cls._of_fit(fit.duration / pulses.sampling_rate, fit.shape, fit, pulses.overload, failed)
 
     @classmethod
     def _of_fit(

@@ -121,7 +121,7 @@ def through_beam(
     for first in range(0, max(len(frames), 1), _ROWS):
         part = np.asarray(frames[first : first + _ROWS], np.float64)
         batch = VibrationBatch(part, rate, pre_trigger, detection_limit=detection_limit)
-        failed = batch.problems()
+        failed = {row: problem.text for row, problem in batch.problems().items()}
         # An empty frame would fail in the inversion: any other stands in for it.
         sound = np.delete(np.arange(len(part)), np.fromiter(failed, np.intp))
         if sound.size and failed:

@@ -15,7 +15,7 @@ from cgid import validation
 from cgid.counting import count
 from cgid.errors import BadData, InvalidValue
 from cgid.measure.filters import Equalisation
-from cgid.measure.frames import DETECTION_LIMIT, frames_of
+from cgid.measure.frames import DETECTION_LIMIT, Problem, frames_of
 from cgid.measure.pulses import FAINT, PULSE_FEATURES, PulseBatch
 from cgid.measure.table import Feature, ImpactKind, Kind, Table
 from cgid.measure.vibration import VIBRATION_FEATURES, Beam, VibrationBatch
@@ -238,7 +238,7 @@ def extract_array(
         row, n = min(problems), len(values)
         where = f"signal {row}: " if n > 1 else ""
         more = f" ({len(problems)} of {n} signals cannot be measured)" if len(problems) > 1 else ""
-        raise BadData(f"{where}{problems[row]}{more}")
+        raise BadData(f"{where}{problems[row].text}{more}")
     return values
 
 
@@ -269,14 +269,14 @@ def measured(
     equalisation: Equalisation | None = None,
     beam: Beam | None = None,
     channel: NDArray[np.intp] | None = None,
-) -> tuple[Floats, dict[int, str]]:
-    """Return the features of checked frames, nan where a signal cannot be measured, and a dict of signal -> reason."""
+) -> tuple[Floats, dict[int, Problem]]:
+    """Return the features of checked frames, nan where a signal cannot be measured, and a dict of signal -> problem."""
     # The frames of the sensors of a signal are adjacent; the signal has a problem if none of them can be measured. A
     # `beam` that learns from the channels of a recording gets the `channel` of each signal.
     each = 1 if beam is None else beam.n_sensors
     features = [FEATURES[name] for name in names]
     values = np.full((len(frames) // each, len(names)), np.nan)
-    problems: dict[int, str] = {}
+    problems: dict[int, Problem] = {}
     max_samples = _WINDOWED_SAMPLES if any(feature.kind == "window" for feature in features) else BLOCK_SAMPLES
     n_rows = max(min(max_samples // frames.shape[1], _ROWS), 1)
     how = (sampling_rate, features, pre_trigger, remove_baseline, detection_limit, beam)
@@ -315,7 +315,7 @@ def as_rows(samples: ArrayLike, each: int, names: tuple[str, ...]) -> ArrayLike:
     return frames.reshape(-1, frames.shape[2])
 
 
-def _of_all(problems: dict[int, str], each: int) -> dict[int, str]:
+def _of_all(problems: dict[int, Problem], each: int) -> dict[int, Problem]:
     """Return the problems of signals all of whose sensors, in `each` successive rows, have one."""
     if each == 1:
         return problems
@@ -357,9 +357,9 @@ def _batches(
     return batches
 
 
-def _problems(batches: Batches, features: Sequence[Feature]) -> dict[int, str]:
+def _problems(batches: Batches, features: Sequence[Feature]) -> dict[int, Problem]:
     """Return the problems by row; a fit requires less of a pulse than quantities read off the samples."""
-    problems: dict[int, str] = {}
+    problems: dict[int, Problem] = {}
     fitted = {feature.fitted for feature in features if feature.kind == "pulse"}
     for batch in batches.values():
         if isinstance(batch, PulseBatch) and True in fitted:

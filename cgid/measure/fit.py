@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from cgid.measure.ar_noise import ORDER, ar_noise_of
 from cgid.measure.fit_samples import Rows, rows_of, windows
-from cgid.measure.frames import constant_signal
+from cgid.measure.frames import Problem, constant_signal, no_impact
 from cgid.measure.optimum import Optimum, Problems, search_nearby
 from cgid.measure.profile import PARABOLIC, Profiled, binned, exact, gaussian_restitution, parabolic
 from cgid.measure.search import SearchResult, around, last_bin, search
@@ -107,18 +107,18 @@ class PulseFit:
         return np.exp(self.shape)
 
 
-def without_impact(samples: NDArray[np.floating], fit: PulseFit) -> dict[int, str]:
-    """Map each row whose fitted pulse may be chance to the broken rule, its value and the remedy."""
-    problems: dict[int, str] = {}
+def without_impact(samples: NDArray[np.floating], fit: PulseFit) -> dict[int, Problem]:
+    """Map each row whose fitted pulse may be chance to its problem."""
+    problems: dict[int, Problem] = {}
     for row in np.flatnonzero(~(fit.evidence > EVIDENCE) | ~(fit.peak > 0)):
         explained = np.nan_to_num(fit.evidence[row])
-        problems[int(row)] = (
-            f"no impact: a pulse must explain {EVIDENCE:g} times the variance of the noise, the best one explains "
+        problems[int(row)] = no_impact(
+            f"a pulse must explain {EVIDENCE:g} times the variance of the noise, the best one explains "
             f"{explained:.3g} times; if the pulse points downwards, invert the signal"
         )
         if fit.peak[row] < 0:
-            problems[int(row)] = (
-                f"no impact: a pulse must point upwards, the best one reaches {fit.peak[row]:.3g}; invert the signal"
+            problems[int(row)] = no_impact(
+                f"a pulse must point upwards, the best one reaches {fit.peak[row]:.3g}; invert the signal"
             )
         if np.ptp(samples[row]) == 0:
             problems[int(row)] = constant_signal(samples[row, 0])

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from enum import Enum, auto
 from functools import cached_property
-from typing import Any, Self
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -19,6 +20,22 @@ MINIMUM_FRAME = 6
 LARGEST = 1e150
 #: An impact must exceed this many standard deviations of the noise.
 DETECTION_LIMIT = 5.0
+
+
+class ProblemKind(Enum):
+    """The rule that a frame or window breaks, so that it cannot be measured."""
+
+    NO_IMPACT = auto()
+    CUT_OFF = auto()
+    TOO_SHORT = auto()
+    NO_SIGNAL = auto()
+
+
+class Problem(NamedTuple):
+    """Why a frame or window cannot be measured, and the broken rule, its value and the remedy as text."""
+
+    kind: ProblemKind
+    text: str
 
 
 def frames_of(samples: ArrayLike, pre_trigger: int | None = None) -> NDArray[Any]:
@@ -41,9 +58,14 @@ def frames_of(samples: ArrayLike, pre_trigger: int | None = None) -> NDArray[Any
     return frames
 
 
-def constant_signal(value: float) -> str:
-    """Return the message for a signal that never changes."""
-    return f"no impact: all samples are {value:g}; check the sensor and its cable"
+def no_impact(why: str) -> Problem:
+    """Return the problem of a frame without an impact; `why` has the rule, its value and the remedy."""
+    return Problem(ProblemKind.NO_IMPACT, f"no impact: {why}")
+
+
+def constant_signal(value: float) -> Problem:
+    """Return the problem of a signal that never changes."""
+    return no_impact(f"all samples are {value:g}; check the sensor and its cable")
 
 
 @dataclass(eq=False, repr=False)

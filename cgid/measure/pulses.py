@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from cgid.counting import count
 from cgid.measure.fit import MODEL_ERROR, PulseFit, Start, fit_pulses, without_impact
 from cgid.measure.fit_samples import strongest_run
-from cgid.measure.frames import Frames, constant_signal
+from cgid.measure.frames import Frames, Problem, ProblemKind, constant_signal, no_impact
 from cgid.measure.residual import N_SHAPES, Residual, fit_residual
 from cgid.measure.search import around
 from cgid.measure.spectra import PulseSpectrum
@@ -313,8 +313,8 @@ class PulseBatch(Frames):
         seen = (count >= _MIN_RINGING) & (fit.peak > 0)
         return np.where(seen, np.sqrt(np.maximum(power, 0.0)) / np.where(seen, fit.peak, 1.0), 0.0)
 
-    def fit_problems(self) -> dict[int, str]:
-        """Map each row that cannot be fitted to the broken rule, its value and the remedy."""
+    def fit_problems(self) -> dict[int, Problem]:
+        """Map each row that cannot be fitted to its problem."""
         problems = without_impact(self.samples, self.fit)
         middle = self.fit.onset + 0.5 * self.fit.duration
         for row in np.flatnonzero((self.fit.onset < -0.5) | (middle > self.samples.shape[1] - 1)):
@@ -336,14 +336,14 @@ class PulseBatch(Frames):
 
     # -- rows that cannot be measured -----------------------------------------------------------------
 
-    def problems(self) -> dict[int, str]:
-        """Map each row that cannot be measured to the broken rule, its value and the remedy."""
-        problems: dict[int, str] = {}
+    def problems(self) -> dict[int, Problem]:
+        """Map each row that cannot be measured to its problem."""
+        problems: dict[int, Problem] = {}
         first, last = self._edges
         count = last - first + 1
         for row in np.flatnonzero(~(self.peak > self.detection_limit * self.noise) | ~(self.peak > 0)):
-            problems[int(row)] = (
-                f"no impact: the peak must pass {self.detection_limit:g} times the noise, it is {self.peak[row]:.3g} "
+            problems[int(row)] = no_impact(
+                f"the peak must pass {self.detection_limit:g} times the noise, it is {self.peak[row]:.3g} "
                 f"over a noise of {self.noise[row]:.3g}; if the pulse points downwards, invert the signal"
             )
         cut_off = (first == 0) | (last == self.samples.shape[1] - 1)
@@ -358,18 +358,19 @@ class PulseBatch(Frames):
             )
         return problems
 
-    def _cut_off(self, by_start: bool) -> str:
+    def _cut_off(self, by_start: bool) -> Problem:
         end, sample = ("start", 0) if by_start else ("end", self.samples.shape[1] - 1)
-        return (
-            f"the pulse must be inside the frame, it is cut off by its {end} (sample {sample}): record a longer frame"
+        return Problem(
+            ProblemKind.CUT_OFF,
+            f"the pulse must be inside the frame, it is cut off by its {end} (sample {sample}): record a longer frame",
         )
 
-    def _too_short(self, samples: float, width_text: str, needed: float, recommended: float) -> str:
+    def _too_short(self, samples: float, width_text: str, needed: float, recommended: float) -> Problem:
         span = samples / self.sampling_rate
-        return (
+        return Problem(
+            ProblemKind.TOO_SHORT,
             f"sampling_rate {self.sampling_rate:g} Hz gives this {span * 1e3:.3g} ms pulse {width_text}; {needed:g} "
-            "are "
-            f"needed and {recommended:g} wanted: use {recommended / span:.3g} Hz or more"
+            f"are needed and {recommended:g} wanted: use {recommended / span:.3g} Hz or more",
         )
 
 

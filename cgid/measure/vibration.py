@@ -14,7 +14,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from cgid.measure.frames import Frames, constant_signal
+from cgid.measure.frames import Frames, Problem, ProblemKind, constant_signal, no_impact
 from cgid.measure.spectra import (
     MEL_BANDS,
     MIN_SHARE,
@@ -335,31 +335,38 @@ class VibrationBatch(Frames):
 
     # -- rows that cannot be measured -----------------------------------------------------------------
 
-    def problems(self) -> dict[int, str]:
-        """Map each row that cannot be measured to the broken rule, its value and the remedy."""
-        problems: dict[int, str] = {}
+    def problems(self) -> dict[int, Problem]:
+        """Map each row that cannot be measured to its problem."""
+        problems: dict[int, Problem] = {}
         for row in np.flatnonzero(np.ptp(self.samples, axis=1) == 0):
             problems[int(row)] = constant_signal(self.samples[row, 0])
         for row in np.flatnonzero(~(self.peak > self.detection_limit * self.noise) | ~(self.peak > MIN_PEAK)):
             problems.setdefault(
                 int(row),
-                f"no impact: the peak must exceed {self.detection_limit:g} times the noise, it is "
-                f"{self.peak[row]:.3g} over a noise of {self.noise[row]:.3g}; record closer to the impact or with less "
-                "noise",
+                no_impact(
+                    f"the peak must exceed {self.detection_limit:g} times the noise, it is {self.peak[row]:.3g} over "
+                    f"a noise of {self.noise[row]:.3g}; record closer to the impact or with less noise"
+                ),
             )
         if self.pre_trigger is None:
             for row in np.flatnonzero(self.first == 0):
                 problems.setdefault(
                     int(row),
-                    "the vibration must begin inside the frame, it is cut off by its start (sample 0): record some "
-                    "samples before onset",
+                    Problem(
+                        ProblemKind.CUT_OFF,
+                        "the vibration must begin inside the frame, it is cut off by its start (sample 0): record "
+                        "some samples before onset",
+                    ),
                 )
         for row in np.flatnonzero(self.samples.shape[1] - self.first < MIN_EVENT * self.sampling_rate):
             there = (self.samples.shape[1] - self.first[row]) / self.sampling_rate
             problems.setdefault(
                 int(row),
-                f"the vibration must last {MIN_EVENT * 1e3:g} ms inside the frame, it is cut off by its end after "
-                f"{there * 1e3:.3g} ms: record a longer frame",
+                Problem(
+                    ProblemKind.CUT_OFF,
+                    f"the vibration must last {MIN_EVENT * 1e3:g} ms inside the frame, it is cut off by its end after "
+                    f"{there * 1e3:.3g} ms: record a longer frame",
+                ),
             )
         return problems
 

@@ -14,6 +14,7 @@ from functools import cached_property, partial
 import numpy as np
 from numpy.typing import NDArray
 
+from cgid.measure.frames import Problem, ProblemKind
 from cgid.measure.spectra import (
     EVEN_BANDS,
     MEL_BANDS,
@@ -223,14 +224,15 @@ class WindowBatch:
 
     # -- rows that cannot be measured -----------------------------------------------------------------
 
-    def problems(self) -> dict[int, str]:
-        """Map each row that cannot be measured to the broken rule, its value and the remedy."""
-        problems: dict[int, str] = {}
+    def problems(self) -> dict[int, Problem]:
+        """Map each row that cannot be measured to its problem."""
+        problems: dict[int, Problem] = {}
         constant = np.ptp(self.samples, axis=1) == 0
         for row in np.flatnonzero(constant | ~(self.mean_square > MIN_RMS**2)):
-            problems[int(row)] = (
+            problems[int(row)] = Problem(
+                ProblemKind.NO_SIGNAL,
                 f"a window must contain a signal, all its samples are {self.samples[row, 0]:g}; check the sensor and "
-                "its cable"
+                "its cable",
             )
         return problems
 
