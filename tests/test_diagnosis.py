@@ -23,7 +23,7 @@ from cgid import predict
 from cgid.cli.hints import Hints
 from cgid.cli.main import run
 from cgid.identification.answers import Answer, identify_frames
-from cgid.identification.diagnosis import Cause, ChannelAnswers, Condition, Diagnosis, Hint, _factor_of
+from cgid.identification.diagnosis import Cause, CauseKind, ChannelAnswers, Condition, Diagnosis, Hint, _factor_of
 from cgid.identification.grouped import level_range
 from cgid.identification.model import Model
 from cgid.identification.model_file import LEVELS
@@ -179,6 +179,11 @@ def test_frames_without_an_impact_are_too_weak(model: Model) -> None:
         hints = Hints(model, rate, "x")
         hints.add(identify_frames(frames, rate, model, pre_trigger=1000))
         assert [(hint.cause, hint.n_unknown) for hint in hints.hints()] == [(cause, 30)]
+
+
+def test_each_cause_has_a_text() -> None:
+    texts = tomllib.loads((ROOT / "cgid" / "cli" / "hints.toml").read_text(encoding="utf-8"))
+    assert set(texts) == {*CauseKind, "hidden", "other_beam"}  # one too weak to measure; the shape through a beam
 
 
 def test_causes_add_up_to_the_distance() -> None:
@@ -522,7 +527,12 @@ def test_each_channel_is_told_whatever_is_wrong_with_another() -> None:
 def test_only_the_latest_answers_of_a_live_stream_count() -> None:
     """Counts that forget equal those of the last sixty answers alone, causes and examples included."""
     rng = np.random.default_rng(3)
-    causes = [None, Cause("noise", 1.0), Cause("amplitude", 9.0), Cause("peak_misfit", 2.0)]
+    causes = [
+        None,
+        Cause(CauseKind.NOISE, 1.0),
+        Cause(CauseKind.AMPLITUDE, 9.0),
+        Cause(CauseKind.SHAPE, 2.0, "peak_misfit"),
+    ]
     answers = []
     for number in range(500):
         cause = causes[rng.integers(4)]
@@ -534,7 +544,7 @@ def test_only_the_latest_answers_of_a_live_stream_count() -> None:
                 novelty=0.5 if cause is None else 2.0,
                 cause=cause,
                 clipped=bool(rng.random() < 0.2),
-                problem="" if cause is None else cause.name,
+                problem="" if cause is None else cause.kind,
             )
         )
     live = ChannelAnswers(live=True)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cgid.identification.diagnosis import Diagnosis, Hint, scale_warning
+from cgid.identification.diagnosis import CauseKind, Diagnosis, Hint, scale_warning
 from cgid.units import UNITS
 
 if TYPE_CHECKING:
@@ -66,7 +66,7 @@ class Hints(Diagnosis):
         )
         return Hint(
             cause=finding.cause,
-            reason=reason if finding.cause == "beam" else f"{where}: {reason}",
+            reason=reason if finding.cause is CauseKind.BEAM else f"{where}: {reason}",
             advice=advice,
             commands=commands,
             instead=instead,
@@ -105,13 +105,12 @@ class Hints(Diagnosis):
             else f" (mainly {finding.name}: {value:.3g}, in the training {finding.low:.3g} to {finding.high:.3g})",
             "usual": f", {model.unexplained:.2g} % in the training" if model.unexplained else "",
         }
-        cause = finding.cause
-        if cause == "noise" and np.isnan(value):
-            cause = "hidden"
-        elif cause == "shape" and self._is_of_beam:
-            cause = "other_beam"
-        words = tomllib.loads(Path(__file__).with_name("hints.toml").read_text(encoding="utf-8"))
-        found = words.get(cause, words["features"])
+        key: str = finding.cause
+        if finding.cause is CauseKind.NOISE and np.isnan(value):
+            key = "hidden"
+        elif finding.cause is CauseKind.SHAPE and self._is_of_beam:
+            key = "other_beam"
+        found = tomllib.loads(Path(__file__).with_name("hints.toml").read_text(encoding="utf-8"))[key]
         return found["reason"].format(**fields).removesuffix(" ()"), found["advice"].format(**fields)
 
     @property
@@ -124,20 +123,20 @@ class Hints(Diagnosis):
         """Return the next steps, and alternatives."""
         ways: list[tuple[str, ...]]
         match finding.cause:
-            case "upside_down":
+            case CauseKind.UPSIDE_DOWN:
                 ways = [self._turned()]
-            case "sampling_rate":
+            case CauseKind.SAMPLING_RATE:
                 is_open = "--rate" in self._options
                 ways = [(self._predict("--rate", f"{finding.value:g}"),) if is_open else ()]
-            case "amplitude":
+            case CauseKind.AMPLITUDE:
                 ways = [self._in_other_unit(finding.value)]
-            case "beam":
+            case CauseKind.BEAM:
                 ways = [self._calibration()]
-            case "vibration":
+            case CauseKind.VIBRATION:
                 ways = [self._as_acceleration(), self._training()]
-            case "shape" if self._is_of_beam:
+            case CauseKind.SHAPE if self._is_of_beam:
                 ways = [self._calibration(), self._training()]
-            case "shape" | "features":
+            case CauseKind.SHAPE | CauseKind.FEATURES:
                 ways = [self._training()]
             case _:
                 ways = []

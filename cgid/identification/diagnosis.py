@@ -65,23 +65,52 @@ _LIKE_G = (5.0, 20.0)
 _UNMARKED = 0.25
 #: Examples kept of each cause.
 _MAX_EXAMPLES = 50
-#: Causes that are no input or guard of a model.
-_TESTED = ("noise", "drowned", "amplitude", "duration", "sampling_rate", "vibration")
+
+
+class CauseKind(StrEnum):
+    """Why predictions are unknown, or how a beam has changed; the values are words for programs."""
+
+    NOISE = "noise"
+    DROWNED = "drowned"
+    CLIPPED = "clipped"
+    CUT_OFF = "cut_off"
+    OVERLAPPING = "overlapping"
+    UPSIDE_DOWN = "upside_down"
+    COVERAGE = "coverage"
+    UNMEASURED = "unmeasured"
+    SAMPLING_RATE = "sampling_rate"
+    AMPLITUDE = "amplitude"
+    DURATION = "duration"
+    VIBRATION = "vibration"
+    SHAPE = "shape"
+    FEATURES = "features"
+    BEAM = "beam"
 
 
 @dataclass(frozen=True)
 class Cause:
     """The cause of an out-of-distribution prediction."""
 
-    # `value` by `name`: an input or guard of the model, as measured, with its training range; noise: amplitude of the
-    # impact over that before it; drowned: fraction of the novelty due to noise; amplitude and duration: ratio to the
-    # training; sampling_rate: the one at which the impact is inside [Hz]; vibration: depth below the baseline over the
-    # peak.
+    # `value` by `kind`: noise: amplitude of the impact over that before it; drowned: fraction of the novelty due to
+    # noise; amplitude and duration: ratio to the training; sampling_rate: the one at which the impact is inside [Hz];
+    # vibration: depth below the baseline over the peak; else that of `name`, an input or guard of the model, as
+    # measured, with its training range.
 
-    name: str
+    kind: CauseKind
     value: float
+    name: str = ""
     low: float = float("nan")
     high: float = float("nan")
+
+    @classmethod
+    def of_column(cls, name: str, value: float, low: float, high: float) -> Cause:
+        """Return the cause that an input or guard of the model is outside of its training range."""
+        kind = CauseKind.FEATURES
+        if name == "overload":
+            kind = CauseKind.CLIPPED
+        elif name.endswith(("misfit", "unexplained")):
+            kind = CauseKind.SHAPE
+        return cls(kind, value, name, low, high)
 
 
 def causes_of(model: Model, inputs: Floats, guards: Floats) -> list[Cause]:
@@ -95,17 +124,18 @@ def causes_of(model: Model, inputs: Floats, guards: Floats) -> list[Cause]:
     )
     causes = []
     for row, values in enumerate(guards):
-        scale, name = min((abs(np.log(x[row])), n) for x, n in ((amplitudes, "amplitude"), (durations, "duration")))
+        of_size = ((amplitudes[row], CauseKind.AMPLITUDE), (durations[row], CauseKind.DURATION))
+        scale, kind, factor = min((abs(np.log(factor)), kind, factor) for factor, kind in of_size)
         if noise_novelty[row] > 1 and scale == np.inf:  # a louder window of the training is no noise
-            causes.append(Cause("drowned", float(noise_novelty[row])))
+            causes.append(Cause(CauseKind.DROWNED, float(noise_novelty[row])))
         elif values.size and (values / limits).max() > 1:
             guard = int(np.argmax(values / limits))
-            causes.append(Cause(model.guards[guard], float(values[guard]), 0.0, model.guard_limits[guard]))
+            causes.append(Cause.of_column(model.guards[guard], float(values[guard]), 0.0, model.guard_limits[guard]))
         elif scale < np.inf:
-            causes.append(Cause(name, float((amplitudes if name == "amplitude" else durations)[row])))
+            causes.append(Cause(kind, float(factor)))
         else:
             k = int(most_distant[row])
-            causes.append(Cause(model.inputs[k], float(inputs[row, k]), float(low[k]), float(high[k])))
+            causes.append(Cause.of_column(model.inputs[k], float(inputs[row, k]), float(low[k]), float(high[k])))
     return causes
 
 
@@ -152,15 +182,15 @@ def with_frames(
     if not model.covers(sampling_rate) and not model.known:
         rate = min(max(sampling_rate, min(model.sampling_rates)), max(model.sampling_rates))
         causes = dict.fromkeys(
-            np.flatnonzero(_inside(outside, rate, model, pre_trigger)).tolist(), Cause("sampling_rate", rate)
+            np.flatnonzero(_inside(outside, rate, model, pre_trigger)).tolist(), Cause(CauseKind.SAMPLING_RATE, rate)
         )
     if pre_trigger is not None and pre_trigger > 1:
         clear = _clearness(outside, sampling_rate, pre_trigger)
-        causes |= {k: Cause("noise", float(clear[k])) for k in np.flatnonzero(clear < _CLEAR).tolist()}
+        causes |= {k: Cause(CauseKind.NOISE, float(clear[k])) for k in np.flatnonzero(clear < _CLEAR).tolist()}
     elif model.kind == "pulse":
         middle = np.median(outside, axis=1)
         depth = (middle - outside.min(axis=1)) / np.maximum(outside.max(axis=1) - middle, np.finfo(np.float64).tiny)
-        causes |= {k: Cause("vibration", float(depth[k])) for k in np.flatnonzero(depth > _BOTH_WAYS).tolist()}
+        causes |= {k: Cause(CauseKind.VIBRATION, float(depth[k])) for k in np.flatnonzero(depth > _BOTH_WAYS).tolist()}
     for k, cause in causes.items():
         explained[rows[k]] = replace(answers[rows[k]], cause=cause)
     return explained
@@ -195,7 +225,7 @@ class _Counted(NamedTuple):
     """A prediction, the cause if it is unknown, whether a mark is that cause, and whether it could be trained on."""
 
     answer: Answer
-    cause: str
+    cause: CauseKind
     marked: bool
     usable: bool
 
@@ -212,9 +242,9 @@ class ChannelAnswers:
     n_unmarked: int = 0
     n_unknown: int = 0
     n_usable: int = 0
-    marks: Counter[str] = field(default_factory=Counter)
-    unmarked: Counter[str] = field(default_factory=Counter)
-    examples: dict[str, deque[Answer]] = field(default_factory=dict)
+    marks: Counter[CauseKind] = field(default_factory=Counter)
+    unmarked: Counter[CauseKind] = field(default_factory=Counter)
+    examples: dict[CauseKind, deque[Answer]] = field(default_factory=dict)
     latest: float = -np.inf
     problems: Counter[str] = field(default_factory=Counter)
     unexplained: deque[float] = field(default_factory=lambda: deque(maxlen=_LATEST[-1]))
@@ -228,9 +258,9 @@ class ChannelAnswers:
         is_soon = 0 < after < EVENT_TIME
         crowded = is_vibration and is_soon
         disturbed = answer.overlapping or answer.clipped or answer.cut
-        name, marked = _cause_of(answer, crowded)
+        cause, marked = _cause_of(answer, crowded)
         # Training excludes impacts that begin within the previous event.
-        counted = _Counted(answer, name, marked, bool(answer.probabilities) and not is_soon and not disturbed)
+        counted = _Counted(answer, cause, marked, bool(answer.probabilities) and not is_soon and not disturbed)
         if np.isfinite(answer.unexplained) and not (crowded or disturbed):
             self.unexplained.append(answer.unexplained)
         if np.isfinite(answer.level):
@@ -249,24 +279,24 @@ class ChannelAnswers:
 
     def _count(self, counted: _Counted, by: int) -> None:
         """Count a prediction (by 1), or no longer (by -1)."""
-        answer, name = counted.answer, counted.cause
+        answer, cause = counted.answer, counted.cause
         self.n_answers += by
         self.n_unmarked += by * (not counted.marked)
         self.n_usable += by * counted.usable
         if answer.label != UNKNOWN:
             return
         self.n_unknown += by
-        (self.marks if counted.marked else self.unmarked)[name] += by
+        (self.marks if counted.marked else self.unmarked)[cause] += by
         if answer.problem in self.problems or len(self.problems) < _MAX_EXAMPLES:
             self.problems[answer.problem] += by
-        examples = self.examples.setdefault(name, deque())
+        examples = self.examples.setdefault(cause, deque())
         if by < 0 and examples and examples[0] is answer:
             examples.popleft()
         elif by > 0 and len(examples) < _MAX_EXAMPLES:
             examples.append(answer)
 
     @property
-    def decisive(self) -> Counter[str]:
+    def decisive(self) -> Counter[CauseKind]:
         """The relevant causes: only those of unmarked predictions if these are many."""
         few_marks = self.unmarked.total() and self.n_unmarked >= _UNMARKED * self.n_answers
         return self.unmarked if few_marks else self.marks + self.unmarked
@@ -304,11 +334,10 @@ class Change(NamedTuple):
 class Finding:
     """Why most answers of some channels are unknown, or how their beam has changed."""
 
-    # `cause` is one word for programs: that of a `Cause`, or clipped, cut_off, overlapping, shape, upside_down,
-    # features, coverage, unmeasured or beam. `value` is a median over the examples, for "beam" the part that the latest
-    # `n_answers` impacts leave unexplained [%].
+    # `value` is a median over the examples, for a changed beam the part that the latest `n_latest` impacts leave
+    # unexplained [%].
 
-    cause: str
+    cause: CauseKind
     channels: tuple[str, ...]
     n_unknown: int
     n_answers: int
@@ -326,7 +355,7 @@ class Hint:
 
     # `commands` are the next steps, in order, and `instead` the alternatives; `channels` is empty if it concerns all.
 
-    cause: str
+    cause: CauseKind
     reason: str
     advice: str
     commands: tuple[str, ...]
@@ -421,30 +450,33 @@ class Diagnosis:
 
     def findings(self, names: Iterable[str] | None = None) -> list[Finding]:
         """Return the causes, with the channels of each that are upside down, mostly unknown, or of a changed beam."""
-        changed, causes = self._changed(), dict[str, list[str]]()
+        changed, causes = self._changed(), dict[CauseKind, list[str]]()
         for name in self.channels if names is None else sorted(self.channels.keys() & set(names)):
             channel = self.channels[name]
             # The rebounds of inverted pulses may be identified, but on the wrong side.
             if name in self.upside_down:
-                causes.setdefault("upside_down", []).append(name)
+                causes.setdefault(CauseKind.UPSIDE_DOWN, []).append(name)
             elif 2 * channel.n_unknown > channel.n_answers:
                 cause = channel.decisive.most_common(1)[0][0]
                 another = channel.n_unknown >= _ANOTHER_BEAM * channel.n_answers
-                cause = "beam" if cause == "shape" and not another and name in changed else cause
+                if cause is CauseKind.SHAPE and not another and name in changed:
+                    cause = CauseKind.BEAM
                 causes.setdefault(cause, []).append(name)
             elif name in changed:
-                causes.setdefault("beam", []).append(name)
+                causes.setdefault(CauseKind.BEAM, []).append(name)
         return [
-            self._change({name: changed[name] for name in names}) if cause == "beam" else self._finding(cause, names)
+            self._change({name: changed[name] for name in names})
+            if cause is CauseKind.BEAM
+            else self._finding(cause, names)
             for cause, names in causes.items()
         ]
 
-    def _finding(self, cause: str, names: Sequence[str]) -> Finding:
+    def _finding(self, cause: CauseKind, names: Sequence[str]) -> Finding:
         affected = [self.channels[name] for name in names]
         examples = [one.cause for channel in affected for one in channel.examples.get(cause, ()) if one.cause]
         problem = sum((channel.problems for channel in affected), Counter[str]()).most_common(1)
         name = Counter(one.name for one in examples).most_common(1)[0][0] if examples else ""
-        if cause == "features":  # of several inputs, the one that is most often the cause
+        if cause is CauseKind.FEATURES:  # of several inputs, the one that is most often the cause
             examples = [one for one in examples if one.name == name]
         return Finding(
             cause=cause,
@@ -460,7 +492,7 @@ class Diagnosis:
         """Return the finding of channels whose beam is no longer that of the model."""
         latest = np.concatenate(list(changed.values()))
         counts = self._counts(changed)
-        return Finding(cause="beam", **counts, value=float(np.median(latest)), n_latest=len(latest))
+        return Finding(cause=CauseKind.BEAM, **counts, value=float(np.median(latest)), n_latest=len(latest))
 
     def _counts(self, affected: Iterable[str]) -> dict[str, Any]:
         names = tuple(affected)
@@ -544,9 +576,9 @@ def sizes_outside(diagnosis: Diagnosis) -> dict[str, float]:
     factors = {}
     for finding in diagnosis.findings():
         for name in finding.channels or diagnosis.channels:
-            if finding.cause == "amplitude":
+            if finding.cause is CauseKind.AMPLITUDE:
                 factors[name] = finding.value
-            elif finding.cause == "features":
+            elif finding.cause is CauseKind.FEATURES:
                 factors[name] = _factor_of(diagnosis.channels[name].levels, diagnosis.model)
     return {name: factor for name, factor in factors.items() if factor != 1}
 
@@ -571,22 +603,19 @@ def scale_warning(factor: float, model: Model) -> str:
     )
 
 
-def _cause_of(answer: Answer, crowded: bool) -> tuple[str, bool]:
+def _cause_of(answer: Answer, crowded: bool) -> tuple[CauseKind, bool]:
     """Return the cause of an unknown answer, and whether a mark of its frame is that cause."""
     if answer.cut and not answer.probabilities:
-        return "cut_off", True
-    cause = "" if answer.cause is None else answer.cause.name
-    if answer.clipped or cause == "overload":
-        return "clipped", True
-    weak = not answer.probabilities or cause == "noise"
+        return CauseKind.CUT_OFF, True
+    cause = None if answer.cause is None else answer.cause.kind
+    if answer.clipped or cause is CauseKind.CLIPPED:
+        return CauseKind.CLIPPED, True
+    weak = not answer.probabilities or cause is CauseKind.NOISE
     if answer.overlapping or (crowded and weak):
-        return "overlapping", True
+        return CauseKind.OVERLAPPING, True
     if answer.cut:
-        return "cut_off", True
+        return CauseKind.CUT_OFF, True
     if not answer.probabilities:
-        return ("noise" if answer.problem_kind is ProblemKind.NO_IMPACT else "unmeasured"), False
-    if not cause:
-        return "coverage", False
-    if cause.endswith(("misfit", "unexplained")):
-        return "shape", False
-    return (cause if cause in _TESTED else "features"), False
+        no_impact = answer.problem_kind is ProblemKind.NO_IMPACT
+        return (CauseKind.NOISE if no_impact else CauseKind.UNMEASURED), False
+    return (CauseKind.COVERAGE if cause is None else cause), False
