@@ -69,8 +69,8 @@ class CoarseTables:
     def of(cls, table: ResponseTable, spacing: float, every: int = 1) -> CoarseTables:
         """Return the tables of a grid of locations [m], or of every so many of it along and across."""
         x, y, at = table.beam.grid(spacing)
-        coefficients_own = slice(None) if every == 1 else grid_numbers(table.beam, every).ravel()
-        return cls(table, x[coefficients_own], y[coefficients_own], at[coefficients_own])
+        locations = slice(None) if every == 1 else grid_numbers(table.beam, every).ravel()
+        return cls(table, x[locations], y[locations], at[locations])
 
 
 class NoiseTables:
@@ -198,18 +198,18 @@ class LocationGrid:
 
     def _evidence_of(self, samples: Singles, weight: Singles, steps: NDArray[np.intp], fainter: list[int]) -> Floats:
         """Return the evidence that a force begins some samples later, (n, n_steps), for sensors of equal noise."""
-        n_kept, tables = self.low.table.kept, self._tables_of_low(tuple(fainter))
-        weight, n_sensors = weight[:, n_kept], self.beam.n_sensors
+        kept, tables = self.low.table.kept, self._tables_of_low(tuple(fainter))
+        weight, n_sensors = weight[:, kept], self.beam.n_sensors
         if n_sensors > 1:
             quiet = tables.weight == 1.0
             scale = np.exp(np.mean(np.log(np.maximum(weight[:, quiet], 1e-30)), axis=1, keepdims=True))
             lawful = self._lawful(weight, tables.weight * scale, np.equal(fainter, _FAINTEST))
             weight = (lawful / np.sqrt(scale)).astype(np.float32)
-        spectrum = np.ascontiguousarray(samples[:, n_kept]).view(np.complex64).reshape(len(samples), 1, n_sensors, -1)
+        spectrum = np.ascontiguousarray(samples[:, kept]).view(np.complex64).reshape(len(samples), 1, n_sensors, -1)
         frequency = np.arange(1, spectrum.shape[3] + 1) / self.responses.n_samples
         rotation = np.exp(2j * np.pi * np.outer(steps, frequency))[:, None].astype(np.complex64)
         later = (spectrum * rotation).view(np.float32).reshape(len(samples), steps.size, -1) * weight[:, None]
-        evidence = tables.evidence(later.reshape(-1, n_kept.size)).max(axis=0)
+        evidence = tables.evidence(later.reshape(-1, kept.size)).max(axis=0)
         return np.asarray(evidence.reshape(len(samples), -1), np.float64)
 
     # -- the location ---------------------------------------------------------------------------------
@@ -222,8 +222,8 @@ class LocationGrid:
         strong = np.round(np.log(strength) / np.log(STRONGER)).astype(np.intp)
         nearest = np.argmin(np.abs(np.subtract.outer(exponent, _COLOURS)), axis=1)
         out = Start(first, *np.zeros((4, n)))
-        low, n_kept = self.wide.table.kept, self.fine.table.kept
-        in_order = np.argsort(n_kept)
+        low, kept = self.wide.table.kept, self.fine.table.kept
+        in_order = np.argsort(kept)
         wide_samples, wide_weight = samples[:, low], responses.with_errors(weight, strength)[:, low]
         samples, weight = responses.turned(samples), responses.turned_weight(weight, strength)
         for (colour, force, *fainter), rows in _groups(np.column_stack([nearest, strong, self._fainter(weight)])):
@@ -232,7 +232,7 @@ class LocationGrid:
             # The best of the wide grid by themselves, and the neighbours of the best of these.
             places = _highest(wide.evidence(given).T, _BEST[0])
             given = self._scaled(samples[rows], weight[rows], fine.weight[in_order], fainter)
-            by_mixture = self.fine.table.by_mixture(given[:, n_kept])
+            by_mixture = self.fine.table.by_mixture(given[:, kept])
             evidence = fine.evidence(self._near[places, 0], by_mixture).max(axis=2)
             places = np.take_along_axis(places, _highest(evidence, _BEST[1]), axis=1)
             places = self._near[places].reshape(rows.size, -1)
@@ -258,10 +258,8 @@ class LocationGrid:
         n, n_sensors = len(weight), self.beam.n_sensors
         ratio = (weight / np.maximum(law, 1e-30)).reshape(n, n_sensors, -1)
         level = np.where(faint, np.minimum(ratio.mean(axis=2), 1.0), 1.0)
-        is_negligible = np.minimum(
-            1.0, ratio / np.maximum(_MIN_WEIGHT * np.median(ratio, axis=2, keepdims=True), 1e-30)
-        )
-        return np.asarray(law * (is_negligible * level[:, :, None]).reshape(n, -1), np.float32)
+        retained = np.minimum(1.0, ratio / np.maximum(_MIN_WEIGHT * np.median(ratio, axis=2, keepdims=True), 1e-30))
+        return np.asarray(law * (retained * level[:, :, None]).reshape(n, -1), np.float32)
 
     def _fainter(self, weight: Singles) -> NDArray[np.intp]:
         """Return the powers of `_RATIO` by which each sensor is noisier than the quietest, (n, n_sensors)."""
