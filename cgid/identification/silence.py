@@ -98,13 +98,13 @@ def silence_of(
     if not parts:
         return found
     first, power = (np.concatenate(column) for column in zip(*parts, strict=True))
-    n_complete = ~np.isnan(power).any(axis=1)
-    first, power = first[n_complete], power[n_complete]
-    intervals_used = np.zeros(len(first), bool)
+    complete = ~np.isnan(power).any(axis=1)
+    first, power = first[complete], power[complete]
+    inside_interval = np.zeros(len(first), bool)
     for start, end in intervals:
-        intervals_used |= (first >= start * rate) & (first + WINDOW_TIME * rate <= end * rate + 0.5)
+        inside_interval |= (first >= start * rate) & (first + WINDOW_TIME * rate <= end * rate + 0.5)
     silent = _silent(power, first, events, WINDOW_TIME * rate)
-    return found + Silence(n_windows=int(intervals_used.sum()), n_silent=int((silent & intervals_used).sum()))
+    return found + Silence(n_windows=int(inside_interval.sum()), n_silent=int((silent & inside_interval).sum()))
 
 
 def _silent(power: Floats, first: NDArray[np.int64], events: Sequence[Event], length: float) -> NDArray[np.bool_]:
