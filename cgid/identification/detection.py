@@ -262,9 +262,9 @@ class ImpactDetector:
     def _join(self) -> None:
         """Append the pending blocks to the samples."""
         if self._blocks:
-            n_kept_samples = [self._samples] if self._samples.shape[1] else []
+            kept = [self._samples] if self._samples.shape[1] else []
             n_kept = self._samples.shape[1]
-            self._samples = np.concatenate([*n_kept_samples, *self._blocks], axis=1)
+            self._samples = np.concatenate([*kept, *self._blocks], axis=1)
             self._limits.see(self._samples[:, n_kept:])
             self._blocks = []
 
@@ -311,12 +311,12 @@ class ImpactDetector:
 
     def _since(self, onset: Onset) -> int:
         """Return the sample after the last gap before an onset."""
-        pulses = 0
+        latest = 0
         for channel in range(self.n_channels) if self.joint else [onset.channel]:
             before = [sample for sample in self._resumed[channel] if sample <= onset.sample]
             self._resumed[channel] = [before[-1], *(s for s in self._resumed[channel] if s > onset.sample)]
-            pulses = max(pulses, before[-1])
-        return pulses
+            latest = max(latest, before[-1])
+        return latest
 
     def _between_gaps(self, onset: Onset, reach: int) -> tuple[int, int | None] | None:
         """Return the samples around an onset up to the next gaps; None if one of joint channels misses the onset."""
