@@ -357,9 +357,9 @@ def _alone(event: Event, events: list[Event], sampling_rate: float) -> bool:
 
 def _is_clipped(part: Floats, highest: Floats, lowest: Floats) -> bool:
     """Return whether a channel (n_channels, n) stays at an extreme of the recording for three samples."""
-    for row, max_frequency, least in zip(part, highest, lowest, strict=True):
-        limit = _CLIPPED_SHARE * max(abs(max_frequency), abs(least))
-        for extreme in (max_frequency, least):
+    for row, top, bottom in zip(part, highest, lowest, strict=True):
+        limit = _CLIPPED_SHARE * max(abs(top), abs(bottom))
+        for extreme in (top, bottom):
             at = row == extreme
             if abs(extreme) >= limit and bool(np.any(at[2:] & at[1:-1] & at[:-2])):
                 return True
