@@ -38,7 +38,7 @@ _BEYOND_LINEAR = 1.1
 #: Maximum number of rounds.
 MAX_ROUNDS = len(_BANDS) * (_FIRST + _MAX_SEARCHES * _BETWEEN) + _LAST
 #: Poles have converged when this fraction of the steps is no longer than this fraction of their standard deviations.
-_MAX_MODES, _CONVERGED = 0.97, 0.5
+_QUANTILE, _CONVERGED = 0.97, 0.5
 #: Widest range of the search, in prior standard deviations and relative to the frequency; its step in damping ratios.
 _WIDEST, _WIDEST_SHARE, _FINEST = 3.0, 0.12, 0.35
 #: Minimum gain in log-likelihood for a move to another minimum, and the separation of modes that move together.
@@ -149,7 +149,7 @@ class Learned:
         self.deviation[quantities] = np.minimum(_BEYOND_LINEAR * deviation.reshape(prior.shape), prior)
         if self._progress is not None:
             self._progress(1)
-        self.has_converged = bool(np.quantile(np.abs(step) / deviation, _MAX_MODES) < _CONVERGED)
+        self.has_converged = bool(np.quantile(np.abs(step) / deviation, _QUANTILE) < _CONVERGED)
         return self.has_converged
 
     def search(self, n_impacts: int, limit: float | None) -> bool:
