@@ -129,7 +129,7 @@ class Confusion:
         )
         if plain is None:
             return None
-        inside, errors, n_informative = [], [], []
+        inside, errors, curvatures = [], [], []
         for one in streams:
             known = np.isfinite(one.logits)
             window = (one.time[known] // _WINDOW).astype(int)
@@ -142,12 +142,12 @@ class Confusion:
             due = curvature.sum() * one.share * (1 - one.share) / sum(one.n_rocks)
             inside.append((squared_residuals.sum(), squared_residuals.size - 1, due * (squared_residuals.size - 1)))
             errors.append(error)
-            n_informative.append(curvature.sum())
+            curvatures.append(curvature.sum())
         sums = np.sum(inside, axis=0)
         squared_residuals, due = sums[[0, 2]] / max(sums[1], 1)
         overdispersion = max(float(squared_residuals - due), 1.0)
         excess = np.average(
-            np.square(errors) - max(squared_residuals, 1.0) / np.asarray(n_informative), weights=n_informative
+            np.square(errors) - max(squared_residuals, 1.0) / np.asarray(curvatures), weights=curvatures
         )
         scatter = max(float(np.sqrt(max(excess, 0.0))), MIN_SCATTER)
         return cls(edges=plain.edges, rates=plain.rates, overdispersion=overdispersion, scatter=scatter)

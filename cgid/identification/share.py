@@ -270,8 +270,8 @@ class ShutDecision:
 
     def __init__(self, dilution_cost: float = 1.0, evidence: float = 0.95, hold: float = 0.0) -> None:
         given = {"dilution_cost": dilution_cost, "evidence": evidence, "hold": hold}
-        rule = {name: validation.number(name, value, rule=RULES[name]) for name, value in given.items()}
-        self.dilution_cost, self.evidence, self.hold = rule.values()
+        checked = {name: validation.number(name, value, rule=RULES[name]) for name, value in given.items()}
+        self.dilution_cost, self.evidence, self.hold = checked.values()
         self.threshold = 1.0 / (1.0 + self.dilution_cost)
         self._least = MIN_IMPACTS * (2 if max(self.threshold, 1.0 - self.threshold) >= self.evidence else 1)
         #: Whether to shut; None where nothing is decided.
