@@ -232,8 +232,8 @@ class _Rows:
         self, signal: Signal, columns: list[Column], impacts: list[_Impact], index: dict[str, int]
     ) -> None:
         """Print the impacts of a channel; raises `BadData` if none of them could be measured."""
-        n_impacts = counted(len(impacts), "impact")
-        self._report(signal.name, signal.sampling_rate, n_impacts)
+        found = counted(len(impacts), "impact")
+        self._report(signal.name, signal.sampling_rate, found)
         failed = []
         for number, (time, values, problem) in enumerate(impacts, start=1):
             about = {"impact": number, "time_s": time, "sampling_rate_hz": signal.sampling_rate}
@@ -242,7 +242,7 @@ class _Rows:
                 failed.append(f"impact {number} at {time:.6f} s: {problem}")
         _warn([f"{signal.name}: {problem}" for problem in failed], signal.name, "impact")
         if len(failed) == len(impacts):
-            raise BadData(f"{signal.name}: none of its {n_impacts} can be measured; the first: {failed[0]}")
+            raise BadData(f"{signal.name}: none of its {found} can be measured; the first: {failed[0]}")
 
     def _begin(self, source: str, columns: list[Column]) -> None:
         """Set the columns of the table; additional ones of later files are skipped with a warning."""

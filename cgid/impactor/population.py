@@ -26,7 +26,7 @@ from cgid.scene.through_beam import beam_of, full_beam
 from cgid.validation import Floats
 
 #: Number of draws if pulses follow from a formula, if pulses are fitted, and for a scene with a beam.
-_MANY, _FEW, _MIN_DRAWS = 1 << 17, 1 << 15, 1 << 14
+_MANY, _FEW, _FEWEST = 1 << 17, 1 << 15, 1 << 14
 #: Samples of fitted pulses during contact, before it and in total; noise over the peak; arbitrary sampling rate [Hz].
 _SAMPLES, _BEFORE, _FRAME, _NOISE, _RATE = 64, 32, 192, 1e-3, 1e5
 #: Seed of these draws, unlikely to be chosen for the signals.
@@ -69,7 +69,7 @@ def population_of(scene: Scene, n_draws: int | None = None) -> ImpactorPopulatio
     # Each pulse is then a member of the family, with the stored peak, duration and restitution.
     plain = of_family and similar and scene.stream is None
     beam = impact_beam(scene) if uses_beam(scene) else None
-    n_required = n_draws or (_MANY if plain else _FEW if scene.tail_beam is None else _MIN_DRAWS)
+    n_required = n_draws or (_MANY if plain else _FEW if scene.tail_beam is None else _FEWEST)
     parts: list[dict[str, Floats]] = []
     blocks = _stream(scene) if scene.stream is not None else _frames(scene)
     while sum(part["radius"].size for part in parts) < n_required:

@@ -348,21 +348,21 @@ def _quantiles(values: dict[str, Floats], weight: Floats) -> dict[str, Floats]:
     n, max_weight = len(weight), weight.max(axis=1, initial=0.0)
     counted = weight > np.where(max_weight > 0, 1e-4 * max_weight, np.inf)[:, None]
     n_counted = counted.sum(axis=1)
-    has_weight = np.flatnonzero(n_counted)
-    row = np.repeat(np.arange(has_weight.size), n_counted[has_weight])
-    first = np.searchsorted(row, np.arange(has_weight.size))
+    with_weight = np.flatnonzero(n_counted)
+    row = np.repeat(np.arange(with_weight.size), n_counted[with_weight])
+    first = np.searchsorted(row, np.arange(with_weight.size))
     heavy, start = weight[counted], row * _POSTERIOR
     quantiles = {}
     for name, column in values.items():
         quantiles[name] = np.full((n, LEVELS.size), np.nan)
-        if has_weight.size:
+        if with_weight.size:
             selected = column[counted]
             low, high = np.minimum.reduceat(selected, first), np.maximum.reduceat(selected, first)
             cell = np.maximum(high - low, 1e-9) / (_POSTERIOR - 1)
             position = ((selected - low[row]) / cell[row] + 0.5).astype(np.intp)
-            mass = np.bincount(start + np.minimum(position, _POSTERIOR - 1), heavy, has_weight.size * _POSTERIOR)
+            mass = np.bincount(start + np.minimum(position, _POSTERIOR - 1), heavy, with_weight.size * _POSTERIOR)
             at = _crossed(np.asarray(mass.reshape(-1, _POSTERIOR), np.float64))
-            quantiles[name][has_weight] = low[:, None] + cell[:, None] * (at - 0.5)
+            quantiles[name][with_weight] = low[:, None] + cell[:, None] * (at - 0.5)
     return quantiles
 
 

@@ -25,7 +25,7 @@ MAX_CLIENTS, _PAUSE_AFTER_EVICTION = 10, 0.01
 #: An equal line about an output is repeated after this time [s].
 _REPEAT = 3600.0
 #: Displaced clients are reported after this time, doubling up to `_REPEAT` [s], so that they cannot flood stderr.
-_FIRST_COUNT = 10.0
+_FIRST_REPORT = 10.0
 
 
 class Service:
@@ -190,7 +190,7 @@ class _Listener(socketserver.ThreadingTCPServer):
         socketserver.BaseServer.__init__(self, listening.getsockname(), handler)
         self.socket, self._timeout, self._report = listening, timeout, report
         self._displaced = self._reported = 0
-        self._report_at, self._pause = 0.0, _FIRST_COUNT
+        self._report_at, self._pause = 0.0, _FIRST_REPORT
         self._clients: dict[socket.socket, tuple[Thread, float]] = {}  # with the time of the last complete request
         self._lock = Lock()
 

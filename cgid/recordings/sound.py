@@ -206,15 +206,15 @@ def read_wav(path: Path, source: str) -> Blocks:
             _check_bits(file.read(min(size, _CHECKED)), head, warnings)
 
     def blocks(length: int, channels: Sequence[int]) -> Iterator[NDArray[Any]]:
-        max_samples = length * head.frame_size
+        block_size = length * head.frame_size
         picked = list(channels)
         with path.open("rb") as file:
             file.seek(start)
-            for first in range(0, size, max_samples):
-                raw = file.read(min(max_samples, size - first))
+            for first in range(0, size, block_size):
+                raw = file.read(min(block_size, size - first))
                 complete = len(raw) - len(raw) % head.frame_size
                 yield np.ascontiguousarray(head.coding.decoded(raw[:complete]).reshape(-1, head.n_channels).T[picked])
-                if len(raw) < min(max_samples, size - first):
+                if len(raw) < min(block_size, size - first):
                     warnings.append("the file became shorter while it was read; the complete part was read")
                     return
 
