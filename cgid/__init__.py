@@ -1,10 +1,58 @@
 """Identify coal and gangue by the impact of a falling rock on steel.
 
-Public names are loaded on first use: `import cgid` alone imports neither numpy nor numba, scikit-learn, pandas or
-matplotlib.
+Public names and modules are loaded on first use: `import cgid` alone imports neither numpy nor numba, scikit-learn,
+pandas or matplotlib.
 """
 
 from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from cgid import ceiling as ceiling
+    from cgid import errors as errors
+    from cgid import export_c as export_c
+    from cgid import identification as identification
+    from cgid import impactor as impactor
+    from cgid import learn as learn
+    from cgid import measure as measure
+    from cgid import physics as physics
+    from cgid import plots as plots
+    from cgid import public as public
+    from cgid import recordings as recordings
+    from cgid import scene as scene
+    from cgid import site as site
+    from cgid import store as store
+    from cgid.identification.classifier import ImpactClassifier as ImpactClassifier
+    from cgid.identification.detection import ImpactDetector as ImpactDetector
+    from cgid.identification.detection import find_impacts as find_impacts
+    from cgid.identification.model import Model as Model
+    from cgid.identification.prediction import load_model as load_model
+    from cgid.identification.prediction import predict as predict
+    from cgid.identification.stream import identify_recording as identify_recording
+    from cgid.identification.training import train as train
+    from cgid.impactor import estimate_impactors as estimate_impactors
+    from cgid.learn import ImpactFeatures as ImpactFeatures
+    from cgid.learn import stream as stream
+    from cgid.measure.features import extract as extract
+    from cgid.measure.filters import fft_filter as fft_filter
+    from cgid.physics import RIGID as RIGID
+    from cgid.physics import Elastic as Elastic
+    from cgid.physics import HalfSpace as HalfSpace
+    from cgid.physics import HuntCrossley as HuntCrossley
+    from cgid.physics import Impact as Impact
+    from cgid.physics import Sphere as Sphere
+    from cgid.physics import ThinPlate as ThinPlate
+    from cgid.physics import Viscoelastic as Viscoelastic
+    from cgid.physics.materials import Material as Material
+    from cgid.recordings import open_recording as open_recording
+    from cgid.recordings import read_recording as read_recording
+    from cgid.scene import Scene as Scene
+    from cgid.scene import load_scene as load_scene
+    from cgid.scene import synthesise as synthesise
+    from cgid.signals import Batch as Batch
+    from cgid.signals import Signal as Signal
+    from cgid.store import Dataset as Dataset
 
 __version__ = "0.2.0.dev0"
 
@@ -42,16 +90,26 @@ _HOMES = {
     "train": "cgid.identification.training",
 }
 
+#: Public modules.
+_MODULES = (
+    *("ceiling", "errors", "export_c", "identification", "impactor", "learn", "measure"),
+    *("physics", "plots", "public", "recordings", "scene", "site", "store"),
+)
+
 __all__ = sorted([*_HOMES, "__version__"])  # pyright: ignore[reportUnsupportedDunderAll]
 
 
-def __getattr__(name: str) -> object:
-    from importlib import import_module
+if not TYPE_CHECKING:  # else a name that does not exist would have a type
 
-    if name not in _HOMES:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(_HOMES[name]), name)
+    def __getattr__(name: str) -> object:
+        from importlib import import_module
+
+        if name in _MODULES:
+            return import_module(f"cgid.{name}")
+        if name not in _HOMES:
+            raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+        return getattr(import_module(_HOMES[name]), name)
 
 
 def __dir__() -> list[str]:
-    return __all__
+    return [*__all__, *_MODULES]

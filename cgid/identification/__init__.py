@@ -3,7 +3,16 @@
 Prediction (`events`, `model`, `answers`) needs numpy alone, training (`training`, `classifier`) scikit-learn.
 """
 
-__all__ = [  # the modules with public names
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from types import ModuleType
+
+    from cgid.identification import answers, card, estimation, events, prediction_settings, rows, share, training
+
+__all__ = [  # the modules with public names, loaded on first use
     "answers",
     "card",
     "estimation",
@@ -13,3 +22,13 @@ __all__ = [  # the modules with public names
     "share",
     "training",
 ]
+
+
+if not TYPE_CHECKING:
+
+    def __getattr__(name: str) -> ModuleType:
+        from importlib import import_module
+
+        if name not in __all__:
+            raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+        return import_module(f"{__name__}.{name}")

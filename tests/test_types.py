@@ -1,0 +1,120 @@
+"""What a user of the package writes and an editor offers: mypy checks this file with --strict, and pytest runs it.
+
+`assert_type` fails where a public name has no type of its own, as all had while they were `object`.
+"""
+
+from __future__ import annotations
+
+import ast
+import importlib
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import assert_type
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import cgid
+
+ROOT = Path(__file__).parents[1]
+
+
+def test_a_user_of_physics() -> None:
+    coal = cgid.Material(density=1400.0, youngs_modulus=3e9, poisson_ratio=0.3)
+    ball = cgid.Sphere(material=coal, radius=0.02)
+    law: cgid.HuntCrossley = cgid.HuntCrossley(restitution=0.5, law="lee-wang")
+    plate = cgid.ThinPlate(material=cgid.physics.materials.STEEL, thickness=0.03)
+    for target in (cgid.RIGID, cgid.HalfSpace(material=cgid.physics.materials.STEEL), plate):
+        impact = cgid.Impact(sphere=ball, target=target, velocity=2.0, stiffness="hertz", dissipation=law)
+        assert_type(impact, cgid.Impact)
+        assert_type(impact.restitution, NDArray[np.float64])
+        assert impact.force(np.linspace(0.0, 1e-3, 50)).max() > 0
+    laws: list[cgid.physics.Law] = [cgid.Elastic(), cgid.Viscoelastic(time_constant=1e-6)]
+    assert [one.name for one in laws] == ["elastic", "kuwabara-kono"]
+    found = cgid.estimate_impactors(impact.force(np.arange(256) / 1e6 - 1e-5), 1e6, coal, pre_trigger=10)
+    assert_type(found, cgid.impactor.ImpactorEstimates)
+
+
+def test_a_user_of_recordings() -> None:
+    path, model = ROOT / "datasets" / "sample.csv", cgid.load_model()
+    assert_type(model, cgid.Model)
+    assert_type(model.labels, tuple[str, ...])
+    signals = cgid.read_recording(path)
+    assert_type(signals, list[cgid.Signal])
+    assert_type(cgid.find_impacts(signals[0]), list[cgid.identification.events.Event])
+    recording = cgid.open_recording(path)
+    assert_type(recording, cgid.recordings.RecordingFile)
+    answers = cgid.identify_recording(recording, model)
+    assert_type(answers, Iterator[cgid.identification.answers.Answer])
+    assert [answer.label for answer in answers] == list(cgid.predict(path)["label"])
+    detector = cgid.ImpactDetector(signals[0].sampling_rate, kind="pulse")
+    assert_type(detector.feed(signals[0].samples[None]), list[cgid.identification.events.Event])
+
+
+def test_a_user_of_scenes() -> None:
+    scene = cgid.load_scene("reference")
+    assert_type(scene, cgid.Scene)
+    batches = cgid.synthesise(scene, 8)
+    assert_type(batches, Iterator[cgid.Batch])
+    for batch in batches:
+        assert batch.signals.shape[0] == len(cgid.extract(batch.signals, batch.sampling_rate, ["peak_force"]))
+        cgid.fft_filter(batch.signals, batch.sampling_rate, high=20e3)
+    assert_type(cgid.stream(scene, n_signals=8), cgid.learn.TrainingStream)
+    learners = cgid.ImpactFeatures(200e3), cgid.ImpactClassifier()
+    assert_type(learners, tuple[cgid.ImpactFeatures, cgid.ImpactClassifier])
+    training = cgid.train(cgid.synthesise(scene, 2048), features=["peak_force", "contact_duration"])
+    assert_type(training, cgid.identification.training.Training)
+    assert_type(training.model, cgid.Model)
+    with pytest.raises(cgid.errors.CgidError, match="absent"):
+        cgid.Dataset("absent.h5")
+
+
+def test_types_are_those_of_what_is_loaded() -> None:
+    """The imports that a type checker sees, against the objects that a user gets."""
+    checked: dict[str, str] = {}
+    tree = ast.parse(Path(cgid.__file__).read_text(encoding="utf-8"))
+    (block,) = [node for node in tree.body if isinstance(node, ast.If) and isinstance(node.test, ast.Name)]
+    for node in block.body:
+        assert isinstance(node, ast.ImportFrom)
+        for one in node.names:
+            assert one.asname == one.name  # else a type checker hides it
+            checked[one.name] = f"{node.module}"
+    assert checked.keys() == set(dir(cgid)) - {"__version__"}
+    for name, home in checked.items():
+        assert getattr(cgid, name) is getattr(importlib.import_module(home), name)
+
+
+def test_public_modules_need_no_import_of_their_own(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(str(ROOT / "docs" / "_extensions"))
+    pytest.importorskip("numpydoc")
+    pages = importlib.import_module("api_pages").PAGES
+    described = {module.split(".")[1] for _, modules in pages.values() for module in modules if "." in module}
+    modules = set(dir(cgid)) - set(cgid.__all__)
+    assert modules == described | {"errors"}
+    for package, names in ((cgid, modules), *((one, one.__all__) for one in (cgid.identification, cgid.measure))):
+        for name in names:  # not by attribute, which is there once a module is loaded
+            module = importlib.import_module(f"{package.__name__}.{name}")
+            assert vars(package)["__getattr__"](name) is module
+    written = "import cgid; cgid.measure.modes, cgid.learn.TrainingStream, cgid.scene.calibrated, cgid.physics.Impact"
+    subprocess.run([sys.executable, "-c", written], check=True)
+
+
+@pytest.mark.parametrize(
+    ("typed", "offered"),
+    [
+        ("cgid.pre", "predict"),
+        ("cgid.learn.to_x", "to_xarray"),
+        ("cgid.load_model().lab", "labels"),
+        ("cgid.open_recording('a.csv').chan", "channels"),
+        ("cgid.Impact().peak_f", "peak_force"),
+        ("cgid.train([]).model.sampl", "sampling_rates"),
+    ],
+)
+def test_an_editor_completes(typed: str, offered: str) -> None:
+    jedi = pytest.importorskip("jedi")
+    lines = ["import cgid", typed]
+    found = jedi.Script("\n".join(lines), project=jedi.Project(ROOT)).complete(2, len(typed))
+    assert offered in {one.name for one in found}
