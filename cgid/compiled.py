@@ -44,6 +44,7 @@ SOURCES = (
     "physics/_kernels.py",
     "physics/_modes.py",
     "physics/_response.py",
+    "physics/_step.py",
     "physics/laws.py",
     "scene/_noise.py",
     "store/_packing.py",

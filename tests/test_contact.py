@@ -8,6 +8,7 @@ from cgid.physics import Elastic, Thornton, Viscoelastic, WaltonBraun, _contact
 from cgid.physics.closed_forms import damping_number, peak_displacement, peak_force
 from cgid.physics.curves import TOLERANCE, Curves
 from tests import naive
+from tests.references import make_step
 from tests.references.make_family import reference_pulse, time_of_peak
 
 HALF = float(damping_number(0.5))
@@ -312,3 +313,7 @@ def test_plastic_laws_agree_with_scipy_on_a_plate_and_with_weight(name, damping,
     assert curves.restitution[0] == pytest.approx(rebound, abs=TOLERANCE)
     assert curves.times[0][0] == pytest.approx(end, rel=1e-6)  # scipy's end is one of the force
     assert curves.plate_energy[0] == pytest.approx(energy, abs=TOLERANCE)
+
+
+def test_the_unrolled_step_is_what_its_coefficients_give():
+    assert make_step.PATH.read_text(encoding="utf-8") == make_step.SOURCE

@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid.compiled import bare_jit, inner_jit, jit
-from cgid.physics._dop853 import END, ERROR_3, ERROR_5, LAST, STAGES, dense, stages, weighted
+from cgid.physics._dop853 import COLUMNS, HISTORY, LAST, TAU, W, Y
 from cgid.physics._modes import (
     IMPULSE,
     LONGEST,
@@ -43,6 +43,7 @@ from cgid.physics._modes import (
     velocity,
     width_of,
 )
+from cgid.physics._step import step
 
 Array = NDArray[Any]
 
@@ -51,8 +52,6 @@ MAX_STEPS = 4096
 #: Outcomes of an impact. The last three are the fault of its law: a number that is not finite, a force that attracts
 #: where it may not, a turn that moves the sphere.
 SEPARATED, STAYS, OUT_OF_REACH, NOT_FINITE, ATTRACTS, TORN = 0, 1, 2, 3, 4, 5
-#: Columns of a step: its length in sigma, the history, and the dense output of w, y and tau.
-HISTORY, W, Y, TAU, COLUMNS = 1, 5, 13, 21, 29
 DISPLACEMENT, FORCE = 0, 1
 #: Columns of `summaries`.
 RESULTS = (
@@ -93,47 +92,6 @@ _NO_EVENT, _END, _RELEASE, _TURN, _CORNER = 0, 1, 2, 3, 4
 _INNER, _OUTER = (math.sqrt((7 - sign * 2 * math.sqrt(7)) / 21) / 2 for sign in (1, -1))
 _NODES = np.array([0.0, 0.5 - _OUTER, 0.5 - _INNER, 0.5 + _INNER, 0.5 + _OUTER, 1.0])
 _WEIGHTS = np.array([2, 14 - math.sqrt(7), 14 + math.sqrt(7), 14 + math.sqrt(7), 14 - math.sqrt(7), 2]) / 60
-
-_STAGE = """
-    w{i} = w + h * ({w})
-    y{i} = y + h * ({y})
-    v = 0.0
-    if cells is not None:
-        v = velocity(cells, {i}, tau + h * ({t}), h)
-    g, c = force(p, history, w{i})
-    f = (g + c * (y{i} - v)) / (1.0 + inelasticity * c)
-    u = y{i} - v - inelasticity * f
-    if cells is not None:
-        cells[STAGE + {i}, IMPULSE], cells[STAGE + {i}, RATE] = w{i} * f, u
-    dw{i} = 0.5 * u
-    dy{i} = w{i} * (weight - f)
-"""
-_INDENTED = _STAGE.replace("\n    ", "\n        ")
-#: Returns the error over the permitted one, w, y, tau, x', g, c and f at the end; if the step is good, fills its row.
-_STEP = f"""
-def step(force, p, history, inelasticity, weight, cells, h, w, y, tau, u, f, top, peak, tolerance, row):
-    w0, dw0, dy0 = w, 0.5 * u, w * (weight - f)
-{stages(_STAGE, 1, END + 1)}
-    later = tau + h * ({weighted(STAGES[END], "w")})
-    scale = max(top, abs(w{END}))
-    size = 1.0 / (1.0 + c / max(peak, f)) if f > 0.0 or peak > 0.0 else 1.0
-    ew5, ey5, et5 = {", ".join(f"({weighted(ERROR_5, name)})" for name in ("dw", "dy", "w"))}
-    ew3, ey3, et3 = {", ".join(f"({weighted(ERROR_3, name)})" for name in ("dw", "dy", "w"))}
-    ew5, ey5, et5, ew3, ey3, et3 = ew5 / scale, ey5 / size, et5 / later, ew3 / scale, ey3 / size, et3 / later
-    e5, e3 = ew5 * ew5 + ey5 * ey5 + et5 * et5, ew3 * ew3 + ey3 * ey3 + et3 * et3
-    error = h * e5 / math.sqrt(3.0 * (e5 + 0.01 * e3)) / tolerance if e5 > 0.0 else e5
-    if error <= 1.0:
-        at_end = u, g, c, f
-{stages(_INDENTED, END + 1, LAST)}
-        row[0] = h
-        for k in range(4):
-            row[HISTORY + k] = history[k]
-{dense("w", "dw", f"w{END} - w", W)}{dense("y", "dy", f"y{END} - y", Y)}{dense("tau", "w", "later - tau", TAU)}
-        u, g, c, f = at_end
-    return error, w{END}, y{END}, later, u, g, c, f
-"""
-exec(compile(_STEP, __file__, "exec"), globals())
-step = bare_jit(globals()["step"])
 
 
 @jit

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid.compiled import inner_jit, jit
-from cgid.physics import _contact
+from cgid.physics import _contact, _dop853
 from cgid.physics._contact import OUT_OF_REACH, SEPARATED, find_peak, integrate
 from cgid.physics._modes import CELLS, Structure, advance, aloft, energy, rise, settle, structure, tabulate, width_of
 
@@ -21,7 +21,7 @@ Array = NDArray[Any]
 
 #: Largest numbers of steps and of contacts of an impact.
 MAX_STEPS, MAX_CONTACTS = _contact.MAX_STEPS, 64
-COLUMNS = _contact.COLUMNS
+COLUMNS = _dop853.COLUMNS
 #: Columns of the results, in units of L, T0, v, m and K L^(3/2); the contact time is that of the first contact.
 RESULTS = (*_contact.RESULTS, "contacts", "end", "impulse", "material_loss", "modal_energy", "end_level")
 #: What ends a flight: nothing, an onset, or the material catches up with a sphere that was released.

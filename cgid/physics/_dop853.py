@@ -1,4 +1,4 @@
-"""The step of DOP853 as source code: unrolled into scalars, which is eight times as quick as arrays.
+"""Coefficients of DOP853; `_step` holds the step that follows from them.
 
 Hairer, Norsett & Wanner (1993), Solving Ordinary Differential Equations I, section II.10: a Runge-Kutta method of order
 8 with errors of order 5 and 3, and three more stages for dense output of order 7.
@@ -35,11 +35,7 @@ STAGES: tuple[dict[int, float], ...] = (
     {0: -0.42889630158379194, 5: -4.697621415361164, 6: 7.683421196062599, 7: 4.06898981839711, 8:
      0.3567271874552811, 12: -0.0013990241651590145, 13: 2.9475147891527724, 14: -9.15095847217987},
 )  # fmt: skip
-#: Weights of the stages in the two error estimates, and in the last terms of the dense output.
-ERROR_5 = {0: 0.01312004499419488, 5: -1.2251564463762044, 6: -0.4957589496572502, 7: 1.6643771824549864, 8:
-    -0.35032884874997366, 9: 0.3341791187130175, 10: 0.08192320648511571, 11: -0.022355307863886294}  # fmt: skip
-ERROR_3 = {0: -0.18980075407240762, 5: 4.450312892752409, 6: 1.8915178993145003, 7: -5.801203960010585, 8:
-    -0.4226823213237919, 9: -0.1521609496625161, 10: 0.20136540080403034, 11: 0.02265179219836082}  # fmt: skip
+#: Weights of the stages in the last terms of the dense output.
 DENSE: tuple[dict[int, float], ...] = (
     {0: -8.428938276109013, 5: 0.5667149535193777, 6: -3.0689499459498917, 7: 2.38466765651207, 8:
      2.117034582445028, 9: -0.871391583777973, 10: 2.2404374302607883, 11: 0.6315787787694688, 12:
@@ -56,25 +52,8 @@ DENSE: tuple[dict[int, float], ...] = (
 )  # fmt: skip
 
 END, LAST = 12, len(STAGES)
-
-
-def weighted(weights: dict[int, float], name: str) -> str:
-    """Return the source of a weighted sum of the stages of a variable."""
-    return " + ".join(f"{weight!r} * {name}{stage}" for stage, weight in weights.items())
-
-
-def stages(template: str, first: int, last: int) -> str:
-    """Return the source of some stages: `{i}` in the template, and the sums `{w}`, `{y}` and `{t}` of those before."""
-    rates = {"w": "dw", "y": "dy", "t": "w"}
-    sums = [{name: weighted(STAGES[i], rate) for name, rate in rates.items()} for i in range(last)]
-    return "".join(template.format(i=i, **sums[i]) for i in range(first, last))
-
-
-def dense(variable: str, rate: str, change: str, column: int) -> str:
-    """Return the source that stores the dense output of a variable in `row` from a column on."""
-    terms = [variable, change, f"h * {rate}0 - ({change})", f"2.0 * ({change}) - h * ({rate}0 + {rate}{END})"]
-    terms += [f"h * ({weighted(weights, rate)})" for weights in DENSE]
-    return "".join(f"        row[{column + k}] = {term}\n" for k, term in enumerate(terms))
+#: Columns of a step: its length in sigma, the history, and the dense output of w, y and tau.
+HISTORY, W, Y, TAU, COLUMNS = 1, 5, 13, 21, 29
 
 
 def within(s: float) -> dict[int, float]:
