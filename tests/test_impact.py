@@ -24,6 +24,7 @@ from cgid.physics import (
     Sphere,
     ThinPlate,
     Viscoelastic,
+    _contact,
     _kernels,
     curves,
 )
@@ -437,12 +438,23 @@ def test_interpreted_and_compiled_agree(name, monkeypatch):
     times = one.contact_duration[:, None] * np.linspace(0, 1, 40)
     compiled = one.force(times), one.restitution, one.time_of_peak
     monkeypatch.setattr(curves, "_FEW_IMPACTS", 5)
-    monkeypatch.setattr(curves, "_spent", 0.0)
+    monkeypatch.setattr(curves, "_interpreted_samples", 0)
     two = replace(MECHANISMS[name])
     for one_by_one, together in zip((two.force(times), two.restitution, two.time_of_peak), compiled, strict=True):
         assert (one_by_one == together).all()
     for dtype in ("float32", "float64"):
         frames = two.force_frames(1e5, 60, 1.7e-5, dtype=dtype)
-        monkeypatch.setattr(curves, "_spent", 9.0)
+        monkeypatch.setattr(curves, "_interpreted_samples", 10**9)
         assert (frames == one.force_frames(1e5, 60, 1.7e-5, dtype=dtype)).all()
-        monkeypatch.setattr(curves, "_spent", 0.0)
+        monkeypatch.setattr(curves, "_interpreted_samples", 0)
+
+
+def test_how_much_is_interpreted_follows_from_the_work_alone(monkeypatch):
+    monkeypatch.setattr(curves, "_interpreted_samples", 0)
+    chosen = [curves.kernel(_contact, "summaries", 1) is _contact.summaries for _ in range(300)]
+    assert chosen == [False] * 256 + [True] * 44
+    monkeypatch.setattr(curves, "_interpreted_samples", 0)
+    assert curves.kernel(_contact, "at_times", 1, 4097) is _contact.at_times
+    assert curves.kernel(_contact, "summaries", 5) is _contact.summaries
+    chosen = [curves.kernel(_contact, "at_times", 4, 1024) is _contact.at_times for _ in range(9)]
+    assert chosen == [False] * 8 + [True]

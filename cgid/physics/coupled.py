@@ -20,8 +20,8 @@ from cgid.validation import Floats
 
 #: Phase of the fastest mode [rad] in a cell of time for a tolerance of 1, and the widest cell [T0].
 _PHASE, _WIDEST = 2.66, 0.0625
-#: Up to this many modes, an impact or two are not worth compiling.
-_FEW_MODES = 256
+#: Up to this many modes an impact is not worth compiling; fewer than the second number cost no less.
+_FEW_MODES, _FEWEST_MODES = 256, 32
 #: Steps per impact allocated at first, and the most steps in one block of memory.
 _USUAL_STEPS, _PIECE = 32, 8192
 #: Default window for new contacts after the first onset [T0]: about four undamped contacts.
@@ -293,7 +293,7 @@ def solve(
     begin, end, total = np.zeros(n, np.intp), np.zeros(n, np.intp), 0
     pieces = [np.empty((0, _coupled.COLUMNS))]
     # Interpreted, an impact takes a tenth of a second, or a second with some hundred modes.
-    follow = rigid._kernel("follow", n, FEW_SAMPLES // _FEW_MODES * modes[0].size, _coupled)
+    follow = rigid._kernel("follow", n, FEW_SAMPLES // _FEW_MODES * max(modes[0].size, _FEWEST_MODES), _coupled)
     while left.size:
         steps = np.empty((_coupled.MAX_STEPS + min(_USUAL_STEPS * left.size, _PIECE), _coupled.COLUMNS))
         here = np.full(left.size + 1, -1)

@@ -8,7 +8,6 @@ the shipped table (`cgid.family`) unless its restitution is below the table's ra
 from __future__ import annotations
 
 import sys
-import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
@@ -43,9 +42,10 @@ MAX_WEIGHT = 1e4
 _CREATED, _CLOSED = 10.0, 1e-6
 #: Up to this number of samples nothing is compiled: kernels are interpreted, and numpy evaluates the table.
 FEW_SAMPLES = 4096
-#: Up to this number of impacts kernels are interpreted, for at most this total time [s].
-_FEW_IMPACTS, _MAX_INTERPRETED = 4, 2.0
-_spent = 0.0
+#: Up to this number of impacts kernels are interpreted, until so many samples were, of which an impact costs so many.
+#: No time is measured: which code runs does not depend on how busy a machine is.
+_FEW_IMPACTS, _MAX_INTERPRETED, _SAMPLES_OF_IMPACT = 4, 8 * FEW_SAMPLES, 128
+_interpreted_samples = 0
 #: Minimum number of rows per thread, and maximum number of rows per call, so that Python can react to an interruption.
 _MIN_ROWS, _MAX_ROWS = 200, 1024
 
@@ -621,24 +621,24 @@ def samples_in_contact(onset: Floats, separation: Floats, n_samples: int) -> int
 
 
 def kernel(module: ModuleType, name: str, n_impacts: int, n_samples: int = 0) -> Callable[..., None]:
-    """Return a kernel for this amount of work: compiled, or interpreted for one or two impacts.
+    """Return a kernel for this amount of work: compiled, or interpreted for a few impacts of a process.
 
     Compiling takes seconds, once after installing; interpreting takes milliseconds per pulse. Both run the same
     operations in the same order and return the same bits. Pass the size of the complete batch, not only of the rows
     that need the kernel.
     """
-    if n_impacts > _FEW_IMPACTS or n_impacts * n_samples > FEW_SAMPLES or _spent > _MAX_INTERPRETED:
+    global _interpreted_samples
+    total = _interpreted_samples + n_impacts * max(n_samples, _SAMPLES_OF_IMPACT)
+    if n_impacts > _FEW_IMPACTS or n_impacts * n_samples > FEW_SAMPLES or total > _MAX_INTERPRETED:
         compiled: Callable[..., None] = getattr(module, name)
         return compiled
+    _interpreted_samples = total
     return partial(_interpret, module, name)
 
 
 def _interpret(module: ModuleType, name: str, *arguments: Any) -> None:
-    global _spent
-    start = time.perf_counter()
     with np.errstate(all="ignore"):
         _interpreted(module)[name](*arguments)
-    _spent += time.perf_counter() - start
 
 
 def no_rebound_error(target: str, numbers: str, where: str) -> InvalidValue:
