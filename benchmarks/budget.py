@@ -7,13 +7,11 @@ Every stage is timed alone on the same blocks of 256 signals of the scene, of wh
 `synthesise`: one thread, best of several rounds. The last column is its share of the time to make a signal. Prints
 Markdown.
 
-`--skipping` prints, for some signals of each scene, the work done for the requested outputs against that for all; and
-the times of parameters, closed forms, features and frames of the same N impacts of the reference scene (nothing is
-written to the disk). Times are processor times, which depend less on the load of the machine.
+`--skipping` prints the times of parameters, closed forms, features and frames of the same N impacts of the reference
+scene (nothing is written to the disk). Times are processor times, which depend less on the load of the machine.
 """
 
 import argparse
-import sys
 import tempfile
 import time
 import warnings
@@ -36,9 +34,6 @@ from cgid.scene.noise import add_noise
 from cgid.scene.plan import plan
 from cgid.scene.synthesis import TOGETHER, columns_of, make_frames, synthesise
 
-sys.path.insert(0, str(Path(__file__).parents[1]))
-from tests.plan_scenes import CASES, COUNTED
-
 ROUNDS = 7
 
 
@@ -51,14 +46,6 @@ def microseconds(work: Callable[[], object], n_signals: int, rounds: int = ROUND
         work()
         times.append(time.perf_counter() - start)
     return min(times) / n_signals * 1e6
-
-
-def print_counts() -> None:
-    print(f"| scene and what is asked ({COUNTED} signals) | what ran / what everything takes |\n|---|---|")
-    for case in CASES:
-        asked, everything = case.ask(), case.ask_everything()
-        parts = [f"{name.replace('_', ' ')} {asked[name]} / {number}" for name, number in sorted(everything.items())]
-        print(f"| {case.name} | {', '.join(parts)} |")
 
 
 def print_times(n_signals: int) -> None:
@@ -79,7 +66,7 @@ def print_times(n_signals: int) -> None:
             for batch in synthesise(scene, n_signals)
         ],
     }
-    print(f"\n| asked of {n_signals} impacts | s | us per impact |\n|---|---|---|")
+    print(f"| asked of {n_signals} impacts | s | us per impact |\n|---|---|---|")
     _exhaust(columns_of(plan(scene, "features"), BLOCK))  # imports and compiles
     for name, ask in questions.items():
         start = time.process_time()
@@ -100,7 +87,6 @@ def main() -> None:
     parser.add_argument("--skipping", type=int, metavar="N", help="what N impacts cost by what is asked of them")
     arguments = parser.parse_args()
     if arguments.skipping:
-        print_counts()
         print_times(arguments.skipping)
         return
     warnings.simplefilter("ignore", HertzRangeWarning)

@@ -1,4 +1,4 @@
-"""The plan: what runs for what is asked, shown by counters; features and tables without signals."""
+"""The plan: what runs for what is asked; features and tables without signals."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def parameters_of(scene: Scene, n_signals: int, seed: int = 0, *, first: int = 0
     return columns_of(plan(scene, "parameters"), n_signals, seed, first=first)
 
 
-# -- counters -------------------------------------------------------------------------------------------
+# -- what runs ------------------------------------------------------------------------------------------
 
 
 def test_true_pulses_of_a_beam_are_forces() -> None:

@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cgid import validation
-from cgid.counting import count
 from cgid.errors import BadData, InvalidValue
 from cgid.measure.filters import Equalisation
 from cgid.measure.frames import DETECTION_LIMIT, Problem, frames_of
@@ -328,7 +327,6 @@ def _of_all(problems: dict[int, Problem], each: int) -> dict[int, Problem]:
 
 def _values(batches: Batches, features: Sequence[Feature], n_signals: int) -> Floats:
     """Return the features of measurable signals, (n_signals, n_features)."""
-    count("features", n_signals * len(features))
     if not n_signals:
         return np.empty((0, len(features)))
     return np.stack([feature.measure(batches[feature.kind]) for feature in features], axis=1)

@@ -22,7 +22,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cgid import validation
-from cgid.counting import count
 from cgid.errors import InvalidValue
 from cgid.measure.spectra import MEL_BANDS, mel, padded_length
 from cgid.validation import Floats, require_rate
@@ -94,7 +93,6 @@ def fft_filter(
     gain = filter_gain(frequency, rate, low, high, taper).astype(values.dtype)
     rows = values.reshape(-1, values.shape[-1])
     out = np.empty(rows.shape, rows.dtype)
-    count("filtered_frames", len(rows))
     for first in range(0, len(rows), _ROWS):
         block = slice(first, first + _ROWS)
         out[block] = np.fft.irfft(np.fft.rfft(rows[block]) * gain, n=rows.shape[-1])

@@ -11,7 +11,6 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from cgid.counting import count
 from cgid.measure.fit import MODEL_ERROR, PulseFit, Start, fit_pulses, without_impact
 from cgid.measure.fit_samples import strongest_run
 from cgid.measure.frames import Frames, Problem, ProblemKind, constant_signal, no_impact
@@ -240,7 +239,6 @@ class PulseBatch(Frames):
     def fit(self) -> PulseFit:
         """The most likely damped-Hertz pulse, times in samples of the frame; nan where there is no rise."""
         alive = np.flatnonzero((self.peak > 0) & (np.ptp(self.samples, axis=1) > 0))
-        count("fits", alive.size)
         fitted = fit_pulses(
             self.samples[alive],
             self.fit_start.rows(alive),
@@ -331,7 +329,6 @@ class PulseBatch(Frames):
     def spectrum(self) -> PulseSpectrum:
         """Spectrum of the contact alone."""
         onset, separation = self.contact
-        count("spectra", len(onset))
         return PulseSpectrum(self._during_contact, onset, separation, self.sampling_rate)
 
     # -- rows that cannot be measured -----------------------------------------------------------------

@@ -108,15 +108,14 @@ def _size(pairs: Array, r: int) -> float:
 @jit
 def ring(
     frames: Array, begin: Array, order: Array, start: Array, ringing: Array, table: Array, hop: Array, silence: float
-) -> int:
-    """Add free ringing to frames (n_rows, n_samples); return how many samples of poles were computed."""
+) -> None:
+    """Add free ringing to frames (n_rows, n_samples)."""
     # Of row i the pulses order[begin[i]:begin[i + 1]] begin to ring at sample start. hop (2, n_poles) is exp(p length).
     # Poles are sorted, the slowest decay first: the last ones are omitted while their sum is below silence.
     length, n_poles = table.shape[2], table.shape[1]
     kind = table[0, 0, :1]
     state = np.empty((2, n_poles))
     quiet = np.empty((2, n_poles), kind.dtype)
-    computed = 0
     for row in range(frames.shape[0]):
         following, last = begin[row], begin[row + 1]
         if following == last:
@@ -132,7 +131,6 @@ def ring(
                 skipped = max(-here, 0)
                 quiet[:] = state
                 _add_ring(samples[here + skipped : end], quiet, alive, table, skipped)
-                computed += alive * (end - here)
             for r in range(alive):
                 re = state[0, r] * hop[0, r] - state[1, r] * hop[1, r]
                 state[1, r] = state[0, r] * hop[1, r] + state[1, r] * hop[0, r]
@@ -143,7 +141,6 @@ def ring(
                 if end > at + skipped:
                     quiet[:] = new
                     _add_ring(samples[at + skipped : end], quiet, n_poles, table, skipped)
-                    computed += n_poles * (end - at)
                 left = here + length - at
                 for r in range(n_poles):
                     if left == length:
@@ -167,4 +164,3 @@ def ring(
                 left_out += more
                 alive -= 1
             here += length
-    return computed

@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cgid import validation
-from cgid.counting import count
 from cgid.errors import InvalidValue
 from cgid.physics.bodies import HalfSpace
 from cgid.physics.curves import FEW_SAMPLES, TOLERANCE, Curves, is_builtin
@@ -164,7 +163,6 @@ class ModalImpact(Impact):
     def curves(self) -> ModalCurves:
         """The dimensionless curves, one row per impact in C order."""
         size, shape, time_scale = self.reduced_mass.size, self.reduced_mass.shape, self.time_scale.ravel()
-        count("coupled_impacts", size)
         of_family = isinstance(self.dissipation, Elastic | HuntCrossley)
         rigid = super().curves if of_family else self._integrated_curves()
         if not is_builtin(self.dissipation):

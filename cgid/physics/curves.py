@@ -20,7 +20,6 @@ import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 from cgid import family
-from cgid.counting import count, counting
 from cgid.errors import CgidError, InvalidValue
 from cgid.physics.closed_forms import damping_of, peak_displacement, peak_force
 from cgid.validation import Floats
@@ -195,7 +194,6 @@ class Curves:
 
         rows = np.flatnonzero(~self.tabulated)
         results = np.full((self.inelasticity.size, len(_contact.RESULTS)), np.nan)
-        count("integrated_impacts", rows.size)
         run = self._kernel("summaries", rows.size)
         in_threads(run, (*self._problem(rows, self.tolerance), results), rows, 1)
         return dict(zip(_contact.RESULTS, results.T, strict=True))
@@ -332,7 +330,6 @@ class Curves:
     ) -> None:
         from cgid.physics import _contact
 
-        count("integrated_pulses", rows.size)
         row = _contact.FORCE if quantity == "force" else _contact.DISPLACEMENT
         numbers = (*self._problem(rows, 0.0), *self._solved, times, time_scale, amplitude, row, out)
         in_threads(self._kernel("at_times", *times.shape), numbers, rows, threads)
@@ -345,8 +342,6 @@ class Curves:
         `onset` is the onset on the sample grid [samples], `step` the sampling interval [T0], `amplitude` is in [N];
         each (n,). A `tolerance` above that of the curves, an error over the peak, saves time.
         """
-        if counting():
-            count("pulse_samples", samples_in_contact(onset, onset + self.times[0] / step, frames.shape[1]))
         self._add(np.arange(len(frames)), frames, onset, step, amplitude, threads, tolerance)
 
     def _add(
@@ -359,7 +354,6 @@ class Curves:
         threads: int,
         tolerance: float,
     ) -> None:
-        count("integrated_pulses", rows.size)
         numbers = (*self._problem(rows, tolerance), *self._solved, frames, onset, step, amplitude)
         in_threads(self._kernel("add_to_frames", *frames.shape), numbers, rows, threads)
 
@@ -399,7 +393,6 @@ class HuntCrossleyCurves(Curves):
     def damping(self) -> Floats:
         """D of the Hunt-Crossley loss."""
         damped = self.material_restitution < 1
-        count("damping_solves", np.count_nonzero(damped))
         damping = np.zeros(damped.shape)
         if damped.any():
             damping[damped] = damping_of(self.material_restitution[damped])
@@ -417,13 +410,11 @@ class HuntCrossleyCurves(Curves):
     @cached_property
     def peak_force(self) -> Floats:
         """Largest force."""
-        count("closed_form_peaks", np.count_nonzero(self.plain))
         return self._closed_or_integrated(lambda rows: peak_force(self.damping[rows]), "peak_force")
 
     @cached_property
     def peak_displacement(self) -> Floats:
         """Largest displacement."""
-        count("closed_form_peaks", np.count_nonzero(self.plain))
         return self._closed_or_integrated(lambda rows: peak_displacement(self.damping[rows]), "peak_displacement")
 
     @cached_property
@@ -447,7 +438,6 @@ class HuntCrossleyCurves(Curves):
     def times(self) -> tuple[Floats, Floats, Floats]:
         """Contact time, time of the peak force, and time of the largest displacement."""
         out = np.empty((3, self.plain.size))
-        count("tabulated_times", np.count_nonzero(self.tabulated))
         if self.tabulated.any():
             out[:, self.tabulated] = family.times(self.material_restitution[self.tabulated])
         if not self.tabulated.all():
@@ -483,7 +473,6 @@ class HuntCrossleyCurves(Curves):
         """See `Curves.evaluate`."""
         out = np.empty(times.shape, dtype)
         rows, others = np.flatnonzero(self.tabulated), np.flatnonzero(~self.tabulated)
-        count("table_pulses", rows.size)
         if rows.size * times.shape[1] <= FEW_SAMPLES:
             restitution = self.material_restitution[rows]
             with np.errstate(over="ignore"):  # long past separation
@@ -510,7 +499,6 @@ class HuntCrossleyCurves(Curves):
         tolerance: float,
     ) -> None:
         tabulated, others = np.flatnonzero(self.tabulated), np.flatnonzero(~self.tabulated)
-        count("table_pulses", tabulated.size)
         if tabulated.size:
             from cgid.physics import _kernels
 
@@ -614,12 +602,6 @@ def verbs_of(law: Law | type[Law], *, compiled: bool) -> tuple[Any, ...]:
     return tuple(verb if hasattr(verb, "py_func") else _compiled_builtin(verb) for verb in verbs)
 
 
-def samples_in_contact(onset: Floats, separation: Floats, n_samples: int) -> int:
-    """Return the number of frame samples between onset and separation, both in samples."""
-    first = np.clip(np.floor(onset) + 1, 0, n_samples)
-    return int(np.sum(np.clip(np.ceil(separation), first, n_samples) - first))
-
-
 def kernel(module: ModuleType, name: str, n_impacts: int, n_samples: int = 0) -> Callable[..., None]:
     """Return a kernel for this amount of work: compiled, or interpreted for a few impacts of a process.
 
@@ -670,11 +652,12 @@ def in_threads(run: Callable[..., None], arguments: tuple[Any, ...], rows: NDArr
     in_parts(lambda part: run(*arguments, part), parts, threads)
 
 
-def in_parts(work: Callable[[NDArray[np.intp]], Any], parts: list[NDArray[np.intp]], threads: int) -> list[Any]:
-    """Return the results of `work` for each non-empty part, in threads if there are several."""
+def in_parts(work: Callable[[NDArray[np.intp]], None], parts: list[NDArray[np.intp]], threads: int) -> None:
+    """Do `work` for each non-empty part, in threads if there are several."""
     parts = [part for part in parts if part.size]
     each = _pool(threads).map if min(threads, len(parts)) > 1 else map
-    return list(each(work, parts))
+    for _ in each(work, parts):
+        pass
 
 
 @cache

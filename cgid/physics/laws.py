@@ -23,7 +23,6 @@ from numpy.polynomial.chebyshev import chebval
 from numpy.typing import ArrayLike
 
 from cgid import family, validation
-from cgid.counting import count
 from cgid.errors import InvalidValue
 from cgid.physics.bodies import sphere_share
 from cgid.physics.closed_forms import damping_number, delivered_restitution
@@ -203,9 +202,7 @@ class HuntCrossley(Law):
         """Restitution of this damping on a target without losses."""
         if self.law == "exact":
             return np.asarray(self.restitution, np.float64)
-        damping = self.damping_number
-        count("damping_solves", damping.size)
-        return delivered_restitution(damping)
+        return delivered_restitution(self.damping_number)
 
     def closed(self, impact: Impact) -> Curves:
         """Return the curves of `Elastic.closed`."""

@@ -31,9 +31,8 @@ from numpy.polynomial.polynomial import polyval
 from numpy.typing import DTypeLike, NDArray
 
 from cgid import family
-from cgid.counting import count, counting
 from cgid.physics.closed_forms import peak_displacement, peak_force
-from cgid.physics.curves import TOLERANCE, Curves, Law, Quantity, in_threads, kernel, samples_in_contact
+from cgid.physics.curves import TOLERANCE, Curves, Law, Quantity, in_threads, kernel
 from cgid.validation import Floats
 
 _N_TERMS = 50  # of the two series, whose arguments are at most 1/2
@@ -127,7 +126,6 @@ class PlasticCurves(Curves):
         from cgid.physics import _kernels
 
         out = np.empty(times.shape, dtype)
-        count("branched_pulses", len(times))
         shape, columns = (self._branches(quantity), self.linear), getattr(family.table(), quantity)
         numbers = (times, time_scale, *shape, amplitude, columns, quantity == "force", out)
         in_threads(kernel(_kernels, "branches_at_times", *times.shape), numbers, np.arange(len(times)), threads)
@@ -139,9 +137,6 @@ class PlasticCurves(Curves):
         """Add a force pulse to each of the frames in place; see `Curves.add_to_frames`. Every pulse is exact."""
         from cgid.physics import _kernels
 
-        count("branched_pulses", len(frames))
-        if counting():
-            count("pulse_samples", samples_in_contact(onset, onset + self.times[0] / step, frames.shape[1]))
         numbers = (frames, onset, step, self._branches("force"), self.linear, amplitude, family.table().force)
         in_threads(kernel(_kernels, "add_branches_to_frames", *frames.shape), numbers, np.arange(len(frames)), threads)
 

@@ -16,7 +16,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cgid import validation
-from cgid.counting import count
 from cgid.errors import InvalidValue
 from cgid.measure.modes import Modes, residues, resonator_poles
 from cgid.physics.curves import in_parts
@@ -270,7 +269,6 @@ class Response:
         turn = np.ascontiguousarray(self._exponentials[:, selected, 1])
         driven = self._driven(selected, windows.strides)
         direct = np.ascontiguousarray(np.broadcast_to(direct, (n,)))
-        count("modes", int((selected < self.n_modes).sum()))
         # Two threads must not add to the same frame.
         shared = [np.arange(n)] if np.unique(rows).size < n else np.array_split(np.arange(n), threads)
 
@@ -299,15 +297,13 @@ class Response:
         hop = np.ascontiguousarray(self._exponentials[:, selected, _TABLE])
         table = np.ascontiguousarray(self._exponentials[:, selected, :_TABLE], frames.dtype)
 
-        def run(part: NDArray[np.intp]) -> int:
+        def run(part: NDArray[np.intp]) -> None:
             some = slice(part[0], part[-1] + 1)
-            return int(
-                _response.ring(
-                    frames[some], begin[part[0] : part[-1] + 2], order, start, ringing, table, hop, self.tolerance
-                )
+            _response.ring(
+                frames[some], begin[part[0] : part[-1] + 2], order, start, ringing, table, hop, self.tolerance
             )
 
-        count("mode_samples", sum(in_parts(run, np.array_split(np.arange(len(frames)), threads), threads)))
+        in_parts(run, np.array_split(np.arange(len(frames)), threads), threads)
 
     def _driven(self, selected: NDArray[np.intp], strides: NDArray[np.int64]) -> tuple[Floats, Floats, Floats]:
         """Return the effect of a sample of each stride on the poles: polynomials, weights, and g1 of `_response`."""

@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cgid import validation
-from cgid.counting import count
 from cgid.errors import InvalidValue
 from cgid.validation import Floats
 
@@ -190,7 +189,6 @@ class SampledPulses:
 
         Each frame may have its own sampling rate. The tolerance is unused.
         """
-        count("sampled_pulses", len(frames))
         rate = np.broadcast_to(validation.positive("sampling_rate", sampling_rate, "Hz"), (len(self),))
         start = np.broadcast_to(validation.real("onset", onset, "s"), (len(self),)) * rate
         length = self.contact_duration * rate

@@ -14,7 +14,6 @@ from typing import Any
 
 import numpy as np
 
-from cgid.counting import count
 from cgid.errors import InvalidValue
 from cgid.physics import Elastic, HuntCrossley, Impact, Law, Sphere, ThinPlate
 from cgid.physics.bodies import Target, reduced_modulus, reduced_radius
@@ -65,12 +64,9 @@ def weighed(section: ImpactSection, **parts: Any) -> Contacts:
     if section.gravity is None:
         return Contacts(**parts)
     if not _has_bound(parts["target"], parts["dissipation"]):
-        impact = Contacts(**parts, gravity=section.gravity)
-        count("weighed_impacts", impact.reduced_mass.size)
-        return impact
+        return Contacts(**parts, gravity=section.gravity)
     weightless = Contacts(**parts)
     felt = error_without_weight(weightless, section.gravity) > tolerance_of(section)
-    count("weighed_impacts", np.count_nonzero(felt))
     if not felt.any():
         return weightless
     return Contacts(**parts, gravity=np.where(felt, section.gravity, 0.0))

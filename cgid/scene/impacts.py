@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cgid.counting import count
 from cgid.errors import InvalidValue
 from cgid.measure.modes import Modes
 from cgid.physics import HuntCrossley, Impact, Law, Sphere, laws
@@ -113,7 +112,6 @@ def recorder_of(plan: Plan) -> Recorder | None:
     if not plan.responds:
         return None
     chain = plan.runs("sensor chain")
-    count("sensor_filters", len(plan.scene.sensor.filters) * chain)
     return _recorder(plan.scene, plan.runs("tail beam"), chain)
 
 
@@ -262,7 +260,6 @@ class TapPulses:
     ) -> None:
         """Add the exact pulses to frames (n, n_samples) in place, each from its onset [s] on."""
         shapes = tuple(SHAPES.values())
-        count("tap_pulses", len(frames))
         place, length = onset * sampling_rate, self.contact_duration * sampling_rate
         # As for an impact, samples exactly at onset and separation hold no force, even for a square pulse.
         first = np.clip(np.floor(place) + 1, 0, frames.shape[1]).astype(np.intp)
@@ -398,7 +395,6 @@ def _strikes(
         return
     again = rows[np.isfinite(values["second_hit_delay"][rows])]
     if again.size:
-        count("second_hits", again.size)
         onset = values["onset"][again] + values["second_hit_delay"][again]
         yield Strike(again, pulses_of(again), onset, values["second_hit_ratio"][again])
 

@@ -12,7 +12,6 @@ import numpy as np
 import scipy  # loads its submodules on first use
 from numpy.typing import NDArray
 
-from cgid.counting import count
 from cgid.errors import BadData, InvalidValue
 from cgid.recordings import read_recording
 from cgid.scene._noise import LANES, TILE, add_normal
@@ -37,8 +36,6 @@ def add_noise(
     # The noise of a sample depends only on seed, purpose, block, row and sample number, not on the window. It is drawn
     # in tiles of 512 samples, in float32; its tails end at 6.7 standard deviations. The GIL is released.
     seed = require_seed(seed)
-    if purpose == NOISE:
-        count("noise_samples", frames.size)
     if not 0 <= block < 2**56:
         raise InvalidValue(f"block must be between 0 and 2^56 - 1, got {block}")
     if first_sample < 0 or first_sample + frames.shape[1] > MAX_SAMPLES:
@@ -139,7 +136,6 @@ def add_sensor_noise(frames: NDArray[Any], level: Floats, scene: Scene, seed: in
     if colour is None:
         add_noise(frames, level, seed, block)
         return
-    count("noise_samples", frames.size)
     unit = colour.in_frames(seed, block, scene.sampling.samples)[: len(frames), : frames.shape[1]]
     frames += (level[:, None] * unit).astype(frames.dtype)
 

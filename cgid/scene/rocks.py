@@ -17,7 +17,6 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from cgid.counting import count
 from cgid.scene.draws import (
     ARRIVALS,
     BLOCK,
@@ -234,7 +233,6 @@ def arriving(scene: Scene, stretch: Stretch, first: int, seed: int, recording: i
     """Return the rocks that arrive in a stretch, before their first impact; `first` is the number of the first one."""
     assert scene.stream is not None
     rows, n = stretch.rows, len(stretch.rows)
-    count("arrivals", n)
     numbers = uniforms(seed, stretch.block, len(FALL) + 1, recording=recording)[:, rows]
     which = populations_of(scene, stretch.times, numbers[0])
     optional = optional_numbers(scene.populations, seed, stretch.block, recording)
@@ -269,7 +267,6 @@ def thrown_back(
     assert scene.stream is not None
     rebounds, slope = scene.stream.rebounds, scene.stream.inclination
     assert rebounds is not None  # guaranteed by the plan
-    count("rebounds", len(rocks))
     aside = (1 - rocks["effective_mass"]) * (1 + delivered)
     velocity = (delivered - aside) * rocks["velocity"]
     between = contact_duration + 2 * velocity / (STANDARD_GRAVITY * np.cos(slope))

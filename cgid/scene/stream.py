@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid import validation
-from cgid.counting import count
 from cgid.errors import InvalidValue
 from cgid.physics import Impact
 from cgid.physics.coupled import ModalImpact
@@ -296,12 +295,9 @@ def _recorded(
         if colour is None:
             add_noise(samples[None], level, seed, number, first_sample=chunk * CHUNK)
         else:
-            count("noise_samples", samples.size)
             samples += level * colour.in_recording(seed, number, chunk)
     if background is not None:
-        count("background_samples", samples.size)
         samples += background.in_recording(seed, number, chunk)
     if plan.runs("offset, range and bits"):
-        count("digitised_chunks")
         sensor.digitise(samples[None], rate, np.zeros(1), first=chunk * CHUNK)
     return samples.astype(plan.dtype)

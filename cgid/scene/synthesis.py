@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from cgid import validation
-from cgid.counting import count
 from cgid.errors import InvalidValue
 from cgid.measure.features import extract_array, extract_truncated, samples_needed
 from cgid.scene.draws import BLOCK, at_once, drawn_block, parameter_units, require_seed
@@ -159,16 +158,11 @@ def make_beginnings(
         max_after += MAX_NOISE * level
     background = background_of(pulses.scene) if plan.runs("background") else None
     if background is not None:
-        count("background_samples", frames.size)
         for number, part in _by_block(slice(0, n_signals)):
             frames[part] += background.in_frames(seed, block + number, frames.shape[1], peak[part]).astype(frames.dtype)
-    count("frames", n_signals)
-    count("frame_samples", frames.size)
     if plan.runs("clipping"):
-        count("clipped_frames", n_signals)
         clip(frames, pulses.parameters["clipped_at"] * peak)
     if plan.runs("offset, range and bits"):
-        count("digitised_frames", n_signals)
         sensor.digitise(frames, rate, peak)
         max_after += _digitised_by(sensor, rate, peak, n_samples, sampling.samples)
     return frames, max_after

@@ -28,7 +28,6 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from cgid.counting import count
 from cgid.errors import BadData, InvalidValue, optional
 from cgid.files import whole_file
 from cgid.signals import Batch
@@ -178,7 +177,6 @@ class ShardBuilder:
 
     def add(self, batch: Batch) -> None:
         """Append the signals of a batch."""
-        count("stored_signals", len(batch))
         if self._filled + len(batch) > self._n_signals:
             raise BadData(f"a shard of {self._n_signals} signals received {self._filled + len(batch)}")
         if not self._filled:

@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cgid.counting import count
 from cgid.errors import BadData, InvalidValue, MissingExtra, NoInput, optional
 from cgid.files import check_new, clear_half_written, whole_file
 from cgid.store.description import (
@@ -99,7 +98,6 @@ class TableWriter:
 
     def add(self, rows: Rows) -> None:
         """Append rows, which must have all columns of the header."""
-        count("stored_rows", len(rows))
         self._waiting.append(rows)
         self._n_waiting += len(rows)
         if self._n_waiting >= _ROWS:
