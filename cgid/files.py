@@ -53,9 +53,10 @@ def whole_file(
     path: str | Path, *, overwrite: bool = True, check: Callable[[], object] | None = None
 ) -> Iterator[Path]:
     """Yield a temporary file name; the file gets its final name if the context, and `check`, end without an error."""
-    # A link is followed, and a device or pipe is not replaced: as root, that would break the system.
-    path = Path(os.path.realpath(path))
-    if path.exists() and not (path.is_file() or path.is_dir()):
+    path = Path(path)
+    # Nor is a device or pipe replaced, or a link to a descriptor: as root, that would break the system.
+    is_descriptor = path.is_symlink() and str(path.readlink()).startswith("/proc/")
+    if is_descriptor or (path.exists() and not (path.is_file() or path.is_dir())):
         raise CannotCreate(f"{path}: must be a regular file, it is a device or a pipe; choose another name")
     temporary = path.with_name(f".{path.name}.{secrets.token_hex(6)}.part")
     try:

@@ -176,3 +176,13 @@ def test_a_check_that_fails_just_before_the_name_keeps_the_old_file(tmp_path):
     with pytest.raises(CannotCreate):
         write_whole(tmp_path / "file", b"new", check=check)
     assert (tmp_path / "file").read_bytes() == b"old" and len(list(tmp_path.iterdir())) == 1
+
+
+def test_a_device_a_pipe_or_a_descriptor_is_not_replaced(tmp_path):
+    os.mkfifo(tmp_path / "pipe")
+    (tmp_path / "out").symlink_to("/proc/self/fd/1")
+    for name in ("pipe", "out"):
+        before = (tmp_path / name).lstat().st_ino
+        with pytest.raises(CannotCreate, match=name):
+            write_whole(tmp_path / name, b"content")
+        assert (tmp_path / name).lstat().st_ino == before

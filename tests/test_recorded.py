@@ -526,7 +526,7 @@ def test_leave_one_recording_out_on_real_bulk(real_data: Path, tmp_path: Path) -
     files = sorted((real_data / "bulk_ramp").glob("*.wav"))
     table = "".join(f"{file},{file.stem[:-2]},1\n" for file in files)
     (tmp_path / "m.csv").write_text("path,label,channel\n" + table)
-    features = supported(sets_for("window")["even bands and shape"], 44_100.0, 4410)
+    features = supported(sets_for("window", 44_100.0)["even bands and shape"], 44_100.0, 4410)
     rows = record(read_manifest(tmp_path / "m.csv"), features, slicing=Slicing(hop_time=0.1))
     assert len(rows.groups) == 15
     hits = []

@@ -323,7 +323,7 @@ ANSWERS = {
     "scope_start_increment.csv": (25_600, "V", 1, 360, 1.4997, "X only counts"),
     "iso_with_offset.csv": (25_600, "N", 1, 220, 798.82, ""),
     "german_date.csv": (25_600, "N", 1, 220, 798.82, ""),
-    "fortran_D.txt": (25_600, "N", 1, 240, 1500.0, ""),
+    "fortran_D.txt": (25_600, "N", 1, 360, 1500.0, ""),
     "rate_in_comment.csv": (25_600, None, 1, 360, 152.922, "count only counts"),
     "counter_channel.csv": ("--rate",),
     "lost_rows.csv": (25_600, "N", 1, 360, 1499.66, "20 samples in 1 gap"),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shlex
 from collections.abc import Iterator, Sequence
 from itertools import compress
@@ -68,7 +69,8 @@ def events(
     path = None if output == "-" else check_new(Path(output), "a table of impacts", (".csv",), overwrite=overwrite)
     folder = Path() if path is None else path.parent
     rows: list[dict[str, str]] = []
-    every = recordings_of(files)
+    # A recording named twice, such as by its folder, has its impacts once.
+    every = list({os.path.realpath(file): file for file in reversed(recordings_of(files))}.values())[::-1]
     require_no_input_written(every)
     if path is not None:
         require_labels_kept(path)
