@@ -116,6 +116,19 @@ def test_a_channel_is_taken_again_and_the_end_comes_only_where_none_is_readable(
     assert len([line for line in err.splitlines() if line.startswith("cgid: error: ")]) == 1
 
 
+@pytest.mark.parametrize("value", [0.0, 500.0, np.nan])
+def test_dead_channels_end_a_watch_only_by_an_option(
+    value: float, force: np.ndarray, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    samples = np.concatenate([force, np.full(round(1.5 * RATE), value)]).astype("<f4")
+    samples.tofile(tmp_path / "s.f32")
+    for options, expected in (([], 0), (["--give-up", "1"], 65)):
+        assert run(["monitor", str(tmp_path / "s.f32"), *RAW, "--json", *options]) == expected
+        out, err = capsys.readouterr()
+        assert len(rows_of(out, "impact")) == 28
+        assert len([line for line in err.splitlines() if line.startswith("cgid: error: ")]) == bool(expected)
+
+
 def test_windows_with_a_gap_have_no_vote(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "m.npz").write_bytes(window_model(hop_time=0.1).to_bytes())
     noise = (np.random.default_rng(4).normal(size=16_000) / 5).astype("<f4")

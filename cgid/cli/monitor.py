@@ -254,7 +254,7 @@ def _follow(
     factors = factors_for(model, live.channels, settings, live.source)
     names = [channel.name for channel in live.channels]
     inbox, delay = Inbox(live, live.sampling_rate), DelayReport(live.source, lines)
-    sensors = SensorWatch(live.n_channels, live.sampling_rate)
+    sensors = SensorWatch(live.n_channels, live.sampling_rate, settings.give_up)
     gaps = Gaps(
         live.channels,
         live.sampling_rate,
@@ -294,6 +294,7 @@ def _follow(
         if inbox.n_taken:
             rows.finish(inbox.n_taken / live.sampling_rate)
     gaps.require(live.source)
+    sensors.require(live.source)
 
 
 class DelayReport:

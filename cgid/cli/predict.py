@@ -140,7 +140,7 @@ class _Prediction:
             channels = channels[:MAX_CHANNELS]
             pictures = OverviewStream(rate, len(channels))
             blocks = pictures.watching(blocks)
-        sensors = SensorWatch(len(names), rate)
+        sensors = SensorWatch(len(names), rate, settings.give_up)
         steps = identify_blocks(sensors.watching(scaled(blocks, factors)), rate, model, names, settings, source)
         # The next command cannot read a pipe again.
         file = "RECORDING" if source == "stdin" else source
@@ -157,6 +157,7 @@ class _Prediction:
                 seen = gaps.n_seen
         rows.finish(gaps.n_seen / rate, recording.start_time)
         gaps.require(source)
+        sensors.require(source)
         if self.reports is not None and pictures is not None:
             name = self.models.name(model)
             self.reports.append(_report(recording, channels, pictures.overview(), model, name, rows))

@@ -7,6 +7,7 @@ ln restitution, and the same model answers for the result. Elsewhere the answer 
 
 from __future__ import annotations
 
+import shlex
 from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -470,5 +471,5 @@ class Together:
                 return
             both = known[0] | known[1]
             self._suspected |= dict.fromkeys(both, both)
-            option = "+".join(channels[row] for row in sorted(both))
+            option = shlex.quote("+".join(channels[row] for row in sorted(both)))
             yield f"channels {first} and {second} hear the same rocks, {among}; give --same-beam {option}"

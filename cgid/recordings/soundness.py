@@ -6,6 +6,7 @@ judged in stretches that count from the first one, so the result does not depend
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
 from enum import IntEnum
@@ -14,6 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from cgid.errors import BadData
 from cgid.validation import Floats
 
 #: Duration of a stretch [s], and how many of its samples show its noise.
@@ -46,9 +48,13 @@ class _Stretch(NamedTuple):
 
 
 class SensorWatch:
-    """Watch the samples of a recording; `advance` follows at the time of the predictions."""
+    """Watch the samples of a recording; `advance` follows at the time of the predictions.
 
-    def __init__(self, n_channels: int, sampling_rate: float) -> None:
+    With `give_up` the blocks end when no channel has been sound for this time [s].
+    """
+
+    def __init__(self, n_channels: int, sampling_rate: float, give_up: float | None = None) -> None:
+        self._give_up, self._alive = math.inf if give_up is None else give_up, 0.0
         self._rate, self._length = sampling_rate, max(round(_STRETCH * sampling_rate), 2)
         self._step = -(-self._length // _N_SAMPLES)
         self._remaining: NDArray[Any] = np.empty((n_channels, 0))
@@ -69,6 +75,20 @@ class SensorWatch:
         for block in blocks:
             self.feed(block)
             yield block
+            if self._is_given_up:
+                break
+
+    @property
+    def _is_given_up(self) -> bool:
+        return self._n_taken / self._rate - self._alive >= self._give_up
+
+    def require(self, source: str) -> None:
+        """Raise `BadData` if the blocks ended because no channel was sound."""
+        if self._is_given_up:
+            raise BadData(
+                f"{source}: a channel must change and have no gaps, none did in the {self._give_up:g} s after "
+                f"{self._alive:.6g} s; check sensors and cables"
+            )
 
     def feed(self, block: NDArray[Any]) -> None:
         """Take the next samples (n_channels, n_samples)."""
@@ -92,6 +112,7 @@ class SensorWatch:
             [np.isnan(low), ~(low < high), faint], [Lack.SAMPLES, Lack.CHANGE, Lack.NOISE], Lack.NOTHING
         ).astype(np.int8)
         sound = np.flatnonzero(lack == Lack.NOTHING)
+        self._alive = end if sound.size else self._alive
         period = self._n_sound[sound] // _PERIOD % _PERIODS
         begins = self._n_sound[sound] % _PERIOD == 0
         before = np.where(begins, np.inf, self._floors[sound, period])
