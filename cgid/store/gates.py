@@ -157,6 +157,8 @@ def opened(path: Path, source: str, identity: Identity | None = None) -> Iterato
         file = h5py.File(path, "r", locking=False)
     except PermissionError as error:
         raise NoInput(f"{source}: cannot be read ({error.strerror}); see to its permissions") from None
+    except CgidError:  # a pipe would wait for its writer
+        raise
     except DAMAGE:
         require_closed(path, source)
         raise BadData(
