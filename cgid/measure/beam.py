@@ -217,10 +217,7 @@ class Beam:
             and len(self.participation) == n_modes
             and _inside(size.max(initial=0.0), *_NUMBERS)
             and self.region.shape == (4,)
-            and all(
-                high > low or (high == low and n == 1)
-                for n, (low, high) in zip(self.participation.shape[1:], self.region.reshape(2, 2).tolist(), strict=True)
-            )
+            and (self.region[1::2] >= self.region[::2]).all()
             and self.deviations.ndim == 1
             and self.shapes.shape == (n_shapes, points_of(self.sampling_rate))
             and (np.abs(self.shapes).max(axis=1, initial=0.0) > _NUMBERS[0]).all()
