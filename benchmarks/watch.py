@@ -69,7 +69,8 @@ def sensors() -> None:
         told = [(line["time_s"], line["ground"], line["decision"]) for line in states]
         other = {line["ground"] for line in lines if line.get("channel") == "2" and "ground" in line}
         impacts = sum(line["kind"] == "impact" and line["time_s"] > BACK for line in own)
-        rows.append((way, "; ".join(f"{time:g} s {ground}, {what}" for time, ground, what in told), impacts, *other))
+        states_told = "; ".join(f"{time:g} s {ground}, {what}" for time, ground, what in told)
+        rows.append((way, states_told, impacts, ", ".join(sorted(other))))
     print(f"\nThe sensor of channel 1 is lost after {LOST} s and back after {BACK} s:\n")
     print("\n".join(table(("lost", "ground and decision from", "impacts after", "channel 2"), rows)), flush=True)
 
