@@ -256,8 +256,10 @@ def test_terminal_that_closes_ends_the_watch_unless_nohup(program: str, force: n
     try:
         process.stdin.write(force.astype("<f4").tobytes())
         assert os.read(master if process.stdout is None else process.stdout.fileno(), 10)
+        process.send_signal(signal.SIGSTOP)  # both reach it at once, as from a terminal that closes
         os.close(master)
         process.send_signal(signal.SIGHUP)
+        process.send_signal(signal.SIGCONT)
         process.communicate(timeout=300)
     finally:
         process.kill()
