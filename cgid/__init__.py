@@ -27,9 +27,9 @@ if TYPE_CHECKING:
     from cgid.identification.detection import ImpactDetector as ImpactDetector
     from cgid.identification.detection import find_impacts as find_impacts
     from cgid.identification.model import Model as Model
+    from cgid.identification.pipeline import identify_recording as identify_recording
     from cgid.identification.prediction import load_model as load_model
     from cgid.identification.prediction import predict as predict
-    from cgid.identification.stream import identify_recording as identify_recording
     from cgid.identification.training import train as train
     from cgid.impactor import estimate_impactors as estimate_impactors
     from cgid.learn import ImpactFeatures as ImpactFeatures
@@ -79,7 +79,7 @@ _HOMES = {
     "extract": "cgid.measure.features",
     "fft_filter": "cgid.measure.filters",
     "find_impacts": "cgid.identification.detection",
-    "identify_recording": "cgid.identification.stream",
+    "identify_recording": "cgid.identification.pipeline",
     "load_model": "cgid.identification.prediction",
     "load_scene": "cgid.scene",
     "open_recording": "cgid.recordings",

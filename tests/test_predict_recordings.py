@@ -15,8 +15,9 @@ from cgid.cli.main import run
 from cgid.errors import BadData, InvalidValue
 from cgid.identification.answers import Answer, identify
 from cgid.identification.model import Model
+from cgid.identification.pipeline import identify_recording
 from cgid.identification.prediction_settings import PredictionSettings
-from cgid.identification.stream import identify_blocks, identify_recording, independence
+from cgid.identification.stream import identify_blocks, independence
 from cgid.identification.support import CavingWatch
 from cgid.identification.windows import RunningVote, measure_windows
 from cgid.recordings import open_recording, read_recording

@@ -18,6 +18,7 @@ from cgid.cli.main import cli
 from cgid.errors import InvalidValue
 from cgid.identification.answers import Answer
 from cgid.identification.model import Model
+from cgid.identification.pipeline import identify_recording
 from cgid.identification.prediction_settings import PredictionSettings, require_groups
 from cgid.identification.same_beam import (
     CROSSING,
@@ -31,7 +32,7 @@ from cgid.identification.same_beam import (
     mean_of_log_odds,
     rows_of,
 )
-from cgid.identification.stream import answering_channels, identify_blocks, identify_recording
+from cgid.identification.stream import answering_channels, identify_blocks
 from cgid.measure.vibration import BEAM_PULSE
 from cgid.scene import load_scene
 from cgid.scene.through_beam import beam_of, moved, recorded_together

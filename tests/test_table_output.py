@@ -23,7 +23,7 @@ from cgid.cli.output import finite
 from cgid.cli.table import ENDINGS, TableOutput, numbers
 from cgid.identification.manifest import read_manifest
 from cgid.identification.model import Model
-from cgid.identification.stream import identify_recording
+from cgid.identification.pipeline import identify_recording
 from cgid.recordings import open_recording
 from tests.streams_of_pulses import RATE, ROOT, stream, window_model
 

@@ -16,12 +16,12 @@ if TYPE_CHECKING:
     from cgid.identification.answers import Answer
     from cgid.identification.diagnosis import Change, Hint
     from cgid.identification.model import Model
+    from cgid.identification.pipeline import Pipeline
     from cgid.identification.prediction_settings import PredictionSettings
     from cgid.identification.share import Share, Switch
     from cgid.identification.stream import Step
     from cgid.identification.support import Report as SupportReport
     from cgid.identification.support import SupportState
-    from cgid.recordings.soundness import SensorWatch
 
 #: Version of the lines of --json; it rises if a key goes or has another meaning.
 ANSWERS_VERSION = 5
@@ -249,47 +249,25 @@ class RecordingRows:
     # Unless `live`, rows wait for a measurable one, gangue fractions for a second row, and hints for the end. In a live
     # stream each channel is told what begins and what ends.
 
-    def __init__(
-        self,
-        source: str,
-        model: Model,
-        channels: Sequence[str],
-        settings: PredictionSettings,
-        lines: AnswerLines,
-        *,
-        hints: Hints,
-        sensors: SensorWatch,
-        keep: bool = False,
-        live: bool = False,
-    ) -> None:
-        from cgid.identification.stream import answering_channels, independence
-        from cgid.identification.support import CavingWatch
-
-        self.source, self.lines, self._model = source, lines, model
-        self.kind = "window" if model.kind == "window" else "impact"
+    def __init__(self, pipeline: Pipeline, lines: AnswerLines, *, hints: Hints, keep: bool = False) -> None:
+        self._pipeline, self.lines, self._live = pipeline, lines, pipeline.live
+        self.source, self.channels = pipeline.source, pipeline.supports
+        self.kind = "window" if pipeline.model.kind == "window" else "impact"
         self.tally = RecordingTally(self.kind)
-        self.channels = answering_channels(model, channels, settings.same_beam)
         self.answers: list[Answer] = []
         self.shares: list[Share] = []
         self.turns: list[Switch] = []
         self.hints: list[Hint] = []
         self.warnings: list[str] = []
-        self._keep, self._live, self._settings = keep, live, settings
+        self._keep, self._settings = keep, pipeline.settings
         self._numbers: Counter[str] = Counter()
         self._diagnosis = hints
-        self._measured = live
+        self._measured = self._live
         self._silent: tuple[str, ...] = ()
         self._pending_answers: list[Answer] = []
         self._pending_reports: list[SupportReport] = []
-        self._watch = CavingWatch(
-            model,
-            self.channels,
-            settings,
-            independence(model, settings),
-            sensors=sensors,
-            channels=channels,
-            diagnosis=hints if live else None,
-        )
+        assert pipeline.watch is not None
+        self._watch = pipeline.watch
         self._grounds: dict[str, tuple[str, bool]] = {}  # last ground and whether something was decided
         self._conditions: dict[tuple[str, str], float] = {}  # what a channel has, and when it was told [s]
         self._later: list[Change] = []
@@ -305,11 +283,8 @@ class RecordingRows:
         self._pending_answers += answers
         if self._measured or len(self._pending_answers) > _MAX_PENDING:
             self._print_answers()
-        if not self._live:
-            self._diagnosis.add(answers, step.upside_down)
-        reports = self._watch.feed(answers, step.until)
-        self._print_changes(step.until)
-        self._print_reports(reports)
+        self._print_changes(step.changes, step.until)
+        self._print_reports(step.reports)
         self._silent += step.silent
         for warning in step.warnings:
             self.lines.warning(self.source, warning)
@@ -318,11 +293,12 @@ class RecordingRows:
         """Print that a live stream gives no samples; the next ones take it up again."""
         self._print_reports(self._watch.stopped(f"no samples have arrived for {seconds:.0f} s"))
 
-    def finish(self, duration: float, start_time: Any = None) -> None:
-        """Print pending lines at the end of a recording of this duration [s], and its silent channels."""
+    def finish(self, start_time: Any = None) -> None:
+        """Print pending lines at the end of a recording, and its silent channels."""
         from cgid.errors import BadData
 
-        self.lines.begin(self.source, self._model, self._settings)  # the head of an empty table
+        last = self._pipeline.finish()
+        self.lines.begin(self.source, self._pipeline.model, self._settings)  # the head of an empty table
         silent = self._silent
         if silent and not self.tally.total and not self._live:
             raise BadData(silent[0])
@@ -339,11 +315,10 @@ class RecordingRows:
             problem = first.problem if first else "nothing in it can be measured"
             raise BadData(f"{self.name(first.channel) if first else self.source}: {problem}{more}")
         self._print_answers()
-        reports = self._watch.finish(duration)
-        self._print_changes(duration)
-        self._print_reports(reports)
+        self._print_changes(last.changes, last.until)
+        self._print_reports(last.reports)
         if self.tally.total > 1 or self._live:
-            self.lines.summary(self.source, self.tally, duration, start_time)
+            self.lines.summary(self.source, self.tally, last.until, start_time)
         if not self._live:
             self._print_hints(self._diagnosis.hints())
             factors = self._diagnosis.wrong_scales()
@@ -353,11 +328,10 @@ class RecordingRows:
                 if change.channel not in told:
                     self._print_scales({change.channel: change.factor}, f"from {change.time:.6g} s on ")
 
-    def _print_changes(self, time: float) -> None:
+    def _print_changes(self, changes: Sequence[Change], time: float) -> None:
         """Print what has begun or ended with the channels of a live stream, and once an hour what goes on."""
         from cgid.identification.diagnosis import Condition
 
-        changes = self._watch.take_changes()
         if not self._live:
             self._later += [one for one in changes if one.condition == Condition.WRONG_SCALE and one.begins]
             return
@@ -408,7 +382,7 @@ class RecordingRows:
 
     def _print_answers(self) -> None:
         if self._pending_answers:
-            self.lines.begin(self.source, self._model, self._settings)
+            self.lines.begin(self.source, self._pipeline.model, self._settings)
         for answer in self._pending_answers:
             self._numbers[answer.channel] += 1
             self.lines.answer(self.source, answer, self.kind, **{self.kind: self._numbers[answer.channel]})

@@ -8,6 +8,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
+from functools import partial
 from pathlib import Path
 from threading import Condition, Thread
 from typing import TYPE_CHECKING, Any
@@ -242,34 +243,20 @@ def _follow(
 ) -> None:
     """Print the predictions for a stream until it ends or is interrupted."""
     from cgid.cli.hints import Hints
-    from cgid.identification.stream import factors_for, identify_blocks
-    from cgid.recordings.chain import scaled
-    from cgid.recordings.gaps import Gaps
-    from cgid.recordings.soundness import SensorWatch
+    from cgid.identification.pipeline import Pipeline
 
     def warned(text: str) -> None:
         lines.warning(live.source, f"{live.source}: {text}")
 
     model = models.of(live.channels[0].quantity)
-    factors = factors_for(model, live.channels, settings, live.source)
     names = [channel.name for channel in live.channels]
     inbox, delay = Inbox(live, live.sampling_rate), DelayReport(live.source, lines)
-    sensors = SensorWatch(live.n_channels, live.sampling_rate, settings.give_up)
-    gaps = Gaps(
-        live.channels,
-        live.sampling_rate,
-        warned,
-        give_up=settings.give_up,
-        joint=model.together > 1 and not settings.same_beam,
-        at_once=True,
-    )
-    blocks: Iterable[NDArray[Any]] = sensors.watching(scaled(gaps.marked(inbox), factors))
-    if outputs is not None:
-        blocks = outputs.monitored_blocks(blocks, live.sampling_rate)
-    steps = identify_blocks(blocks, live.sampling_rate, model, names, settings, live.source)
     # The stream is over when the next command runs: it is for a recording of it.
     hints = Hints(model, live.sampling_rate, "RECORDING", given_options()[0], channels=names, live=True)
-    rows = RecordingRows(live.source, model, names, settings, lines, hints=hints, sensors=sensors, live=True)
+    pipeline = Pipeline(
+        model, live.channels, live.sampling_rate, settings, live.source, warned, live=True, diagnosis=hints
+    )
+    rows = RecordingRows(pipeline, lines, hints=hints)
     inbox.on_pause = settings.blinded_after, rows.stopped
     if outputs is not None:
         outputs.begin(
@@ -283,18 +270,17 @@ def _follow(
             waited=lambda: inbox.waited,
         )
     warn_of_model(live.source, live.source, live.sampling_rate, model, settings)
+    watching = None if outputs is None else partial(outputs.monitored_blocks, sampling_rate=live.sampling_rate)
     try:
-        for step in steps:
+        for step in pipeline.steps(inbox, measured=watching):
             rows.feed(step)
             delay.see(inbox)
     finally:
-        gaps.finish()
         for warning in live.warnings:
             warned(warning)
         if inbox.n_taken:
-            rows.finish(inbox.n_taken / live.sampling_rate)
-    gaps.require(live.source)
-    sensors.require(live.source)
+            rows.finish()
+    pipeline.require()
 
 
 class DelayReport:

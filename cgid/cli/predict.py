@@ -110,9 +110,7 @@ class _Prediction:
         """Print the predictions for the channels of a recording that use this model."""
         from cgid.cli.hints import Hints
         from cgid.errors import InvalidValue
-        from cgid.identification.stream import factors_for, identify_blocks
-        from cgid.recordings.chain import scaled
-        from cgid.recordings.soundness import SensorWatch
+        from cgid.identification.pipeline import Pipeline
 
         source, rate = recording.source, recording.sampling_rate
         channels = [recording.channels[number] for number in numbers]
@@ -127,37 +125,30 @@ class _Prediction:
                 f"{source}: --channel must name one channel each time, this model uses none together, got "
                 f"{together[0]}; give --same-beam {together[0]} if they are on one beam, else --channel for each"
             )
-        factors = factors_for(model, channels, settings, source)
-        gaps = recording.gaps(numbers, settings.give_up, joint=model.together > 1 and not own)
+        # The next command cannot read a pipe again.
+        file = "RECORDING" if source == "stdin" else source
+        hints = Hints(model, rate, file, *given_options(), channels=[channel.name for channel in recording.channels])
+        pipeline = Pipeline(model, channels, rate, settings, source, recording.note, diagnosis=hints)
         blocks: Iterable[Any] = recording.blocks(gaps=True)
         if len(channels) < len(recording.channels):
             blocks = (block[numbers] for block in blocks)
-        blocks, pictures = gaps.marked(blocks), None
+        pictures = None
         if self.reports is not None:
             from cgid.measure.overview import OverviewStream
             from cgid.plots.recording import MAX_CHANNELS
 
             channels = channels[:MAX_CHANNELS]
             pictures = OverviewStream(rate, len(channels))
-            blocks = pictures.watching(blocks)
-        sensors = SensorWatch(len(names), rate, settings.give_up)
-        steps = identify_blocks(sensors.watching(scaled(blocks, factors)), rate, model, names, settings, source)
-        # The next command cannot read a pipe again.
-        file = "RECORDING" if source == "stdin" else source
-        hints = Hints(model, rate, file, *given_options(), channels=[channel.name for channel in recording.channels])
-        rows = RecordingRows(
-            source, model, names, settings, self.lines, hints=hints, sensors=sensors, keep=pictures is not None
-        )
+        rows = RecordingRows(pipeline, self.lines, hints=hints, keep=pictures is not None)
         warn_of_model(source, rows.name(rows.channels[0]), rate, model, settings)
         with progress_bar(recording.n_samples, "samples", "predicting") as progress:
             seen = 0
-            for step in steps:
+            for step in pipeline.steps(blocks, marked=None if pictures is None else pictures.watching):
                 rows.feed(step)
-                progress(gaps.n_seen - seen)
-                seen = gaps.n_seen
-        rows.finish(gaps.n_seen / rate, recording.start_time)
-        gaps.require(source)
-        sensors.require(source)
+                progress(pipeline.n_seen - seen)
+                seen = pipeline.n_seen
+        rows.finish(recording.start_time)
+        pipeline.require()
         if self.reports is not None and pictures is not None:
             name = self.models.name(model)
             self.reports.append(_report(recording, channels, pictures.overview(), model, name, rows))

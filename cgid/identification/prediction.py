@@ -14,16 +14,12 @@ from numpy.typing import ArrayLike
 from cgid import validation
 from cgid.errors import BadData, MissingOption
 from cgid.identification.answers import Answer
-from cgid.identification.diagnosis import Diagnosis, scale_warning, sizes_outside
 from cgid.identification.model import Model
+from cgid.identification.pipeline import Pipeline, answers_of
 from cgid.identification.prediction_settings import PredictionSettings
-from cgid.identification.stream import answering_channels, factors_for, identify_blocks
-from cgid.identification.support import CavingWatch, Ground, Report
 from cgid.recordings import read_recording
-from cgid.recordings.chain import Chain, Statement, scaled
-from cgid.recordings.gaps import Gaps
+from cgid.recordings.chain import Chain, Statement
 from cgid.recordings.recording import Blocks, Channel, require_one_rate
-from cgid.recordings.soundness import SensorWatch
 from cgid.recordings.variables import full_scale_of
 from cgid.shipped import model_path
 from cgid.signals import Signal
@@ -156,33 +152,21 @@ def predict(
     loaded = model if isinstance(model, Model) else load_model(_default(first, applied) if model is None else model)
     applied.check(loaded)
     channels = [Channel(name=signal.channel, unit=signal.unit) for signal in signals]
-    factors = factors_for(loaded, channels, applied, first.source)
 
     def warned(text: str) -> None:
-        warnings.warn(f"{first.source}: {text}", stacklevel=3)
+        warnings.warn(f"{first.source}: {text}", stacklevel=2)
 
-    gaps = Gaps(channels, first.sampling_rate, warned)
-    blocks = scaled(gaps.marked([np.stack([signal.samples for signal in signals])]), factors)
-    names = [signal.channel for signal in signals]
-    answers: list[Answer] = []
-    reports: list[Report] = []
-    diagnosis, sensors = Diagnosis(loaded), SensorWatch(len(names), first.sampling_rate)
-    supports = answering_channels(loaded, names, applied.same_beam)
-    watch = CavingWatch(loaded, supports, applied, sensors=sensors, channels=names)
-    for step in identify_blocks(sensors.watching(blocks), first.sampling_rate, loaded, names, applied, first.source):
-        answers += step.answers
-        reports += watch.feed(step.answers, step.until)
-        for text in (*step.silent, *step.warnings):
-            warnings.warn(text, stacklevel=2)
-    gaps.require(first.source)
-    for report in (*reports, *watch.finish(len(first.samples) / first.sampling_rate)):
-        state = report.state
-        if report.kind == "state" and state.ground == Ground.BLIND:
-            warnings.warn(f"{first.source}: blind since {state.since:.6g} s: {state.reason}", stacklevel=2)
-    diagnosis.add(answers)
-    for name, factor in (diagnosis.wrong_scales() | sizes_outside(diagnosis)).items():
-        where = f"channel {name}: " if len(diagnosis.channels) > 1 else ""
-        warnings.warn(f"{first.source}: {where}{scale_warning(factor, loaded)}", stacklevel=2)
+    duration = len(first.samples) / first.sampling_rate
+    pipeline = Pipeline(
+        loaded,
+        channels,
+        first.sampling_rate,
+        applied,
+        first.source,
+        warned,
+        watched=duration >= applied.blinded_after,  # for a shorter recording no channel is blind
+    )
+    answers = list(answers_of(pipeline, [np.stack([signal.samples for signal in signals])]))
     return _table(answers, loaded, applied)
 
 

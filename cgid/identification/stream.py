@@ -27,12 +27,12 @@ from cgid.identification.windows import RunningVote, complete_windows, measure_w
 from cgid.measure.features import FEATURES, require_measurable
 from cgid.measure.filters import Equalisation
 from cgid.measure.table import MIN_BANDWIDTH, ImpactKind
-from cgid.recordings.chain import scaled
 from cgid.signals import channel_name
 from cgid.validation import Floats
 
 if TYPE_CHECKING:
-    from cgid.recordings import RecordingFile
+    from cgid.identification.diagnosis import Change
+    from cgid.identification.support import Report
     from cgid.recordings.recording import Channel
 
 #: Minimum sampling rate [Hz]; a lower one is in another unit, or not of an impact recorder.
@@ -62,43 +62,8 @@ class Step:
     silent: tuple[str, ...] = ()  # at the end, one reason for each channel without predictions
     warnings: tuple[str, ...] = ()  # at the end, or where a channel begins or ceases to be never quiet
     upside_down: tuple[str, ...] | None = None  # at the end, the channels whose pulses seem to point downwards
-
-
-def identify_recording(
-    recording: RecordingFile, model: Model, settings: PredictionSettings | None = None, **fields: Any
-) -> Iterator[Answer]:
-    """Yield the predictions for a recording, in order of time; it is read block by block.
-
-    Parameters
-    ----------
-    recording : RecordingFile
-        From `cgid.recordings.open_recording`; all channels in the quantity of the model.
-    model : Model
-    settings : PredictionSettings, optional
-    **fields
-        Override those of the settings, such as `invert=True`, `mass=2.5` [kg] or `coverage=0.9`.
-
-    Yields
-    ------
-    Answer
-
-    Raises
-    ------
-    BadData
-        The recording is damaged, or of another quantity than the model's.
-    MissingOption
-        The unit of a channel, or the drop height that the model needs, is not given.
-    """
-    settings = replace(settings or PredictionSettings(), **fields)
-    settings = replace(settings, same_beam=recording.named(settings.same_beam, "same_beam"))
-    channels, source = recording.channels, recording.source
-    factors = factors_for(model, channels, settings, source)
-    gaps = recording.gaps(range(len(channels)), settings.give_up, joint=model.together > 1 and not settings.same_beam)
-    blocks = scaled(gaps.marked(recording.blocks(gaps=True)), factors)
-    names = [channel.name for channel in channels]
-    for step in identify_blocks(blocks, recording.sampling_rate, model, names, settings, source):
-        yield from step.answers
-    gaps.require(source)
+    reports: Sequence[Report] = ()  # of the supports, up to this time
+    changes: Sequence[Change] = ()  # of the channels
 
 
 def factors_for(model: Model, channels: Sequence[Channel], settings: PredictionSettings, source: str) -> list[float]:

@@ -424,10 +424,14 @@ class RecordingFile:
             found.append(tuple(self._contents.label(row) for row in rows))
         return tuple(found)
 
-    def gaps(self, rows: Sequence[int], give_up: float | None = None, *, joint: bool = False) -> Gaps:
+    def gaps(self, rows: Sequence[int], *, joint: bool = False) -> Gaps:
         """Return a marker of gaps in some channels for one reading, adding to `warnings`; arguments as in `Gaps`."""
         channels = [self.channels[row] for row in rows]
-        return Gaps(channels, self.sampling_rate, self._contents.warnings.append, give_up=give_up, joint=joint)
+        return Gaps(channels, self.sampling_rate, self.note, joint=joint)
+
+    def note(self, text: str) -> None:
+        """Add a line to `warnings`."""
+        self._contents.warnings.append(text)
 
     def blocks(self, length: int = BLOCK_LENGTH, *, gaps: bool = False) -> Iterator[NDArray[Any]]:
         """Return an iterator over the samples in order, (n_channels, at most `length`), float32 or float64.
