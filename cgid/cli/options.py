@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial, wraps
 from pathlib import Path
@@ -13,7 +12,7 @@ import click
 from click.shell_completion import CompletionItem
 
 from cgid.cli.output import say_error, warn
-from cgid.errors import BadData, CgidError, InvalidValue, NoInput
+from cgid.errors import BadData, CgidError, InvalidValue
 from cgid.shipped import MODELS, SCENES
 from cgid.signals import Signal, channel_name
 
@@ -551,12 +550,18 @@ class Models:
 
     def of(self, quantity: str | None) -> Model:
         """Return the model for signals of a quantity."""
-        key = None if self._one_for_all else quantity
+        key = self.key(quantity)
         if key not in self._models:
-            model = self._load(key)
+            from cgid.identification.prediction import default_model, load_model
+
+            model = load_model(default_model(key, self._settings) if self._path is None else self._path)
             self._settings.check(model)
             self._models[key] = model
         return self._models[key]
+
+    def key(self, quantity: str | None) -> str | None:
+        """Return what signals that share a model have in common: their quantity, unless one model is for all."""
+        return None if self._one_for_all else quantity
 
     @property
     def expects_acceleration(self) -> bool:
@@ -568,26 +573,6 @@ class Models:
         if self._path is not None:
             return Path(self._path).name
         return "default model" + (" that knows the drop height" if model.known else f" of {model.quantity}")
-
-    def _load(self, quantity: str | None) -> Model:
-        """Load the given model, or a default one; anything but an acceleration counts as a force."""
-        from cgid import shipped
-        from cgid.identification.model import Model
-
-        if self._path is not None:
-            return Model.load(shipped.model_path(self._path))
-        if self._settings.drop_height is not None:
-            with suppress(NoInput):
-                return Model.load(shipped.path_of("models", shipped.DROP_HEIGHT_MODEL))
-        if quantity != "acceleration":
-            return Model.load(shipped.path_of("models", shipped.DEFAULT_MODEL))
-        try:
-            return Model.load(shipped.path_of("models", shipped.ACCELERATION_MODEL))
-        except NoInput as error:
-            raise NoInput(
-                f"{error}; or give --model, or --mass KG if the accelerated body is the impactor (force = mass x "
-                "acceleration)"
-            ) from None
 
 
 def warn_of_model(source: str, name: str, sampling_rate: float, model: Model, settings: PredictionSettings) -> None:

@@ -83,10 +83,10 @@ class _Prediction:
 
     def recording(self, recording: RecordingFile) -> None:
         """Print the predictions for a recording, read block by block, once for each model that its channels need."""
-        groups: dict[int, tuple[Model, list[int]]] = {}
+        groups: dict[str | None, tuple[Model, list[int]]] = {}
         for number, channel in enumerate(recording.channels):
             model = self.models.of(channel.quantity)
-            groups.setdefault(id(model), (model, []))[1].append(number)
+            groups.setdefault(self.models.key(channel.quantity), (model, []))[1].append(number)
         errors: list[CgidError] = []
         same_beam = recording.named(self.settings.same_beam, "--same-beam")
         try:

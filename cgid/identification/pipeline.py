@@ -72,7 +72,8 @@ class Pipeline:
         self._factors = factors_for(model, channels, settings, source)
         joint = model.together > 1 and not settings.same_beam
         self._gaps = Gaps(channels, sampling_rate, say, give_up=settings.give_up, joint=joint, at_once=live)
-        self._sensors = SensorWatch(len(channels), sampling_rate, settings.give_up)
+        needs_sensors = watched or settings.give_up is not None
+        self._sensors = SensorWatch(len(channels), sampling_rate, settings.give_up) if needs_sensors else None
         #: Names of the channels of the predictions; channels that are used together have one name.
         self.supports = answering_channels(model, self.names, settings.same_beam)
         self.diagnosis = Diagnosis(model, live=live) if diagnosis is None else diagnosis
@@ -108,7 +109,9 @@ class Pipeline:
         blocks = self._gaps.marked(blocks)
         if marked is not None:
             blocks = marked(blocks)
-        blocks = self._sensors.watching(scaled(blocks, self._factors))
+        blocks = scaled(blocks, self._factors)
+        if self._sensors is not None:
+            blocks = self._sensors.watching(blocks)
         if measured is not None:
             blocks = measured(blocks)
         for step in identify_blocks(blocks, self.sampling_rate, self.model, self.names, self.settings, self.source):
@@ -130,7 +133,8 @@ class Pipeline:
     def require(self) -> None:
         """Raise `BadData` if the recording was given up, or had no sample that a sensor can give."""
         self._gaps.require(self.source)
-        self._sensors.require(self.source)
+        if self._sensors is not None:
+            self._sensors.require(self.source)
 
 
 def identify_recording(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,7 +22,7 @@ from cgid.recordings import read_recording
 from cgid.recordings.chain import Chain, Statement
 from cgid.recordings.recording import Blocks, Channel, require_one_rate
 from cgid.recordings.variables import full_scale_of
-from cgid.shipped import model_path
+from cgid.shipped import MODELS, model_path
 from cgid.signals import Signal
 from cgid.validation import require_rate
 
@@ -60,7 +61,20 @@ def load_model(model: str | Path = "default") -> Model:
     >>> load_model("default").labels
     ('coal', 'gangue')
     """
-    return Model.load(model_path(model))
+    return _shipped(model) if isinstance(model, str) and model in MODELS else Model.load(model_path(model))
+
+
+@cache
+def _shipped(name: str) -> Model:
+    """Return a shipped model, read once in a process; its arrays cannot be written."""
+    return Model.load(model_path(name))
+
+
+def default_model(quantity: str | None, settings: PredictionSettings) -> str:
+    """Return the name of the shipped model for a quantity; a mass or a drop height implies a force."""
+    if settings.drop_height is not None:
+        return "default-drop-height"
+    return "default-acceleration" if quantity == "acceleration" and settings.mass is None else "default"
 
 
 def predict(
@@ -149,7 +163,8 @@ def predict(
     else:
         signals = _measured(samples, sampling_rate, unit, Chain.of(sensitivity, gain, full_scale))
     first = signals[0]
-    loaded = model if isinstance(model, Model) else load_model(_default(first, applied) if model is None else model)
+    given = default_model(first.quantity, applied) if model is None else model
+    loaded = given if isinstance(given, Model) else load_model(given)
     applied.check(loaded)
     channels = [Channel(name=signal.channel, unit=signal.unit) for signal in signals]
 
@@ -235,13 +250,6 @@ def _require_alike(signals: Sequence[Any], sampling_rate: float | None) -> list[
     channels = [one.channel for one in signals]
     names = channels if len(set(channels)) == len(channels) else [one.name for one in signals]
     return [replace(one, sampling_rate=rate, channel=name) for one, name in zip(signals, names, strict=True)]
-
-
-def _default(signal: Signal, settings: PredictionSettings) -> str:
-    """Return the name of the shipped model for a quantity; a mass or a drop height implies a force."""
-    if settings.drop_height is not None:
-        return "default-drop-height"
-    return "default-acceleration" if signal.quantity == "acceleration" and settings.mass is None else "default"
 
 
 def _table(answers: Sequence[Answer], model: Model, settings: PredictionSettings) -> pandas.DataFrame:

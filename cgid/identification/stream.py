@@ -129,7 +129,7 @@ def _impacts(
         groups = rows_of(model, channels, settings.same_beam)
         names = answering_channels(model, channels, settings.same_beam)
         same_beam = SameBeam(model, channels, settings, sampling_rate, source) if settings.same_beam else None
-        together = Together(sampling_rate, ((row,) for row in range(len(channels))))
+        together = Together(sampling_rate, ((row,) for row in range(len(channels)))) if len(channels) > 1 else None
         detector = ImpactDetector(
             sampling_rate, len(channels), kind=kind, dead_time=settings.dead_time, joint=joint, gaps=True
         )
@@ -148,7 +148,7 @@ def _impacts(
             until: float = detector.known_until
             if same_beam is None:
                 answers = identify_events(waiting, model, settings, channels=names, beam=beam)
-                lines = [f"{source}: {text}" for text in together.feed(waiting, channels)]
+                lines = [] if together is None else [f"{source}: {text}" for text in together.feed(waiting, channels)]
             else:
                 answers, begin, lines = same_beam.identified(waiting, np.inf if ended else until)
                 until = min(until, begin)
