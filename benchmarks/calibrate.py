@@ -31,7 +31,7 @@ from cgid.identification.model import Model
 from cgid.identification.prediction import load_model
 from cgid.identification.rows import measure
 from cgid.identification.through_beam import ThroughBeam
-from cgid.identification.training import train
+from cgid.identification.training import train_on_specimens
 from cgid.measure.beam import Beam, corrected, gain
 from cgid.measure.modes import Modes, NodeShapes, nodes
 from cgid.scene import Scene, load_scene, parse_scene, synthesise
@@ -66,7 +66,7 @@ def with_drawings(scene: Scene, error: float, seed: int) -> Scene:
 
 
 def accuracy(site: Scene, truth: Scene, n_train: int, n_test: int, seed: int) -> float:
-    model: Model = train(synthesise(site, n_train, 1000 + seed), beam=beam_of(site)).model
+    model: Model = train_on_specimens(synthesise(site, n_train, 1000 + seed), beam=beam_of(site)).model
     rows = measure(synthesise(truth, n_test, 2000 + seed), model.measured, beam=model.beam.beam)
     probabilities = model.probabilities(rows.features[:, : len(model.features)])
     return float(np.mean(model.decide(probabilities) == rows.labels))
@@ -77,7 +77,7 @@ def unlearned(scene: Scene, error: float, options: argparse.Namespace) -> str:
     stated, cells = uncertain(scene, error), []
     own = beam_of(stated)
     for beam in (own, replace(own, modes=replace(own.modes, deviation=None))):
-        model: Model = train(synthesise(stated, options.signals, 1000), beam=beam).model
+        model: Model = train_on_specimens(synthesise(stated, options.signals, 1000), beam=beam).model
         right, sure, spent = [], [], 0.0
         for seed in range(options.first, options.first + options.seeds):
             batches = list(synthesise(with_errors(scene, error, seed), options.test, 2000 + seed))

@@ -20,7 +20,7 @@ from cgid.identification.grouped import leave_groups_out
 from cgid.identification.labelled_recordings import Reading, record
 from cgid.identification.manifest import folder_manifest
 from cgid.identification.rows import Slicing
-from cgid.identification.training import train
+from cgid.identification.training import train_on_groups
 from cgid.recordings import read_recording
 
 MODES = np.array([18.0, 41.0, 67.0, 103.0, 150.0, 218.0, 301.0, 420.0, 560.0, 760.0])
@@ -70,7 +70,7 @@ def compared(rate: float, n_files: int, by: str | None) -> tuple[float, float, i
         folder = Path(name)
         write(folder, rate, n_files)
         rows = record(folder_manifest(folder), reading=Reading(), slicing=Slicing(by=by))
-        accuracy = float(train(rows).model.header["training"]["metrics"]["accuracy"])
+        accuracy = float(train_on_groups(rows).model.header["training"]["metrics"]["accuracy"])
         recordings = {source: read_recording(folder / source.split(" from ")[0])[0].samples for source in rows.sources}
     length = round(max(0.35, (rows.slicing.window_time if rows.slicing.by == "window" else 0.35)) * rate)
     inputs = []

@@ -18,7 +18,7 @@ from ramp import REAL, material
 from cgid.identification.labelled_recordings import record
 from cgid.identification.manifest import read_manifest
 from cgid.identification.rows import Rows, Slicing
-from cgid.identification.training import train
+from cgid.identification.training import train_on_groups
 
 CHANNELS = {"left": "1", "right": "2", "both": "1+2"}
 
@@ -46,7 +46,7 @@ def main() -> None:
     print("| channel | a window | a recording | votes over 0.5 s | over 1 s | features taken (of 15 folds) |")
     print("|---|---|---|---|---|---|")
     for channel in options.channels:
-        training = train(measured(files, CHANNELS[channel], options.hop)).model.header["training"]
+        training = train_on_groups(measured(files, CHANNELS[channel], options.hop)).model.header["training"]
         metrics, candidates = training["metrics"], training["recorded"]["candidates"]
         taken = ", ".join(f"{one['name']} ({one['taken_in_folds']})" for one in candidates if one["taken_in_folds"])
         shares = [metrics, metrics["recordings"], *metrics["running"]]

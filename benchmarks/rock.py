@@ -33,7 +33,7 @@ from cgid.identification.answers import UNKNOWN, identify, identify_frames, suit
 from cgid.identification.classifier import ImpactClassifier
 from cgid.identification.model import Model
 from cgid.identification.rows import Rows, measure
-from cgid.identification.training import train
+from cgid.identification.training import train_on_specimens
 from cgid.measure.features import extract_array
 from cgid.recordings import read_recording
 from cgid.scene import Scene, load_scene, synthesise, varied
@@ -224,7 +224,9 @@ def table_of_laws(model: Model, n_rows: int, n: int) -> Iterator[Line]:
         kept, others = ([own for law, own in part.items() if law != left_out] for part in (rows, strangers))
         with threadpool_limits(1):
             beyond = joined(others) if others else None
-            trained = train(joined(kept), guards=guards, family=model.family, out_of_distribution=beyond).model
+            trained = train_on_specimens(
+                joined(kept), guards=guards, family=model.family, out_of_distribution=beyond
+            ).model
         for law in LAWS:
             if left_out in ("nothing", _KINDS[law]):
                 own = impacts[law]

@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from cgid import shipped
-from cgid.identification.training import train
+from cgid.identification.training import train_on_specimens
 from cgid.scene import generate, load_scene
 from cgid.signals import Batch
 from cgid.store import Dataset
@@ -74,7 +74,7 @@ def _fits(data: Dataset) -> bool:
 
 
 def _trained(batches: Iterable[Batch]) -> None:
-    train(batches, features=FEATURES, guards=())
+    train_on_specimens(batches, features=FEATURES, guards=())
 
 
 def _peak() -> int:

@@ -30,7 +30,8 @@ if TYPE_CHECKING:
     from cgid.identification.pipeline import identify_recording as identify_recording
     from cgid.identification.prediction import load_model as load_model
     from cgid.identification.prediction import predict as predict
-    from cgid.identification.training import train as train
+    from cgid.identification.training import train_on_groups as train_on_groups
+    from cgid.identification.training import train_on_specimens as train_on_specimens
     from cgid.impactor import estimate_impactors as estimate_impactors
     from cgid.learn import ImpactFeatures as ImpactFeatures
     from cgid.learn import stream as stream
@@ -87,7 +88,8 @@ _HOMES = {
     "read_recording": "cgid.recordings",
     "stream": "cgid.learn",
     "synthesise": "cgid.scene",
-    "train": "cgid.identification.training",
+    "train_on_groups": "cgid.identification.training",
+    "train_on_specimens": "cgid.identification.training",
 }
 
 #: Public modules.

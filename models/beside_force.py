@@ -14,7 +14,7 @@ from cgid.identification.answers import Answer, identify_frames
 from cgid.identification.card import plain, table
 from cgid.identification.metrics import paired_difference
 from cgid.identification.model import Model
-from cgid.identification.training import train
+from cgid.identification.training import train_on_specimens
 from cgid.scene import Scene, load_scene, synthesise, varied
 
 #: No training uses it.
@@ -63,7 +63,7 @@ def of_force(scene: Scene) -> Scene:
 
 def force_model(scene: Scene, n_signals: int, seed: int) -> Model:
     """Return a model of the force, trained on the same rocks and blows."""
-    return train(synthesise(of_force(scene), n_signals, seed), family="logistic", seed=seed).model
+    return train_on_specimens(synthesise(of_force(scene), n_signals, seed), family="logistic", seed=seed).model
 
 
 def _hits(model: Model, batches: list[Any]) -> Any:

@@ -38,7 +38,7 @@ from cgid.identification.families import Neighbourhood
 from cgid.identification.model import Model
 from cgid.identification.model_file import UNEXPLAINED
 from cgid.identification.rows import BEAM_FEATURES, BEAM_GUARDS, DEFAULT_FEATURES, DEFAULT_GUARDS, Rows, measure
-from cgid.identification.training import train
+from cgid.identification.training import train_on_specimens
 from cgid.measure.beam import Beam
 from cgid.scene import Scene, load_scene, parse_scene, synthesise
 from cgid.scene.through_beam import beam_of
@@ -237,7 +237,7 @@ def main() -> None:
         data = Rows.joined([frames, *(stream.rows for stream in found)])
     else:
         others = strangers(arguments.signals, arguments.seed + 100)
-    training = train(
+    training = train_on_specimens(
         data,
         features=None if beam is None else BEAM_FEATURES,
         guards=None if beam is None else BEAM_GUARDS,

@@ -21,7 +21,7 @@ from scipy.io import wavfile
 
 from cgid import shipped
 from cgid.identification.model import Model
-from cgid.identification.training import train
+from cgid.identification.training import train_on_specimens
 from cgid.measure.modes import LEARNED_COLUMNS
 from cgid.scene import generate, load_scene, parse_scene, synthesise
 from cgid.scene.generation import tabulate
@@ -215,9 +215,9 @@ def make_files(folder: Path) -> None:
     (folder / "m_own.csv").write_text("path,label\nrenamed.csv,coal\n")
     _beam_models(folder, good)
     scene = load_scene(ROOT / "datasets" / "reference.toml")
-    knowing = train(synthesise(scene, 600), features=["peak_force", "width_50"], known=["drop_height"])
+    knowing = train_on_specimens(synthesise(scene, 600), features=["peak_force", "width_50"], known=["drop_height"])
     (folder / "height.npz").write_bytes(knowing.model.to_bytes())
-    few = train(synthesise(scene, 200), features=["peak_force", "width_50"])
+    few = train_on_specimens(synthesise(scene, 200), features=["peak_force", "width_50"])
     (folder / "uncalibrated.npz").write_bytes(few.model.to_bytes())
     for name in ("reference", "caving"):
         (folder / f"{name}.toml").write_text(_text(name))

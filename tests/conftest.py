@@ -17,7 +17,7 @@ import pytest
 
 from cgid.identification.classifier import FAMILIES
 from cgid.identification.rows import DEFAULT_FEATURES, DEFAULT_GUARDS, measure
-from cgid.identification.training import Training, train
+from cgid.identification.training import Training, train_on_specimens
 from cgid.scene import Scene, load_scene, synthesise
 
 ROOT = Path(__file__).parents[1]
@@ -54,7 +54,7 @@ def reference_scene() -> Scene:
 def trained(reference_scene: Scene) -> dict[str, Training]:
     """One small model of each family, all from the same impacts, which are measured once."""
     rows = measure(synthesise(reference_scene, 3000, seed=5), (*DEFAULT_FEATURES, *DEFAULT_GUARDS))
-    return {family: train(rows, guards=DEFAULT_GUARDS, family=family) for family in FAMILIES}
+    return {family: train_on_specimens(rows, guards=DEFAULT_GUARDS, family=family) for family in FAMILIES}
 
 
 @pytest.fixture(scope="session")

@@ -23,7 +23,7 @@ from cgid.identification.rows import (
     default_guards,
     measure,
 )
-from cgid.identification.training import Training, train
+from cgid.identification.training import Training, train_on_specimens
 from cgid.signals import Batch, Signal
 from cgid.units import STANDARD_GRAVITY
 from tests.ringing import N_SAMPLES, PRE_TRIGGER, RATE, damped_sinusoid, ringing_batch
@@ -36,7 +36,7 @@ def fresh() -> Batch:
 
 @pytest.fixture(scope="module")
 def training() -> Training:
-    return train([ringing_batch(300, seed=1)])
+    return train_on_specimens([ringing_batch(300, seed=1)])
 
 
 @pytest.fixture(scope="module")

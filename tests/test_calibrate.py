@@ -12,7 +12,7 @@ from cgid.errors import BadData, InvalidValue
 from cgid.identification.inversion import Inversion
 from cgid.identification.prediction import load_model
 from cgid.identification.rows import BEAM_GUARDS, measure
-from cgid.identification.training import train
+from cgid.identification.training import train_on_specimens
 from cgid.measure.beam import corrected
 from cgid.measure.modes import LEARNED_COLUMNS, Modes, read_modes
 from cgid.scene import generate, load_scene, parse_scene, record, synthesise
@@ -315,7 +315,7 @@ def test_a_beam_one_per_cent_off_that_nobody_has_learned():
     """Trained on simulations through drawn modes: .77 on five beams; without their errors as noise .715."""
     scene = load_scene("tail_beam")
     stated, truth = uncertain(scene, 0.01), modes_off(scene, 0.01, 0.1, seed=21)[0]
-    model = train(synthesise(stated, 6000, 31), beam=beam_of(stated)).model
+    model = train_on_specimens(synthesise(stated, 6000, 31), beam=beam_of(stated)).model
     rows = measure(synthesise(truth, 2048, 32), model.measured, beam=model.beam.beam)
     likely = model.probabilities(rows.features[:, : len(model.features)])
     right = np.mean(model.decide(likely) == rows.labels)

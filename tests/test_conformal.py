@@ -16,7 +16,13 @@ from cgid.identification.families import softmax
 from cgid.identification.metrics import calibration_error_by_chance, evaluate_sets, reliability
 from cgid.identification.model import Model
 from cgid.identification.prediction_settings import PredictionSettings
-from cgid.identification.training import MIN_CALIBRATION_SPECIMENS, Training, calibration_mask, hold_out, train
+from cgid.identification.training import (
+    MIN_CALIBRATION_SPECIMENS,
+    Training,
+    calibration_mask,
+    hold_out,
+    train_on_specimens,
+)
 from cgid.scene import Scene, synthesise
 
 Trained = dict[str, Training]
@@ -114,13 +120,13 @@ def test_who_calibrates_neither_trains_nor_judges() -> None:
 
 def test_impacts_of_one_specimen_calibrate_once(reference_scene: Scene) -> None:
     batches = list(synthesise(reference_scene, 600))
-    training = train([*batches, *batches, *batches], features=["peak_force", "width_50", "tilt"])
+    training = train_on_specimens([*batches, *batches, *batches], features=["peak_force", "width_50", "tilt"])
     assert training.model.conformal is not None
     assert len(training.model.conformal.scores) == training.model.training["n_calibration_specimens"] == 60
 
 
 def test_too_few_specimens_all_train_and_nothing_can_be_rejected(reference_scene: Scene) -> None:
-    training = train(synthesise(reference_scene, 300), features=["peak_force", "width_50"])
+    training = train_on_specimens(synthesise(reference_scene, 300), features=["peak_force", "width_50"])
     assert MIN_CALIBRATION_SPECIMENS > 0.1 * 300 / 2
     assert training.model.conformal is None
     assert training.metrics["prediction_sets"] == []

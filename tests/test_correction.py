@@ -21,7 +21,7 @@ from cgid.identification.metrics import clustered_interval
 from cgid.identification.model import Model
 from cgid.identification.rows import Rows
 from cgid.identification.share import wilson_interval
-from cgid.identification.training import train
+from cgid.identification.training import train_on_specimens
 from cgid.scene import load_scene, synthesise
 
 NAMES = ("peak_force", "width_50", "skewness")
@@ -51,13 +51,13 @@ def impacts(
 
 @pytest.fixture(scope="module")
 def model() -> Model:
-    return train(impacts(3000, 1), features=NAMES, family="logistic").model
+    return train_on_specimens(impacts(3000, 1), features=NAMES, family="logistic").model
 
 
 @pytest.mark.parametrize("family", ["logistic", "linear", "network", "boosting"])
 @pytest.mark.parametrize("labels", [("coal", "gangue"), ("coal", "gangue", "steel")])
 def test_a_shift_is_folded_into_every_family(family: str, labels: tuple[str, ...]) -> None:
-    former = train(impacts(400, 2, labels), features=NAMES, family=family).model
+    former = train_on_specimens(impacts(400, 2, labels), features=NAMES, family=family).model
     new = impacts(50, 3, labels).features
     shift = Shift(labels, np.linspace(-0.4, 0.6, len(labels)), 0.7, 1.25)
     moved = Model.from_bytes(shifted(former, shift).to_bytes())
@@ -261,5 +261,5 @@ def test_a_training_takes_two_spellings_as_one_label() -> None:
     rows = impacts(400, 2)
     spelled = np.where(np.arange(400) % 9 == 0, np.char.capitalize(rows.labels), rows.labels)
     with pytest.warns(UserWarning, match="are one label"):
-        mixed = train(replace(rows, labels=spelled), features=NAMES)
-    assert mixed.model.to_bytes() == train(rows, features=NAMES).model.to_bytes()
+        mixed = train_on_specimens(replace(rows, labels=spelled), features=NAMES)
+    assert mixed.model.to_bytes() == train_on_specimens(rows, features=NAMES).model.to_bytes()

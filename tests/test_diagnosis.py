@@ -30,7 +30,7 @@ from cgid.identification.model_file import LEVELS
 from cgid.identification.prediction_settings import PredictionSettings
 from cgid.identification.rows import DEFAULT_VIBRATION_FEATURES, Rows
 from cgid.identification.stream import identify_blocks
-from cgid.identification.training import train
+from cgid.identification.training import train_on_specimens
 from cgid.measure.features import supported
 from cgid.scene import Scene, load_scene, parse_scene, synthesise, varied
 from cgid.scene.recordings import parts_of_recording
@@ -49,7 +49,7 @@ BEAM = Model.load(ROOT / "models" / "default-acceleration.npz")
 @cache
 def of_levels() -> Model:
     scene = load_scene(ROOT / "datasets" / "tail_beam.toml")
-    return train(
+    return train_on_specimens(
         synthesise(scene, 2000, 5), features=supported(DEFAULT_VIBRATION_FEATURES, BEAM_RATE, 2048), seed=1
     ).model
 

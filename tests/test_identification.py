@@ -24,7 +24,7 @@ from cgid.identification.metrics import evaluate
 from cgid.identification.model import Model
 from cgid.identification.model_file import signed
 from cgid.identification.rows import DEFAULT_FEATURES, FEW_FEATURES
-from cgid.identification.training import Training, hold_out, measure, train
+from cgid.identification.training import Training, hold_out, measure, train_on_specimens
 from cgid.measure.features import extract_array
 from cgid.scene import Scene, load_scene, parse_scene, synthesise, varied
 from cgid.signals import Signal
@@ -108,9 +108,9 @@ def test_models_are_the_same_with_one_thread_and_with_two(families: list[str]) -
     """To the last digit, metrics included; of so few impacts, two threads would change logistic and network."""
     code = (
         "import hashlib, threadpoolctl; "
-        "from cgid.identification.training import train; from cgid.scene import load_scene, synthesise; "
+        "from cgid.identification.training import train_on_specimens; from cgid.scene import load_scene, synthesise; "
         f"batches = list(synthesise(load_scene({str(SCENE)!r}), 1200, seed=6)); "
-        f"models = {{family: train(batches, family=family).model.to_bytes() for family in {families}}}; "
+        f"models = {{family: train_on_specimens(batches, family=family).model.to_bytes() for family in {families}}}; "
         "print({family: hashlib.sha256(model).hexdigest() for family, model in models.items()}); "
         "print(max(pool['num_threads'] for pool in threadpoolctl.threadpool_info()))"
     )
@@ -129,13 +129,13 @@ def test_one_source_judges_and_no_particle_of_its_judges_trains(reference_scene:
     # The same seed draws the same rocks in both scenes.
     other = varied(reference_scene, relative_noise=0.05)
     batches = [*synthesise(reference_scene, 1000, seed=3), *synthesise(other, 1000, seed=3)]
-    training = train(batches, judged_on=reference_scene.sha256)
+    training = train_on_specimens(batches, judged_on=reference_scene.sha256)
     told = training.model.training
     assert len(training.test_labels) == told["n_test_specimens"] == 250
     assert told["n_calibration_specimens"] == 100
     assert told["n_train"] == 2 * told["n_train_specimens"] == 1300
     with pytest.raises(InvalidValue, match="judged_on must be one of"):
-        train(batches, judged_on="elsewhere")
+        train_on_specimens(batches, judged_on="elsewhere")
 
 
 # -- answers one can trust --------------------------------------------------------------------------------
@@ -166,10 +166,10 @@ def test_costs_move_the_decision_to_the_cheaper_mistake(trained: Trained) -> Non
 
 def test_guard_flags_what_is_larger_than_the_training_and_tells_no_labels_apart(reference_scene: Scene) -> None:
     features = ("peak_force", "width_50", "tilt")
-    training = train(synthesise(reference_scene, 2000), features=features, guards=("tilt",))
+    training = train_on_specimens(synthesise(reference_scene, 2000), features=features, guards=("tilt",))
     model = training.model
     assert (model.features, model.guards, model.measured) == (features[:2], ("tilt",), features)
-    without = train(synthesise(reference_scene, 2000), features=features[:2], guards=())
+    without = train_on_specimens(synthesise(reference_scene, 2000), features=features[:2], guards=())
     np.testing.assert_array_equal(training.test_probabilities, without.test_probabilities)
 
     (batch,) = synthesise(reference_scene, 256, seed=50)
@@ -187,7 +187,7 @@ def test_guard_flags_what_is_larger_than_the_training_and_tells_no_labels_apart(
 
 @pytest.fixture(scope="module")
 def knowing(reference_scene: Scene) -> Training:
-    return train(synthesise(reference_scene, 3000, seed=5), known=("drop_height",))
+    return train_on_specimens(synthesise(reference_scene, 3000, seed=5), known=("drop_height",))
 
 
 def test_drop_height_is_used_impact_by_impact(knowing: Training, reference_scene: Scene) -> None:
@@ -302,7 +302,7 @@ def test_equal_particles_of_two_datasets_stay_on_one_side() -> None:
     content = _tiny_scene()
     quiet, loud = (parse_scene({**content, "sensor": {"relative_noise": noise}}) for noise in (0.01, 0.02))
     batches = [*synthesise(quiet, 300), *synthesise(loud, 300, seed=1)]
-    training = train(batches, features=["peak_force", "width_50"])
+    training = train_on_specimens(batches, features=["peak_force", "width_50"])
     assert training.model.training["n_train_specimens"] == training.model.training["n_test_specimens"] == 2
     low, high = training.metrics["accuracy_interval_95"]
     assert high - low > 0.5, "two specimens are two trials, however many impacts"
@@ -321,7 +321,7 @@ def test_calibration_folds_keep_specimens_together() -> None:
 
 
 def test_shuffled_labels_score_at_chance(reference_scene: Scene) -> None:
-    training = train(synthesise(reference_scene, 4000, seed=8), shuffle_labels=True)
+    training = train_on_specimens(synthesise(reference_scene, 4000, seed=8), shuffle_labels=True)
     low, high = training.metrics["accuracy_interval_95"]
     assert low - 0.02 < 0.5 < high + 0.02
 
@@ -394,14 +394,14 @@ def _tiny_scene() -> dict[str, Any]:
 )
 def test_features_that_tell_laws_apart_are_taken_where_they_pay(name, n, features):
     scene = load_scene(name)
-    assert train(synthesise(scene, n, seed=31)).model.features == features
+    assert train_on_specimens(synthesise(scene, n, seed=31)).model.features == features
 
 
 @pytest.mark.long
 def test_the_choice_of_features_asks_rows_left_out_of_the_training():
     """On rocks of five laws four features reach .72 with 1,500 impacts, nine .80; on one law nine lose .006."""
     rock = load_scene("rock")
-    model = train(synthesise(rock, 1500, seed=31)).model
+    model = train_on_specimens(synthesise(rock, 1500, seed=31)).model
     test = measure(synthesise(rock, 4000, seed=32), model.measured)
     found = np.array(model.labels)[model.probabilities(test.columns(model.features)).argmax(axis=1)]
     assert np.mean(found == test.labels) > 0.77

@@ -23,7 +23,7 @@ from cgid.identification.contact import Contact
 from cgid.identification.inversion import ForceEstimate, Inversion, Observations, Start
 from cgid.identification.model import Model
 from cgid.identification.through_beam import BeamStream, ThroughBeam
-from cgid.identification.training import train
+from cgid.identification.training import train_on_specimens
 from cgid.measure.ar_noise import ORDER, ARNoise, ar_noise_of
 from cgid.measure.beam import FINE, TOUCH, Beam, filtered, gain, points_of, respond, respond_on_average
 from cgid.measure.modes import LEARNED_COLUMNS, lagrange, nodes
@@ -529,7 +529,7 @@ def test_the_fit_finds_the_best_pulse() -> None:
 @pytest.fixture(scope="module")
 def model() -> Model:
     scene = load_scene("tail_beam")
-    return train(synthesise(scene, 300, 5), beam=tail_beam().beam).model
+    return train_on_specimens(synthesise(scene, 300, 5), beam=tail_beam().beam).model
 
 
 def test_a_model_keeps_its_beam_to_the_last_bit(model: Model, tmp_path: Path) -> None:

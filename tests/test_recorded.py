@@ -32,7 +32,7 @@ from cgid.identification.manifest import read_manifest
 from cgid.identification.model import Model
 from cgid.identification.rows import Rows, Slicing, in_unit, measure, sets_for
 from cgid.identification.silence import Silence, silence_of
-from cgid.identification.training import train
+from cgid.identification.training import train_on_groups
 from cgid.identification.windows import WINDOW_TIME, RunningVote, measure_windows, windows_of
 from cgid.measure.features import FEATURES, extract_array, supported
 from cgid.measure.spectra import MEL_BANDS
@@ -166,7 +166,7 @@ def test_channels_that_are_annotated_apart_are_recordings_of_their_own(tmp_path:
         assert len(set(found.labels[found.source == piece])) == 1
         # A running vote must not go on from one channel to the other.
         assert (np.diff(found.time[found.source == piece]) > 0).all()
-    judged = train(found).metrics["recordings"]["rows"]
+    judged = train_on_groups(found).metrics["recordings"]["rows"]
     assert [(row["label"], row["vote"]) for row in judged] == [("coal", "coal"), ("gangue", "gangue")] * 2
 
 
@@ -296,7 +296,7 @@ def test_no_samples_are_in_two_blocks_of_time(by: Any) -> None:
     assert len(np.unique(in_blocks_of_time(rare).group[in_blocks_of_time(rare).labels == "b"])) >= 2
     last = replace(rows, labels=np.where(time > time[-2], "b", "a"), time=time, slicing=slicing)
     with pytest.raises(BadData, match="at least 2 groups"):
-        train(replace(last, digests=("x",), groups=("x",)))
+        train_on_groups(replace(last, digests=("x",), groups=("x",)))
 
 
 @pytest.mark.parametrize(
@@ -440,11 +440,11 @@ def test_weights_make_up_for_how_often_a_label_comes() -> None:
 
 @pytest.fixture(scope="module")
 def model(recorded: Rows) -> Model:
-    return train(recorded, features=NAMES).model
+    return train_on_groups(recorded, features=NAMES).model
 
 
 def test_training_says_how_windows_recordings_and_votes_did(recorded: Rows) -> None:
-    training = train(recorded, features=NAMES)
+    training = train_on_groups(recorded, features=NAMES)
     metrics, model = training.metrics, training.model
     assert metrics["accuracy"] > 0.8
     assert metrics["recordings"]["n"] == 6
@@ -471,7 +471,8 @@ def test_shuffled_labels_of_recordings_score_at_chance(tmp_path: Path) -> None:
     (tmp_path / "m.csv").write_text("path,label,rate_Hz,unit\n" + "".join(rows))
     shuffled = record(read_manifest(tmp_path / "m.csv"), NAMES)
     accuracies = [
-        train(shuffled, features=NAMES, shuffle_labels=True, seed=seed).metrics["accuracy"] for seed in range(3)
+        train_on_groups(shuffled, features=NAMES, shuffle_labels=True, seed=seed).metrics["accuracy"]
+        for seed in range(3)
     ]
     assert np.mean(accuracies) < 0.65
 
@@ -514,11 +515,11 @@ def test_two_channels_are_looked_at_together(tmp_path: Path) -> None:
     (tmp_path / "m.csv").write_text("path,label,rate_Hz,unit\n" + "".join(rows))
     both = record(read_manifest(tmp_path / "m.csv"), ["window_level"], slicing=Slicing(hop_time=0.1))
     assert both.n_channels == 2
-    training = train(both, features=["window_level"], family="logistic")
+    training = train_on_groups(both, features=["window_level"], family="logistic")
     assert training.metrics["accuracy"] > 0.8
     assert training.model.inputs == ("window_level of channel 1", "window_level of channel 2")
     one = replace(both, features=both.features[:, :1], n_channels=1)
-    assert train(one, features=["window_level"], family="logistic").metrics["accuracy"] < 0.7
+    assert train_on_groups(one, features=["window_level"], family="logistic").metrics["accuracy"] < 0.7
 
 
 def test_leave_one_recording_out_on_real_bulk(real_data: Path, tmp_path: Path) -> None:
@@ -617,7 +618,7 @@ def test_reference_runs_make_up_for_another_sensor(tmp_path: Path) -> None:
 
     assert apart(left) > 3
     assert apart(cured) < 0.15 * apart(left)
-    model = train(cured, features=bands).model
+    model = train_on_groups(cured, features=bands).model
     (tmp_path / "m.npz").write_bytes(model.to_bytes())
     loaded = Model.load(tmp_path / "m.npz")
     (equalisation,) = loaded.equalisation("dull")
@@ -667,7 +668,7 @@ def test_a_scene_teaches_what_four_recordings_do_not(tmp_path: Path) -> None:
     scene = vibrations(np.array(["coal", "gangue"] * 200), 99)
     synthetic = measure(in_unit([scene], few.unit, names), names)
     assert synthetic.unit == "g"
-    training = train(few, features=names, synthetic=synthetic)
+    training = train_on_groups(few, features=names, synthetic=synthetic)
     told = training.model.training["recorded"]["synthetic"]
     assert told["n"] == 240
     # A gain of 0.02 is -34 dB; both are in g.
@@ -676,6 +677,6 @@ def test_a_scene_teaches_what_four_recordings_do_not(tmp_path: Path) -> None:
     assert training.metrics["accuracy"] >= told["accuracy_without"] - 0.05
     assert "240 synthetic impacts teach" in write_card(training.model, "m.npz")
     with pytest.raises(BadData, match="label shale of the scene"):
-        train(few, features=names, synthetic=replace(synthetic, labels=np.full(400, "shale")))
+        train_on_groups(few, features=names, synthetic=replace(synthetic, labels=np.full(400, "shale")))
     with pytest.raises(InvalidValue, match="feature peak_amplitude must be left out"):
         list(in_unit([scene], "V", ["level_total", "peak_amplitude"]))

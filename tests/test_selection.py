@@ -15,7 +15,7 @@ from cgid.identification.classifier import ImpactClassifier
 from cgid.identification.metrics import paired_difference
 from cgid.identification.model import Model
 from cgid.identification.rows import Rows, measure
-from cgid.identification.training import train
+from cgid.identification.training import train_on_specimens
 from cgid.scene import Scene, synthesise
 from models.selection import FAMILIES, MARGIN, Family, preferred, select, selection_section, selection_table
 from tests import few
@@ -58,7 +58,7 @@ def test_every_family_is_compared_and_a_card_can_print_it(
     assert sum(row["chosen"] for row in rows) == 1
     lines = selection_table(rows)
     assert len(lines) == 2 + len(rows)
-    model = train(synthesise(reference_scene, 400), features=FEATURES).model
+    model = train_on_specimens(synthesise(reference_scene, 400), features=FEATURES).model
     model = Model.from_bytes(replace(model, training=model.training | {"selection": rows}).to_bytes())
     assert model.training["selection"] == rows
     card = write_card(model, "m.npz", further=[("Selection", selection_section(rows, model.family))])

@@ -19,7 +19,7 @@ from cgid.identification.prediction_settings import PredictionSettings
 from cgid.identification.rows import BEAM_FEATURES
 from cgid.identification.stream import identify_blocks
 from cgid.identification.through_beam import ThroughBeam, clipped_samples
-from cgid.identification.training import train
+from cgid.identification.training import train_on_specimens
 from cgid.measure.beam import Beam
 from cgid.measure.features import extract_array
 from cgid.measure.vibration import VibrationBatch
@@ -133,7 +133,7 @@ def looked(points: tuple[tuple[float, float], ...]) -> tuple[Batch, ForceEstimat
 
 @functools.cache
 def pair() -> Model:
-    return train([looked(OFF)[0]], beam=beam_at(*OFF).beam).model
+    return train_on_specimens([looked(OFF)[0]], beam=beam_at(*OFF).beam).model
 
 
 def far(points: tuple[tuple[float, float], ...]) -> np.ndarray:

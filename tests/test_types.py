@@ -65,7 +65,7 @@ def test_a_user_of_scenes() -> None:
     assert_type(cgid.stream(scene, n_signals=8), cgid.learn.TrainingStream)
     learners = cgid.ImpactFeatures(200e3), cgid.ImpactClassifier()
     assert_type(learners, tuple[cgid.ImpactFeatures, cgid.ImpactClassifier])
-    training = cgid.train(cgid.synthesise(scene, 2048), features=["peak_force", "contact_duration"])
+    training = cgid.train_on_specimens(cgid.synthesise(scene, 2048), features=["peak_force", "contact_duration"])
     assert_type(training, cgid.identification.training.Training)
     assert_type(training.model, cgid.Model)
     with pytest.raises(cgid.errors.CgidError, match="absent"):
@@ -110,7 +110,7 @@ def test_public_modules_need_no_import_of_their_own(monkeypatch: pytest.MonkeyPa
         ("cgid.load_model().lab", "labels"),
         ("cgid.open_recording('a.csv').chan", "channels"),
         ("cgid.Impact().peak_f", "peak_force"),
-        ("cgid.train([]).model.sampl", "sampling_rates"),
+        ("cgid.train_on_specimens([]).model.sampl", "sampling_rates"),
     ],
 )
 def test_an_editor_completes(typed: str, offered: str) -> None:

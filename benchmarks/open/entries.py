@@ -26,7 +26,7 @@ from cgid.identification.prediction_settings import PredictionSettings
 from cgid.identification.rows import BEAM_FEATURES, BEAM_GUARDS, Rows, measure
 from cgid.identification.stream import identify_blocks
 from cgid.identification.support import CavingWatch
-from cgid.identification.training import train
+from cgid.identification.training import train_on_specimens
 from cgid.scene import synthesise
 from cgid.scene.through_beam import full_beam
 from cgid.signals import Batch
@@ -159,14 +159,14 @@ def trained(folder: Path) -> Predictions:
     """
     parts, labels = parts_of(folder, "train"), Truth.read(folder).frames
     streams = all_sets()["caving-constant"]
-    models = {name: train(_batches(parts[name], labels[name])).model for name in ("reference", "peers")}
+    models = {name: train_on_specimens(_batches(parts[name], labels[name])).model for name in ("reference", "peers")}
     beam, names = full_beam(streams.scene), (*BEAM_FEATURES, *BEAM_GUARDS)
     seed, n = TRAIN_SEED + streams.number, len(parts[streams.name].signals)
     # The very streams of the training part: the same scenes, seed and numbers.
     heard = rows_of_streams([streams.stream(seed, number)[0] for number in range(n)], seed, names, beam)
     frames = measure(_batches(parts["tail_beam"], labels["tail_beam"]), names, beam=beam)
     rows = Rows.joined([frames, *(one.rows for one in heard[: n // 2])])
-    model = train(rows, features=BEAM_FEATURES, guards=BEAM_GUARDS).model
+    model = train_on_specimens(rows, features=BEAM_FEATURES, guards=BEAM_GUARDS).model
     models["tail_beam"] = models[streams.name] = finished(model, heard[n // 2 :])
     return {name: _answered(models[part.learn], part) for name, part in parts_of(folder, "test").items()}
 

@@ -280,9 +280,14 @@ def _requested_windows(context: click.Context, others: list[str], features: Any)
 _COMMON = ("features", "family", "class_weights", "seed", "shuffle_labels", "workers")
 
 
+def _given(options: dict[str, Any], *names: str) -> dict[str, Any]:
+    """Return these options without those that leave the choice to the training."""
+    return {name: options[name] for name in names if options[name] is not None}
+
+
 def _from_signals(data: list[str], options: dict[str, Any]) -> tuple[Any, list[Any]]:
     """Return the training on datasets and scenes, and no errors."""
-    from cgid.identification.training import train as train_model
+    from cgid.identification.training import train_on_specimens
     from cgid.scene import Scene
 
     given = options["start_error"]
@@ -294,20 +299,19 @@ def _from_signals(data: list[str], options: dict[str, Any]) -> tuple[Any, list[A
 
         scene = moved(scene, points[0])
         sources, options = [scene], {**options, "sensors": []}
-    given = {name: options[name] for name in (*_COMMON, "test_share", "calibration_share")}
+    given = _given(options, *_COMMON, "test_share", "calibration_share")
     n_signals = options["n_signals"]
-    if scene is not None and not (given["features"] or options["drop_height"] or options["sensors"]):
+    if scene is not None and not (options["features"] or options["drop_height"] or options["sensors"]):
         from cgid.site.streams import is_streamable, numbers_of_streams, train_on_streams
 
         if is_streamable(scene):
-            del given["features"]
             with progress_bar(sum(numbers_of_streams(scene, n_signals)), "simulated streams", "measuring") as progress:
                 training = train_on_streams(scene, n_signals, progress=progress, **given)
             return _behind(training, scene, points, full=True), []
     beam = _beam(sources, options)
     total = sum(n_signals if isinstance(source, Scene) else len(source) for source in sources)
     with progress_bar(total, "signals", "measuring") as progress:
-        training = train_model(
+        training = train_on_specimens(
             _batches(sources, options),
             known=("drop_height",) if options["drop_height"] else (),
             beam=beam,
@@ -354,7 +358,7 @@ def _from_recordings(
     from cgid.identification.grouped import MAX_FOLDS
     from cgid.identification.labelled_recordings import record
     from cgid.identification.rows import Slicing
-    from cgid.identification.training import train as train_model
+    from cgid.identification.training import train_on_groups
 
     window, hop = options["window_time"], options["hop_time"]
     slicing = Slicing(
@@ -375,10 +379,10 @@ def _from_recordings(
         say(f"cgid: {note}", err=True)
     for warning in rows.warnings:
         warn(warning)
-    given = {name: options[name] for name in (*_COMMON, "level_free")}
+    given = _given(options, *_COMMON, "level_free")
     n_folds = min(len(rows.groups), MAX_FOLDS) if len(rows.groups) > 1 else None
     with progress_bar(n_folds, "groups left out", "judging") as progress:
-        training = train_model(rows, synthetic=synthetic, progress=progress, **given)
+        training = train_on_groups(rows, synthetic=synthetic, progress=progress, **given)
     for warning in training.model.training["recorded"]["warnings"][len(rows.warnings) :]:
         warn(warning)
     return training, list(rows.failures)

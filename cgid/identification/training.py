@@ -1,8 +1,8 @@
 """Train a model: select features, fit, calibrate, and test on unseen specimens or groups.
 
-`train` handles all labelled rows, with two kinds of tests. Scenes and datasets have thousands of specimens: some are
-held out for the test, some to calibrate prediction sets. A manifest has a few groups of recordings: a nested
-cross-validation leaves out one group at a time (`cgid.identification.grouped`).
+Scenes and datasets have thousands of specimens: `train_on_specimens` holds out some for the test, some to calibrate
+prediction sets. A manifest has a few groups of recordings: `train_on_groups` leaves out one group at a time in a nested
+cross-validation (`cgid.identification.grouped`).
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ from cgid.units import quantity_of
 from cgid.validation import Floats
 from cgid.workers import SERIAL, Workers
 
-__all__ = ["Training", "train"]
+__all__ = ["Training", "train_on_groups", "train_on_specimens"]
 
 #: Fraction of the specimens in the test.
 TEST_SHARE = 0.25
@@ -112,73 +112,62 @@ class Training:
         return f"Training({model}; accuracy {accuracy:.3f} on {len(self.test_labels)} test rows)"
 
 
-def train(
+def train_on_specimens(
     data: Iterable[Batch] | Rows,
     *,
     features: Iterable[str] | None = None,
     guards: Iterable[str] | None = None,
     known: Iterable[str] = (),
-    family: str | None = None,
+    family: str = "logistic",
     test_share: float = TEST_SHARE,
     calibration_share: float = CALIBRATION_SHARE,
-    seed: int = 0,
     judged_on: str | None = None,
-    class_weights: Weights = None,
-    level_free: bool = False,
-    synthetic: Rows | None = None,
     out_of_distribution: Rows | None = None,
     beam: Beam | None = None,
+    class_weights: Weights = None,
+    seed: int = 0,
     shuffle_labels: bool = False,
     progress: Callable[[int], object] | None = None,
     workers: Workers = SERIAL,
 ) -> Training:
-    """Train a model on labelled impacts or windows and test it on unseen specimens or groups.
+    """Train a model on labelled impacts of datasets or scenes, and test it on unseen specimens.
 
     Each fit uses one thread, so that the same data give the same model to the last digit on every machine.
 
     Parameters
     ----------
     data : iterable of Batch, or Rows
-        Batches of a dataset or scene; or rows, measured from batches (`cgid.identification.rows.measure`) or from
-        recordings (`cgid.identification.labelled_recordings.record`).
+        Batches of a dataset or scene; or rows, measured from batches (`cgid.identification.rows.measure`).
     features : iterable of str, optional
-        Default: those in `cgid.identification.rows` for the quantity; for recordings the best of its sets.
+        Default: those in `cgid.identification.rows` for the quantity.
     guards : iterable of str, optional
         Features that only measure novelty (larger is more novel) and are left out of `features`. Default:
-        `DEFAULT_GUARDS` for batches of pulses, else none. Not for recordings.
+        `DEFAULT_GUARDS` for batches of pulses, else none.
     known : iterable of str
-        Known quantities from `cgid.signals.KNOWN`. Not for recordings.
-    family : {"boosting", "logistic", "network", "linear"}, optional
-        Default: logistic; for recordings linear.
+        Known quantities from `cgid.signals.KNOWN`.
+    family : {"boosting", "logistic", "network", "linear"}
     test_share : float
-        Share of the specimens held out, in (0, 1). Not for recordings.
+        Share of the specimens held out, in (0, 1).
     calibration_share : float
-        Share of the specimens that only calibrate prediction sets, in [0, 1); 0 for none. Not for recordings.
-    seed : int
-        Seed of splits, folds and network.
+        Share of the specimens that only calibrate prediction sets, in [0, 1); 0 for none.
     judged_on : str, optional
         `source` of the batches for test and calibration; the others only train. Default: every source does all.
-    class_weights : dict or "balanced", optional
-        Weights of the labels, as in `cgid.identification.classifier.ImpactClassifier`.
-    level_free : bool
-        Choose only among feature sets in which the gain of the sensor cancels. For recordings.
-    synthetic : Rows, optional
-        Impacts of scenes or datasets, with the features and unit of the recorded ones. They are used only for training;
-        their levels are shifted to those of the recordings.
     out_of_distribution : Rows, optional
         Impacts of anything else, with the features and guards of the model; their labels do not matter. The model
-        learns to distinguish them, which sharpens its novelty. Not for recordings.
+        learns to distinguish them, which sharpens its novelty.
     beam : Beam, optional
         The beam whose vibrations the signals are, as from `cgid.scene.through_beam.beam_of`; its modes lead to the
-        contact force.
-        Rows have their own. Not for recordings.
+        contact force. Rows have their own.
+    class_weights : dict or "balanced", optional
+        Weights of the labels, as in `cgid.identification.classifier.ImpactClassifier`.
+    seed : int
+        Seed of splits and network.
     shuffle_labels : bool
-        Shuffle the labels of specimens or recordings first, as a check: the accuracy must then be that of guessing.
-        With few recordings it is lower, because recordings of one material resemble each other.
+        Shuffle the labels of specimens first, as a check: the accuracy must then be that of guessing.
     progress : callable, optional
-        Called with the number of signals measured; for recordings with 1 per tested group.
+        Called with the number of signals measured.
     workers : Workers
-        Measures signals and fits folds: see `cgid.workers.workers`.
+        Measures signals: see `cgid.workers.workers`.
 
     Returns
     -------
@@ -187,41 +176,112 @@ def train(
     Raises
     ------
     BadData
-        Fewer than two labels, too few groups, nothing to train on, or a missing known quantity.
+        Fewer than two labels, too few specimens, nothing to train on, or a missing known quantity.
     InvalidValue
-        An unknown choice, a label with a single specimen, or a guard that is not positive.
+        An unknown choice, a label with a single specimen, a guard that is not positive, or rows of recordings.
     """
     seed = validation.whole("seed", seed, 0, 2**32 - 1)
     if isinstance(data, Rows):
-        rows, names, limiting = data, tuple(features or ()), tuple(guards or ())
-        for name in (*names, *limiting):
-            validation.choice("feature of rows", name, rows.names)
+        if data.slicing is not None:
+            raise InvalidValue(
+                "data must be of datasets or scenes, got rows of recordings; give them to train_on_groups"
+            )
+        rows, names, limiting = data, _named_in(data, features), _named_in(data, guards)
     else:
         rows, names, limiting = _measured(data, features, guards, tuple(known), beam, progress, workers)
-    if rows.slicing is not None and len(set(rows.digests)) == 1 and len(rows.groups) == 1:
+    rows = _in_one_spelling(rows)
+    rows = _shuffled(rows, seed) if shuffle_labels else rows
+    _require_labels(rows, class_weights)
+    names = names or tuple(name for name in rows.names if name not in limiting)
+    parts = _split(rows, judged_on, test_share, calibration_share, seed)
+    record = _record(rows.digests, seed, shuffle_labels)
+    record |= {"test_share": test_share, "calibration_share": calibration_share, "judged_on": judged_on}
+    is_open = features is None and names == DEFAULT_FEATURES and not isinstance(data, Rows)
+    open_sets = pulse_sets(len(rows.labels)) if is_open else (names,)
+    fitted = (open_sets, limiting, family, class_weights, seed, workers, record)
+    return _tried_on_left_out(rows, parts, out_of_distribution, *fitted)
+
+
+def train_on_groups(
+    rows: Rows,
+    *,
+    features: Iterable[str] | None = None,
+    family: str = "linear",
+    level_free: bool = False,
+    synthetic: Rows | None = None,
+    class_weights: Weights = None,
+    seed: int = 0,
+    shuffle_labels: bool = False,
+    progress: Callable[[int], object] | None = None,
+    workers: Workers = SERIAL,
+) -> Training:
+    """Train a model on the impacts or windows of labelled recordings, and test it on unseen groups of recordings.
+
+    Parameters
+    ----------
+    rows : Rows
+        From recordings (`cgid.identification.labelled_recordings.record`).
+    features : iterable of str, optional
+        Default: the best of the sets of `cgid.identification.rows`.
+    family : {"boosting", "logistic", "network", "linear"}
+    level_free : bool
+        Choose only among feature sets in which the gain of the sensor cancels.
+    synthetic : Rows, optional
+        Impacts of scenes or datasets, with the features and unit of the recorded ones. They are used only for training;
+        their levels are shifted to those of the recordings.
+    class_weights : dict or "balanced", optional
+        Weights of the labels, as in `cgid.identification.classifier.ImpactClassifier`.
+    seed : int
+        Seed of folds and network.
+    shuffle_labels : bool
+        Shuffle the labels of recordings first, as a check: the accuracy must then be that of guessing. With few
+        recordings it is lower, because recordings of one material resemble each other.
+    progress : callable, optional
+        Called with 1 for each tested group.
+    workers : Workers
+        Fits folds: see `cgid.workers.workers`.
+
+    Returns
+    -------
+    Training
+
+    Raises
+    ------
+    BadData
+        Fewer than two labels, or too few groups.
+    InvalidValue
+        An unknown choice, or rows of datasets or scenes.
+    """
+    seed = validation.whole("seed", seed, 0, 2**32 - 1)
+    if rows.slicing is None:
+        raise InvalidValue(
+            "rows must be of recordings, got those of a dataset or scene; give them to train_on_specimens"
+        )
+    names = _named_in(rows, features)
+    if len(set(rows.digests)) == 1 and len(rows.groups) == 1:
         rows = in_blocks_of_time(rows)
     rows = _in_one_spelling(rows)
     if synthetic is not None:
         synthetic = _in_one_spelling(synthetic, tuple(np.unique(rows.labels).tolist()))
     rows = _shuffled(rows, seed) if shuffle_labels else rows
     _require_labels(rows, class_weights)
-    record: dict[str, Any] = {
-        "seed": seed,
-        "labels_shuffled": shuffle_labels,
-        "sources": [*rows.digests, *(() if synthetic is None else synthetic.digests)],
-    }
-    if rows.slicing is None:
-        names = names or tuple(name for name in rows.names if name not in limiting)
-        parts = _split(rows, judged_on, test_share, calibration_share, seed)
-        record |= {"test_share": test_share, "calibration_share": calibration_share, "judged_on": judged_on}
-        is_open = features is None and names == DEFAULT_FEATURES and not isinstance(data, Rows)
-        open_sets = pulse_sets(len(rows.labels)) if is_open else (names,)
-        fitted = (open_sets, limiting, family or "logistic", class_weights, seed, workers, record)
-        return _tried_on_left_out(rows, parts, out_of_distribution, *fitted)
+    record = _record((*rows.digests, *(() if synthetic is None else synthetic.digests)), seed, shuffle_labels)
     sets = {"asked for": names} if names else sets_for(rows.kind, rows.sampling_rates[0], level_free=level_free)
-    candidates = candidates_for(sets, rows.names, family or "linear")
+    candidates = candidates_for(sets, rows.names, family)
     training_set = TrainingSet(rows=rows, candidates=candidates, weights=class_weights, seed=seed)
     return _left_out(training_set, synthetic, level_free, progress, workers, record)
+
+
+def _named_in(rows: Rows, features: Iterable[str] | None) -> tuple[str, ...]:
+    """Return the names of features, which must be those of rows."""
+    names = tuple(features or ())
+    for name in names:
+        validation.choice("feature of rows", name, rows.names)
+    return names
+
+
+def _record(sources: Sequence[str], seed: int, shuffled: bool) -> dict[str, Any]:
+    return {"seed": seed, "labels_shuffled": shuffled, "sources": [*sources]}
 
 
 def pulse_sets(n_impacts: int) -> tuple[tuple[str, ...], ...]:

@@ -25,7 +25,7 @@ from cgid.identification.detection import find_impacts
 from cgid.identification.events import Event, frames_alike
 from cgid.identification.model import Model
 from cgid.identification.rows import BEAM_FEATURES, BEAM_GUARDS, Rows, through
-from cgid.identification.training import MIN_LIMITS, Training, train
+from cgid.identification.training import MIN_LIMITS, Training, train_on_specimens
 from cgid.measure.beam import Beam
 from cgid.measure.features import extract_array
 from cgid.scene.schema import Scene, parse_scene
@@ -215,7 +215,9 @@ def train_on_streams(
     scenes = variations(scene, n_streams, seed)
     streams = rows_of_streams(scenes, seed, names, beam, progress=progress, workers=workers)
     rows = Rows.joined([stream.rows for stream in streams])
-    training = train(rows, features=BEAM_FEATURES, guards=BEAM_GUARDS, seed=seed, workers=workers, **settings)
+    training = train_on_specimens(
+        rows, features=BEAM_FEATURES, guards=BEAM_GUARDS, seed=seed, workers=workers, **settings
+    )
     further = variations(scene, n_further, seed + 1)
     others = rows_of_streams(further, seed + 1, names, beam, progress=progress, workers=workers)
     return replace(training, model=finished(training.model, others))

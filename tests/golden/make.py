@@ -67,7 +67,7 @@ def make_data(folder: Path) -> None:
 def make_models(folder: Path) -> None:
     """Write a model of each family and one of windows, and models-N.json."""
     from cgid.identification.classifier import FAMILIES
-    from cgid.identification.training import train
+    from cgid.identification.training import train_on_specimens
     from cgid.scene import load_scene, synthesise
 
     scene = load_scene(HERE.parents[1] / "datasets" / "reference.toml")
@@ -75,7 +75,7 @@ def make_models(folder: Path) -> None:
     for family in FAMILIES:
         # Few impacts keep the boosted trees small; prediction sets need more impacts.
         impacts = synthesise(scene, 240 if family == "boosting" else 900, seed=SEED)
-        training = train(impacts, features=["peak_force", "width_50"], guards=[], family=family)
+        training = train_on_specimens(impacts, features=["peak_force", "width_50"], guards=[], family=family)
         version = training.model.header["schema_version"]
         inputs = np.exp(np.random.default_rng(SEED).normal(size=(6, 2))) * [2e4, 3e-4]
         expected[f"models-{version}-{family}.npz"] = {
