@@ -61,13 +61,14 @@ def load_model(model: str | Path = "default") -> Model:
     >>> load_model("default").labels
     ('coal', 'gangue')
     """
-    return _shipped(model) if isinstance(model, str) and model in MODELS else Model.load(model_path(model))
+    path = model_path(model)
+    return _shipped(path) if isinstance(model, str) and model in MODELS else Model.load(path)
 
 
 @cache
-def _shipped(name: str) -> Model:
+def _shipped(path: Path) -> Model:
     """Return a shipped model, read once in a process; its arrays cannot be written."""
-    return Model.load(model_path(name))
+    return Model.load(path)
 
 
 def default_model(quantity: str | None, settings: PredictionSettings) -> str:
