@@ -28,13 +28,14 @@ def long(session: nox.Session) -> None:
 
 @nox.session
 def lint(session: nox.Session) -> None:
-    """Check style, format, types and the contracts between rooms."""
+    """Check style, format, types, the contracts between rooms, and two counts of the structure."""
     session.run(PYTHON, "-m", "ruff", "check", ".", external=True)
     session.run(PYTHON, "-m", "ruff", "format", "--check", ".", external=True)
     session.run(PYTHON, "-m", "mypy", external=True)
     session.run(
         PYTHON, "-c", "from importlinter.cli import lint_imports_command as run; run(['--no-logo'])", external=True
     )
+    session.run(PYTHON, "benchmarks/house.py", "--limits", external=True)
 
 
 @nox.session

@@ -1,6 +1,10 @@
 """The size of the package, and what one command walks through: of this checkout, and of others side by side.
 
 python benchmarks/house.py [FOLDER ...]
+python benchmarks/house.py --limits
+
+The second one only counts what `.ci/run` limits: the functions that `cgid.predict` of one impact enters once it is
+warm, and the modules of the longest chain of imports. Counts are the same on every machine.
 
 A folder is another checkout (`git worktree add ../before 86b87a3`), measured by the same Python and libraries.
 Code lines are no blank lines, comments and docstrings. Lines of logic are also no imports, signatures, decorators,
@@ -29,7 +33,11 @@ WALKS = {
     "predict datasets/sample.csv": ["predict", "datasets/sample.csv"],
     "generate -n 200": ["generate", "datasets/reference.toml", "-n", "200", "-o", "made"],
     "calibrate": ["calibrate", "beam", "--scene", "tail_beam", "-o", "made"],  # 24 signals, generated first
+    "train": ["train", "events", "-o", "made.npz"],  # a table of 24 labelled impacts, made first
+    "predict of one impact in memory": [],
 }
+#: What `.ci/run` allows.
+MOST_FUNCTIONS, LONGEST_CHAIN = 230, 24
 RUNS = ("first", "second")
 COUNTED = "functions / files / jumps / calls deep / calls / of these checks"
 #: Runs in a process of its own, in the checkout to be measured: prints what a command has walked through, twice over.
@@ -66,17 +74,23 @@ def follow(frame, event, argument):
     elif event == "return":
         depth[0] -= 1
 from cgid.cli import main
+def predicted():  # what `import cgid` gives, of one impact in memory
+    import cgid, numpy
+    time = numpy.arange(2000) / 200e3
+    blow = 8e3 * numpy.sin(numpy.pi * numpy.clip((time - 4e-3) / 0.4e-3, 0, 1)) ** 1.5
+    cgid.predict(blow + numpy.random.default_rng(0).normal(0, 50, 2000), 200e3, "N")
 out = os.dup(1)
 os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
 walks = []
 for arguments in json.loads(sys.argv[1]):
     sys.argv[1:] = arguments
+    walk = main if arguments else predicted
     functions.clear(), jumps.clear()
     depth[:] = calls[:] = 0, 0
     status = 0
     sys.setprofile(follow)
     try:
-        status = main()
+        status = walk()
     except SystemExit as end:
         status = end.code
     sys.setprofile(None)
@@ -187,6 +201,59 @@ def n_long_functions(tree: ast.Module) -> int:
     return sum(isinstance(node, ast.FunctionDef) and len(lines_of(node)) > 70 for node in ast.walk(tree))
 
 
+def walks(name: str, checkout: Path, environment: dict[str, str]) -> list[list[int]]:
+    """Return the counts of a command in its first and its second run."""
+    with tempfile.TemporaryDirectory() as folder:
+        made = {"beam": f"{folder}/beam", "events": f"{folder}/events.csv"}
+        places = [made | {"made": f"{folder}/{run}.toml", "made.npz": f"{folder}/{run}.npz"} for run in RUNS]
+        commands = [[place.get(word, word) for word in WALKS[name]] for place in places]
+        if name == "calibrate":
+            commands.insert(0, ["generate", "tail_beam", "-n", "24", "-o", made["beam"]])
+        elif name == "train":
+            label_impacts(checkout, Path(made["events"]), environment)
+        printed = subprocess.run(
+            [sys.executable, "-c", _WALK, json.dumps(commands)], cwd=checkout, env=environment, capture_output=True
+        )
+    found = json.loads(printed.stdout or b"[[1]]")
+    if any(status for status, *_ in found):
+        raise SystemExit(f"{checkout}: cgid {name} failed: {printed.stderr.decode()[-500:]}")
+    return [counts for _, *counts in found[-2:]]
+
+
+def label_impacts(checkout: Path, table: Path, environment: dict[str, str]) -> None:
+    """Write a table of the impacts of two recordings, each the sample twice over, with labels."""
+    rate, title, *rows = (checkout / "datasets" / "sample.csv").read_text(encoding="utf-8").splitlines()
+    recordings = [table.with_name(f"day{day}.csv") for day in (1, 2)]
+    for day, recording in enumerate(recordings, 1):
+        recording.write_text("\n".join([rate, title, *rows * 2, *rows[:day]]) + "\n", encoding="utf-8")
+    command = [sys.executable, "-m", "cgid", "events", *map(str, recordings), "-o", str(table)]
+    subprocess.run(command, cwd=checkout, env=environment, check=True, capture_output=True)
+    head, *events = table.read_text(encoding="utf-8").splitlines()
+    place = head.split(",").index("label")
+    labelled = [event.split(",") for event in events]
+    for number, event in enumerate(labelled):
+        event[place] = ("coal", "gangue")[number % 2]
+    table.write_text("\n".join([head, *map(",".join, labelled)]) + "\n", encoding="utf-8")
+
+
+def check_limits() -> None:
+    """Exit with an error if the counts of this checkout are above their limits."""
+    trees = modules(HERE)
+    known = set(trees)
+    first = {name: set().union(*(imports(node, known) for node in at_import(tree))) for name, tree in trees.items()}
+    (_, warm) = walks("predict of one impact in memory", HERE, {**os.environ, "PYTHONPATH": str(HERE)})
+    counts = {
+        "functions that a warm cgid.predict of one impact enters": (warm[0], MOST_FUNCTIONS),
+        "modules in the longest chain of imports": (longest_chain(first), LONGEST_CHAIN),
+    }
+    for what, (count, most) in counts.items():
+        print(f"{what}: {count} (at most {most})")
+    if any(count > most for count, most in counts.values()):
+        raise SystemExit(
+            "a count is above its limit: put the new code in a room that exists, or skip what is not needed"
+        )
+
+
 def figures(checkout: Path) -> dict[str, str]:
     trees = modules(checkout)
     known = set(trees)
@@ -210,19 +277,8 @@ def figures(checkout: Path) -> dict[str, str]:
         "words of README.md": f"{len((checkout / 'README.md').read_text(encoding='utf-8').split()):,}",
     }
     environment = {**os.environ, "PYTHONPATH": str(checkout)}
-    for name, arguments in WALKS.items():
-        with tempfile.TemporaryDirectory() as folder:
-            places = [{"made": f"{folder}/{run}.toml", "beam": f"{folder}/beam"} for run in RUNS]
-            commands = [[place.get(word, word) for word in arguments] for place in places]
-            if name == "calibrate":
-                commands.insert(0, ["generate", "tail_beam", "-n", "24", "-o", f"{folder}/beam"])
-            printed = subprocess.run(
-                [sys.executable, "-c", _WALK, json.dumps(commands)], cwd=checkout, env=environment, capture_output=True
-            )
-        walks = json.loads(printed.stdout or b"[[1]]")
-        if any(status for status, *_ in walks):
-            raise SystemExit(f"{checkout}: cgid {name} failed: {printed.stderr.decode()[-500:]}")
-        for run, (_, *counts) in zip(RUNS, walks[-2:], strict=True):
+    for name in WALKS:
+        for run, counts in zip(RUNS, walks(name, checkout, environment), strict=True):
             result[f"`cgid {name}`, {run} run: {COUNTED}"] = " / ".join(map(str, counts))
     seconds = [
         float(
@@ -237,7 +293,12 @@ def figures(checkout: Path) -> dict[str, str]:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("folders", nargs="*", type=Path)
-    checkouts = [*(folder.resolve() for folder in parser.parse_args().folders), HERE]
+    parser.add_argument("--limits", action="store_true", help="Only check the counts that are limited.")
+    arguments = parser.parse_args()
+    if arguments.limits:
+        check_limits()
+        return
+    checkouts = [*(folder.resolve() for folder in arguments.folders), HERE]
     tables = [figures(checkout) for checkout in checkouts]
     print("| | " + " | ".join(checkout.name for checkout in checkouts) + " |\n|---" * 1 + "|---" * len(checkouts) + "|")
     for row in tables[-1]:
