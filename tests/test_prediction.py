@@ -49,7 +49,7 @@ def test_channels_are_columns_and_units_do_not_matter() -> None:
     np.testing.assert_allclose(named["p_coal"], one["p_coal"], rtol=1e-9)
     two = cgid.predict(np.stack([sample(), sample()], axis=1), 200e3, "N")
     assert two["channel"].value_counts().to_dict() == {"1": 6, "2": 6}
-    with pytest.warns(UserWarning):
+    with pytest.warns(UserWarning, match="samples channel left"):
         assert cgid.predict(both, 200e3, "kN", invert=True)["channel"].unique().tolist() == ["right"]
 
 

@@ -57,7 +57,7 @@ def test_every_row_of_the_descriptions_is_measured():
 
 
 @pytest.mark.parametrize(
-    "name, said",
+    ("name", "said"),
     [
         ("strong_rms", f"until {100 * vibration.STRONG_SHARE:g} %"),
         ("level_total", f"exp(-t/{1e3 * vibration.WINDOW_TIME:g} ms)"),

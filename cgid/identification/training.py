@@ -112,7 +112,7 @@ class Training:
         return f"Training({model}; accuracy {accuracy:.3f} on {len(self.test_labels)} test rows)"
 
 
-def train_on_specimens(
+def train_on_specimens(  # noqa: PLR0913
     data: Iterable[Batch] | Rows,
     *,
     features: Iterable[str] | None = None,

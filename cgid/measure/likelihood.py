@@ -239,7 +239,7 @@ def _stabilised() -> tuple[Floats, Floats]:
     return shapes, np.concatenate([[0.0], np.cumsum(0.5 * (slope[1:] + slope[:-1]) * np.diff(shapes))])
 
 
-def profile(
+def profile(  # noqa: PLR0913
     samples: NDArray[np.floating],
     near: Floats,
     noise: Floats,

@@ -123,7 +123,7 @@ HUNT_CROSSLEY_LAWS: dict[str, Callable[[Floats], Floats]] = {
 _MAX_DAMPING = 1e100
 
 
-def _hertz(p: Any, history: Any, w: float) -> tuple[float, float]:
+def _hertz(p: Any, _history: Any, w: float) -> tuple[float, float]:
     """Return `x^(3/2)` and `D x^(3/2)`."""
     g = w * w * w
     return g, p[0] * g

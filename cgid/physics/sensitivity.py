@@ -367,7 +367,7 @@ def yield_pressure(restitution: ArrayLike, impact: Impact) -> Floats:
     # At a yield pressure of the modulus nothing yields.
     elastic = replace(impact, dissipation=Thornton(yield_pressure=impact.reduced_modulus))
 
-    def curves(over_depth: Floats, rows: NDArray[np.intp]) -> Curves:
+    def curves(over_depth: Floats, rows: NDArray[np.intp]) -> Curves:  # noqa: ARG001
         return thornton_curves(1 / over_depth)
 
     depth = elastic.length_scale / _solve(restitution, elastic, curves, _OVER_DEPTH)

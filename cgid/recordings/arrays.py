@@ -82,7 +82,7 @@ def _records(path: Path, source: str, n_samples: int, dtype: np.dtype[Any], offs
     """Return the fields of the records of an NPY file as channels, with the times among them."""
 
     def variable(name: str, stored: np.dtype[Any]) -> Variable:
-        def read(length: int, channels: Sequence[int]) -> Iterator[NDArray[Any]]:
+        def read(length: int, _channels: Sequence[int]) -> Iterator[NDArray[Any]]:
             with path.open("rb") as file:
                 file.seek(offset)
                 for first in range(0, n_samples, length):

@@ -124,7 +124,7 @@ def read_tdms(path: Path, source: str, variable: str | None) -> Blocks:
 
 
 def _variable(file: _Tdms, group: str, channel: Any) -> Variable:
-    def blocks(length: int, channels: Sequence[int]) -> Iterator[NDArray[Any]]:
+    def blocks(length: int, _channels: Sequence[int]) -> Iterator[NDArray[Any]]:
         return file.blocks(channel, length)
 
     about = _values(channel.properties)

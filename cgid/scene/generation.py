@@ -64,7 +64,7 @@ _ORDER = (
 _T = TypeVar("_T")
 
 
-def generate(
+def generate(  # noqa: PLR0913
     scene: Scene | str | Path,
     output: str | Path,
     n_signals: int,

@@ -246,9 +246,9 @@ def _age(path: Path) -> int:
 
 @lru_cache(maxsize=4)
 def _unit_recording(
-    path: Path, age: int, given_rate: float | None, channel: str | None, sampling_rate: float
+    path: Path, _age: int, given_rate: float | None, channel: str | None, sampling_rate: float
 ) -> NDArray[Any]:
-    """Return a recording at another rate, with mean 0 and root mean square 1; `age` tells versions in the cache."""
+    """Return a recording at another rate, with mean 0 and root mean square 1; `_age` tells versions in the cache."""
     signals = read_recording(path, sampling_rate=given_rate, channel=channel)
     if len(signals) > 1:
         names = ", ".join(one.channel for one in signals)

@@ -340,7 +340,7 @@ def _judged(
             flaw = Flaw.CUT_OFF
         elif following < n and separation < DOUBLE:
             flaw, detail = Flaw.DOUBLE, f"another impact follows after {1e3 * separation:.3g} ms"
-        elif not known and event.overlapping and _alone(event, events, sampling_rate):
+        elif not known and event.overlapping and _alone(event, events):
             flaw, detail = Flaw.DOUBLE, "another impact follows within some milliseconds"
         elif _is_clipped(response[:, event.onset : max(stop, event.onset + 1)], *limits) or (known and event.clipped):
             flaw = Flaw.CLIPPED
@@ -349,7 +349,7 @@ def _judged(
     return _long_enough(taps, sampling_rate, n)
 
 
-def _alone(event: Event, events: list[Event], sampling_rate: float) -> bool:
+def _alone(event: Event, events: list[Event]) -> bool:
     """Return whether the frame of an event contains no other, so that it can only overlap with a hidden impact."""
     reach = len(np.atleast_2d(event.samples)[0])
     return all(other is event or abs(other.onset - event.onset) > reach for other in events)
