@@ -19,9 +19,10 @@ from cgid.identification.classifier import FAMILIES
 from cgid.identification.rows import DEFAULT_FEATURES, DEFAULT_GUARDS, measure
 from cgid.identification.training import Training, train_on_specimens
 from cgid.scene import Scene, load_scene, synthesise
+from tests.beside import SHARED
 
 ROOT = Path(__file__).parents[1]
-REAL_DATA = ROOT.parent / "shared" / "realdata"
+REAL_DATA = SHARED / "realdata"
 
 #: Most processes for the whole suite: each of them makes the session's fixtures anew.
 MAX_WORKERS = 8

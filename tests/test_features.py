@@ -2,7 +2,6 @@
 
 import re
 import warnings
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -21,8 +20,9 @@ from cgid.physics import Elastic, HalfSpace, HuntCrossley, Impact, Sphere
 from cgid.physics.materials import STEEL, YANG2018_SPHERES
 from cgid.recordings import read_recording
 from tests import few, naive
+from tests.beside import SHARED
 
-REAL_SHOCK = Path(__file__).parents[2] / "shared" / "realdata" / "shock"
+REAL_SHOCK = SHARED / "realdata" / "shock"
 MEGAHERTZ = 1e6
 FEATURES = {name: feature for name, feature in ALL_FEATURES.items() if feature.kind == "pulse"}
 SPECTRAL = [name for name in FEATURES if name.startswith(("spectral", "cutoff", "band"))]

@@ -17,11 +17,12 @@ from cgid.recordings import tdms as tdms_reader
 from cgid.recordings.variables import Variable, contents_of
 from cgid.store.table import is_table
 from tests import few, recording_files
+from tests.beside import SHARED
 
 RANDOM = np.random.default_rng(20261121)
 N = 3001
 SAMPLES = RANDOM.standard_normal((3, N))
-REAL = Path(__file__).parents[2] / "shared" / "realdata"
+REAL = SHARED / "realdata"
 
 
 def read(path, length=700, **options):

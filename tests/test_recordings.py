@@ -24,8 +24,9 @@ from scipy.io import wavfile
 from cgid.errors import BadData, CgidError, InvalidValue, NoInput
 from cgid.recordings import RecordingFile, is_dataset, open_recording, read_recording
 from cgid.recordings.recording import MAX_CHANNELS
+from tests.beside import SHARED
 
-REAL = Path(__file__).parents[2] / "shared" / "realdata"
+REAL = SHARED / "realdata"
 real_data = pytest.mark.skipif(not REAL.is_dir(), reason=f"the measured recordings are not there: {REAL}")
 
 
@@ -314,7 +315,7 @@ def test_lowest_numbers_of_a_converter_are_a_gap_unless_samples_come_near():
     assert read_text(f"{text}\n-30000\n")[0].samples[5] == -32768
 
 
-INPUTS = Path(__file__).parents[2] / "shared" / "inputs"
+INPUTS = SHARED / "inputs"
 #: Rate [Hz] or a word of the error, unit, number of channels and samples, largest sample, word of a message.
 ANSWERS = {
     "quoted_decimal_comma.csv": (25_600, "N", 2, 360, 1499.66, ""),
