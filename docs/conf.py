@@ -32,7 +32,7 @@ extensions = [
 ]
 source_suffix = {".md": "markdown", ".rst": "restructuredtext"}
 root_doc = "index"
-exclude_patterns = ["_build", "gallery", "_extensions", "**/README.txt"]
+exclude_patterns = ["_build", "gallery", "_extensions", "decisions", "**/README.txt"]
 # Pages of a folder are found by pattern. Sphinx cannot suppress the warning that there is none, because it has no type.
 logging.getLogger("sphinx.sphinx.directives.other").addFilter(lambda record: "toctree glob" not in str(record.msg))
 
