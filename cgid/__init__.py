@@ -55,7 +55,7 @@ if TYPE_CHECKING:
     from cgid.signals import Signal as Signal
     from cgid.store import Dataset as Dataset
 
-__version__ = "0.2.0.dev0"
+__version__ = "0.2.0"
 
 #: Public name -> module that defines it.
 _HOMES = {
