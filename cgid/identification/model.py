@@ -28,7 +28,6 @@ from cgid.identification.families import (
     softmax,
 )
 from cgid.identification.model_file import (
-    FIELDS,
     FORMAT,
     LEVEL_RANGE,
     SCHEMA_VERSION,
@@ -43,6 +42,7 @@ from cgid.identification.model_file import (
     fields_of,
     read_header,
     signed,
+    stored_fields,
     with_floats,
 )
 from cgid.identification.reference import equalisations_of
@@ -544,7 +544,7 @@ class Model:
     @property
     def header(self) -> dict[str, Any]:
         """All fields except the arrays."""
-        fields = {name: getattr(self, name) for name in FIELDS}
+        fields = {name: getattr(self, name) for name in stored_fields(type(self))}
         return {
             "format": FORMAT,
             "schema_version": SCHEMA_VERSION,
@@ -596,4 +596,4 @@ class Model:
         # Read before the arrays, because a later version may allow further types.
         header = read_header(text)
         arrays = dict(stored)
-        return cls(**fields_of(header, arrays), arrays=arrays)
+        return cls(**fields_of(header, arrays, stored_fields(cls)), arrays=arrays)

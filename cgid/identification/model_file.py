@@ -13,6 +13,7 @@ import math
 import struct
 import zipfile
 from collections.abc import Iterator, Mapping
+from dataclasses import fields
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -102,24 +103,6 @@ MAX_HEADER_SIZE = 2 << 20
 _DEEPEST = 32
 #: Largest absolute value of any number: products of three are still finite.
 _MAX_NUMBER = 1e100
-#: Required fields and their types.
-FIELDS: dict[str, type] = {
-    "family": str,
-    "labels": list,
-    "features": list,
-    "known": list,
-    "guards": list,
-    "guard_limits": list,
-    "unit": str,
-    "sampling_rates": list,
-    "temperature": float,
-    "neighbourhood_limit": float,
-    "training": dict,
-    "window_time": float,
-    "hop_time": float,
-    "n_channels": int,
-    "sensors": list,
-}
 _LISTS_OF_NUMBERS = ("guard_limits", "sampling_rates")
 #: Other fields: the quantity follows from the unit, the others are checked on reading.
 _FURTHER_FIELDS = {"format", "schema_version", "quantity", "sha256"}
@@ -155,17 +138,26 @@ def read_header(stored: NDArray[Any]) -> dict[str, Any]:
     return header
 
 
-def fields_of(header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> dict[str, Any]:
-    """Return the fields of a model from a header whose digest matches, lists as tuples."""
+def stored_fields(model: type[Model]) -> dict[str, type]:
+    """Return the fields of a model that its header has, all required, and their types in JSON."""
+    kinds = {"str": str, "float": float, "int": int, "Mapping[str, Any]": dict}
+    declared = {field.name: str(field.type) for field in fields(model) if field.name != "arrays"}
+    return {name: list if kind.startswith("tuple") else kinds[kind] for name, kind in declared.items()}
+
+
+def fields_of(
+    header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]], stored: Mapping[str, type]
+) -> dict[str, Any]:
+    """Return the stored fields of a model from a header whose digest matches, lists as tuples."""
     if header.get("sha256") != digest(header, arrays):
         raise BadData("header and arrays must match the SHA-256 in the header, they were changed")
-    if unknown := header.keys() - FIELDS.keys() - _FURTHER_FIELDS:
+    if unknown := header.keys() - stored.keys() - _FURTHER_FIELDS:
         raise BadData(f"the header must have the fields of a model only, got {min(unknown)[:40]!r}")
-    for name, kind in FIELDS.items():
+    for name, kind in stored.items():
         good = _is(header.get(name), kind)
         if not good or (name in _LISTS_OF_NUMBERS and not all(_is(number, float) for number in header[name])):
             raise BadData(f"{name} is missing or of a wrong kind in the header")
-    return {name: tuple(header[name]) if kind is list else header[name] for name, kind in FIELDS.items()}
+    return {name: tuple(header[name]) if kind is list else header[name] for name, kind in stored.items()}
 
 
 def signed(header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> bytes:
