@@ -17,6 +17,8 @@ class CgidError(Exception):
     """Base of all errors that cgid raises intentionally; each argument is one error on a line of its own."""
 
     exit_code = 70
+    #: Whether the message begins with the name of the file, so that nobody adds it again.
+    names_file = False
 
     def __str__(self) -> str:
         return "\n".join(map(str, self.args))

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cgid.errors import BadData, InvalidValue
+from cgid.errors import BadData, CgidError, InvalidValue
 from cgid.identification.answers import Answer, answers_from, factor_to, identify_events, unmeasured
 from cgid.identification.detection import ImpactDetector
 from cgid.identification.events import Event
@@ -93,7 +93,16 @@ def identify_blocks(
         )
     settings.require_use(model)
     how = _windows if model.kind == "window" else _impacts
-    return how(blocks, sampling_rate, model, channels, settings, source)
+    return how(_read(blocks), sampling_rate, model, channels, settings, source)
+
+
+def _read(blocks: Iterable[NDArray[Any]]) -> Iterator[NDArray[Any]]:
+    """Yield the blocks; an error in reading them names their file."""
+    try:
+        yield from blocks
+    except CgidError as error:
+        error.names_file = True
+        raise
 
 
 @contextmanager
@@ -102,7 +111,7 @@ def _named(source: str) -> Iterator[None]:
     try:
         yield
     except (BadData, InvalidValue) as error:
-        if str(error).startswith(source):
+        if error.names_file:
             raise
         raise type(error)(f"{source}: {error}") from None
 
