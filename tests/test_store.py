@@ -17,6 +17,8 @@ from cgid.errors import BadData, CannotCreate, InvalidValue, WriteFailed
 from cgid.scene import generate, parse_scene, synthesise
 from cgid.scene.draws import PARAMETER_UNITS
 from cgid.store import Dataset
+from cgid.store.dataset import export
+from cgid.store.verification import verify
 
 N = 1000
 
@@ -127,6 +129,57 @@ def items(path):
 
         file.visititems(visit)
         return datasets, attributes
+
+
+@pytest.mark.parametrize("name", ["one.h5", "cut300/shard-00003.h5", "packed.h5", "exported.h5"])
+def test_axes_are_named_as_in_netcdf4(made, tmp_path, name):
+    """Each axis of each dataset has one scale, with a number, CLASS and NAME: what netCDF-4 readers look for."""
+    path = export(made / "one.h5", tmp_path / name) if name == "exported.h5" else made / name
+    first, n_signals = (900, 100) if "shard" in name else (0, N)
+    with h5py.File(path) as file:
+        scales = {name: file[name] for name in ("signal", "time")}
+        assert [scale.attrs["_Netcdf4Dimid"] for scale in scales.values()] == [0, 1]
+        for scale_name, scale in scales.items():
+            assert (scale.attrs["CLASS"], scale.attrs["NAME"]) == (b"DIMENSION_SCALE", scale_name.encode())
+            assert scale.fletcher32 and scale.attrs["_Netcdf4Dimid"].dtype == np.int32
+        np.testing.assert_array_equal(scales["signal"], np.arange(first, first + n_signals))
+        np.testing.assert_array_equal(scales["time"], np.arange(64) / 100e3)
+        assert file["time"].attrs["unit"] == b"s"
+        others = ["labels", "specimen", *(f"parameters/{name}" for name in file["parameters"])]
+        found = {name: [list(axis.values()) for axis in file[name].dims] for name in ("signals", *others)}
+        assert found.pop("signals") == [[scales["signal"]], [scales["time"]]]
+        assert found == {name: [[scales["signal"]]] for name in others}
+
+
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")
+def test_xarray_opens_a_shard(made):
+    xarray = pytest.importorskip("xarray", reason="xarray is not installed")
+    pytest.importorskip("h5netcdf", reason="h5netcdf is not installed; the attributes that it reads are tested above")
+    expected = Dataset(made / "one.h5").signal(305)
+    shard = made / "cut300" / "shard-00001.h5"
+    with xarray.open_dataset(shard, engine="h5netcdf") as data:
+        assert dict(data.sizes) == {"signal": 300, "time": 64} and set(data.coords) == {"signal", "time"}
+        assert {name: array.dims for name, array in data.data_vars.items()} == {
+            "signals": ("signal", "time"),
+            "labels": ("signal",),
+            "specimen": ("signal",),
+        }
+        np.testing.assert_array_equal(data.signals.sel(signal=305), expected.samples)
+        np.testing.assert_array_equal(data.time, np.arange(64) / expected.sampling_rate)
+    with xarray.open_dataset(shard, group="parameters", engine="h5netcdf") as data:
+        assert {array.dims for array in data.data_vars.values()} == {("signal",)} and "radius" in data
+
+
+@pytest.mark.parametrize("scale", ["signal", "time"])
+def test_a_damaged_scale_is_found(copy, scale):
+    with h5py.File(copy) as file:
+        chunk = file[scale].id.get_chunk_info(0)
+    content = bytearray(copy.read_bytes())
+    content[chunk.byte_offset + 9] ^= 1
+    copy.write_bytes(content)
+    assert len(list(Dataset(copy).batches())) > 0  # nothing in cgid reads it
+    (finding,) = verify(copy).findings
+    assert finding.problem == "damaged" and f"{scale} 0 to" in finding.what
 
 
 # ---- the description -------------------------------------------------------------------------------------------------

@@ -7,6 +7,9 @@ checksummed headers. So reading detects any flipped bit.
     recording   /samples (n_samples,); /impacts/<column>, one row per impact
     table       /labels, /specimen and /columns/<name>, one value per row
 
+Datasets name their axes as netCDF-4 does: /signal (numbers of the signals) and /time [s] from the first sample are
+dimension scales of all that is above, so xarray (engine h5netcdf) opens a shard with dimensions and coordinates.
+
 A shard is built in memory, which is faster. Recordings and tables may exceed memory and are written to the disk
 directly (`hdf5_on_disk`). Only signals of shards are compressed: `gzip` is HDF5's shuffle and deflate, which h5dump,
 MATLAB and LabVIEW read; `zstd` and `blosc2` (filters 32015 and 32026 of HDF5's registry) need plugins, in Python
@@ -136,11 +139,21 @@ def lay_out(file: h5py.File, plan: ShardPlan, first: int, n_signals: int) -> h5p
     put_column(file, "specimen", n_signals, "uint64")
     for name, unit in plan.parameter_units.items():
         put_column(file, f"parameters/{name}", n_signals, "float64", unit)
+    numbers = put_column(file, "signal", n_signals, "int64")
+    numbers[:] = np.arange(first, first + n_signals)
+    for order, scale in enumerate((numbers, put_column(file, "time", plan.n_samples, "float64", "s"))):
+        name = scale.name[1:]
+        scale.make_scale(name)
+        scale.attrs["_Netcdf4Dimid"] = np.int32(order)
+        scale.flush()  # see `ShardBuilder.image`
+        signals.dims[order].attach_scale(scale)
+    for name in ("labels", "specimen", *(f"parameters/{name}" for name in plan.parameter_units)):
+        file[name].dims[0].attach_scale(numbers)
     return signals
 
 
 def say_kind(signals: h5py.Dataset, batch: Batch) -> None:
-    """Write sampling rate, pre-trigger, unit and quantity of signals as their attributes."""
+    """Write sampling rate, pre-trigger, unit and quantity of signals as their attributes, and the time of samples."""
     put_attributes(
         signals,
         {
@@ -150,6 +163,9 @@ def say_kind(signals: h5py.Dataset, batch: Batch) -> None:
             "quantity": quantity_of(batch.unit),
         },
     )
+    times = signals.file["time"]
+    times[:] = np.arange(len(times)) / batch.sampling_rate
+    times.flush()
 
 
 def _chunk_rows(plan: ShardPlan, n_signals: int) -> int:

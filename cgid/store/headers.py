@@ -171,7 +171,8 @@ def damaged_rows(file: h5py.File, kind: str, source: str) -> str:
     _, _, names, group = _KINDS[kind]
     columns = members(file, group, source) if file.id.links.exists(group.encode()) else []
     damaged = []
-    for name in (*names, *(f"{group}/{column}" for column in columns)):
+    scales = [name for name in ("signal", "time") if file.id.links.exists(name.encode())]
+    for name in (*names, *scales, *(f"{group}/{column}" for column in columns)):
         dataset = plain_dataset(file, name, source)
         step, chunks = dataset.chunks[0] if dataset.chunks else max(len(dataset), 1), []
         for first in range(0, len(dataset), step):
