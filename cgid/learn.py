@@ -1,4 +1,4 @@
-"""Tools for your own learners: a scikit-learn transformer, scenes as endless training data, xarray."""
+"""Tools for your own learners: a scikit-learn transformer, and scenes as endless training data."""
 
 from __future__ import annotations
 
@@ -6,10 +6,9 @@ import os
 from collections.abc import Iterable, Iterator
 from contextlib import closing
 from dataclasses import dataclass
-from datetime import datetime
 from itertools import count, takewhile
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -17,27 +16,21 @@ from sklearn.base import BaseEstimator, TransformerMixin
 from sklearn.utils.validation import _check_feature_names_in, check_is_fitted, validate_data
 
 from cgid import validation
-from cgid.errors import BadData, InvalidValue, optional
+from cgid.errors import InvalidValue
 from cgid.identification.rows import BEAM_FEATURES
 from cgid.identification.through_beam import ThroughBeam
-from cgid.measure.features import FEATURES, choose, extract_array
+from cgid.measure.features import choose, extract_array
 from cgid.measure.frames import DETECTION_LIMIT, MINIMUM_FRAME
 from cgid.scene import Scene, load_scene, synthesise
 from cgid.scene.draws import require_seed
 from cgid.scene.synthesis import require_count, require_frames
 from cgid.scene.through_beam import shared_beam
-from cgid.signals import Signal
 from cgid.store import Dataset
-from cgid.units import UNITS, column_title, column_unit
 from cgid.validation import Floats
 from cgid.workers import MAX_JOBS
 from cgid.workers import workers as executor
 
-if TYPE_CHECKING:
-    import pandas
-    import xarray
-
-__all__ = ["TrainingStream", "from_xarray", "to_xarray"]
+__all__ = ["TrainingStream"]
 
 #: A batch of a training stream: signals (n_signals, n_samples), numbers of the labels (n_signals,), and parameters,
 #: each (n_signals,).
@@ -330,123 +323,3 @@ def _batches(settings: TrainingStream, first: int) -> list[TrainingBatch]:
     columns["sampling_rate"] = np.concatenate(rates)
     parts = [slice(start, start + size) for start in range(0, n, size)]
     return [(signals[part], labels[part], {name: column[part] for name, column in columns.items()}) for part in parts]
-
-
-# -- xarray ------------------------------------------------------------------------------------------------
-
-#: Maximum relative deviation of a step of the time coordinate from the mean step.
-_UNEVEN = 1e-3
-
-
-def to_xarray(data: Signal | pandas.DataFrame, unit: str = "1") -> xarray.DataArray | xarray.Dataset:
-    """Return a signal as a DataArray over time, or a table of features as a Dataset over impacts, with units.
-
-    Parameters
-    ----------
-    data : Signal or DataFrame
-    unit : str
-        Unit of the signals from which the features of a table were measured.
-
-    Returns
-    -------
-    xarray.DataArray or xarray.Dataset
-        Units are in `attrs["units"]`, as in the CF conventions.
-
-    Raises
-    ------
-    MissingExtra
-        xarray is not installed.
-    """
-    xarray = _xarray()
-    if not isinstance(data, Signal):
-        validation.instance("data", data, _pandas().DataFrame, Signal)
-        columns = {name: ("impact", data[name].to_numpy(), _units(str(name), unit)) for name in data}
-        return xarray.Dataset(columns)
-    start = None if data.start_time is None else data.start_time.isoformat()
-    about = {
-        "units": data.unit,
-        "sampling_rate": data.sampling_rate,
-        "channel": data.channel,
-        "source": data.source,
-        "pre_trigger": data.pre_trigger,
-        "start_time": start,
-    }
-    times = np.arange(len(data.samples)) / data.sampling_rate
-    return xarray.DataArray(
-        data.samples,
-        coords={"time": ("time", times, {"units": "s"})},
-        name=data.quantity or "samples",
-        attrs={name: value for name, value in about.items() if value is not None},
-    )
-
-
-def from_xarray(array: xarray.DataArray | xarray.Dataset) -> Signal | pandas.DataFrame:
-    """Return the signal of a DataArray with one dimension, or the table of a Dataset with one dimension.
-
-    Parameters
-    ----------
-    array : xarray.DataArray or xarray.Dataset
-        The sampling rate of a signal is that of its attributes, or follows from an even coordinate `time` [s].
-
-    Returns
-    -------
-    Signal or DataFrame
-
-    Raises
-    ------
-    BadData
-        It has several dimensions, no sampling rate, or times that are not even.
-    MissingExtra
-        xarray is not installed.
-    """
-    validation.instance("array", array, _xarray().DataArray, _xarray().Dataset)
-    if len(array.dims) != 1:
-        raise BadData(f"array must have one dimension, got {len(array.dims)} ({', '.join(map(str, array.dims))})")
-    if isinstance(array, _xarray().Dataset):
-        return array.to_dataframe().reset_index(drop=True)[list(array.data_vars)]
-    about = dict(array.attrs)
-    start = about.get("start_time")
-    return Signal(
-        samples=array.to_numpy(),
-        sampling_rate=about["sampling_rate"] if "sampling_rate" in about else _rate_of(array),
-        unit=about.get("units"),
-        channel=str(about.get("channel", "1")),
-        source=str(about.get("source", array.name or "signal")),
-        pre_trigger=None if "pre_trigger" not in about else int(about["pre_trigger"]),
-        start_time=None if start is None else datetime.fromisoformat(str(start)),
-    )
-
-
-def _rate_of(array: xarray.DataArray) -> float:
-    """Return the sampling rate of the time coordinate [Hz]."""
-    times = np.asarray(array.coords["time"], np.float64) if "time" in array.coords else np.empty(0)
-    if len(times) < 2:
-        raise BadData(
-            "array must have an attribute sampling_rate [Hz], or a coordinate time [s] of two or more samples"
-        )
-    step = (times[-1] - times[0]) / (len(times) - 1)
-    if not (step > 0 and np.abs(np.diff(times) - step).max() <= _UNEVEN * step):
-        raise BadData("coordinate time must rise evenly [s]; interpolate to even times")
-    return float(1 / step)
-
-
-def _units(column: str, unit: str) -> dict[str, str]:
-    """Return the attribute of a column: the unit of its feature, or that of its title, such as `time_s`."""
-    if column in FEATURES:
-        return {"units": FEATURES[column].unit_for(unit)}
-    # Products and powers cannot be parsed from a title: search the feature and the unit of samples that give it.
-    features = [feature for name, feature in FEATURES.items() if column.startswith(f"{name}_")]
-    units_known = [one for spellings in UNITS.values() for one in spellings]
-    units = [(feature.name, feature.unit_for(one)) for feature in features for one in units_known]
-    stated = next((one for name, one in units if column_title(name, one) == column), column_unit(column))
-    return {} if stated is None else {"units": stated}
-
-
-def _xarray() -> Any:
-    return optional("xarray", "arrays with units need", "xarray")
-
-
-def _pandas() -> Any:
-    import pandas
-
-    return pandas

@@ -228,17 +228,3 @@ def column_title(name: str, unit: str = "") -> str:
     """
     spelled = re.sub("[^A-Za-z0-9]+", "_", unit.translate(_SPELLED)).strip("_") if unit != "1" else ""
     return f"{name}_{spelled}" if spelled else name
-
-
-def column_unit(title: str) -> str | None:
-    """Return the unit that ends the title of a column, as in `time_s`; None without.
-
-    >>> column_unit("width_10_s"), column_unit("peak_acceleration_m_s2"), column_unit("label")
-    ('s', 'm/s^2', None)
-    """
-    listed = [unit for units in UNITS.values() for unit in units] + ["s", "Hz", "kg"]
-    spelled = {column_title("", unit): unit for unit in reversed(listed)}
-    ends = (title[position:] for position, sign in enumerate(title) if sign == "_" and position)
-    end = next((end for end in ends if end in spelled and not title.startswith("p_")), None)
-    # After another unit it is the end of a product, as in `impulse_N_s`.
-    return None if end is None or column_unit(title.removesuffix(end)) else spelled[end]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 import pickle
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -19,9 +18,8 @@ from sklearn.utils.estimator_checks import check_estimator
 import cgid
 from cgid import ImpactClassifier, ImpactFeatures, extract, synthesise
 from cgid.errors import BadData
-from cgid.learn import TrainingBatch, from_xarray, to_xarray
+from cgid.learn import TrainingBatch
 from cgid.scene import Scene
-from cgid.signals import Signal
 from tests.test_docs import blocks_of
 
 NAMES = ["peak_force", "width_50"]
@@ -157,36 +155,3 @@ def test_a_loader_of_pytorch_takes_shards(monkeypatch: pytest.MonkeyPatch) -> No
     whole = cgid.stream("reference", batch_size=256, n_signals=5120)
     assert seen == sorted((signals[0].tolist(), numbers.tolist()) for signals, numbers, _ in whole)
     assert 0 < names["loss"].item() < 1
-
-
-# -- xarray ------------------------------------------------------------------------------------------------
-
-
-def test_signals_go_to_xarray_and_back() -> None:
-    xarray = pytest.importorskip("xarray", reason="xarray is not installed")
-    start = datetime(2026, 1, 2, 3, 4, 5, tzinfo=UTC)
-    signal = Signal(
-        samples=np.float32([0, 3, 1]), sampling_rate=4e3, unit="kN", channel="left", pre_trigger=1, start_time=start
-    )
-    array = to_xarray(signal)
-    assert (array.name, array.attrs["units"], array.time.attrs["units"]) == ("force", "kN", "s")
-    assert array.time.values.tolist() == [0, 0.00025, 0.0005]
-    again = from_xarray(array)
-    assert isinstance(again, Signal) and again.samples.dtype == np.float32
-    for name in ("sampling_rate", "unit", "channel", "source", "pre_trigger", "start_time"):
-        assert getattr(again, name) == getattr(signal, name), name
-    plain = from_xarray(xarray.DataArray([0.0, 1.0, 0.0], coords={"time": [1.0, 1.5, 2.0]}))
-    assert isinstance(plain, Signal) and (plain.sampling_rate, plain.unit) == (2.0, None)
-
-
-def test_tables_go_to_xarray_and_back(impacts: tuple[np.ndarray, np.ndarray]) -> None:
-    pytest.importorskip("xarray", reason="xarray is not installed")
-    table = extract(impacts[0][:5], 2e5, [*NAMES, "impulse"]).assign(label=impacts[1][:5], time_s=0.5)
-    made = to_xarray(table, "kN")
-    units = {name: made[name].attrs.get("units") for name in made}
-    assert units == {"peak_force": "kN", "width_50": "s", "impulse": "kN s", "label": None, "time_s": "s"}
-    pd.testing.assert_frame_equal(from_xarray(made), table, check_dtype=False)
-    titles = {"impulse_N_s": "N s", "energy_kN2_s": "kN^2 s", "level_total_log10m_s22_s": "log10((m/s^2)^2 s)"}
-    titles |= {"width_50_s": "s", "peak_acceleration_m_s2": "m/s^2", "work_N_s": None, "novelty": None}
-    made = to_xarray(pd.DataFrame({name: [1.0] for name in titles}))
-    assert {name: made[name].attrs.get("units") for name in made} == titles

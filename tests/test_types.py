@@ -106,7 +106,7 @@ def test_public_modules_need_no_import_of_their_own(monkeypatch: pytest.MonkeyPa
     ("typed", "offered"),
     [
         ("cgid.pre", "predict"),
-        ("cgid.learn.to_x", "to_xarray"),
+        ("cgid.learn.Train", "TrainingStream"),
         ("cgid.load_model().lab", "labels"),
         ("cgid.open_recording('a.csv').chan", "channels"),
         ("cgid.Impact().peak_f", "peak_force"),
