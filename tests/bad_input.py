@@ -463,7 +463,7 @@ _COMMANDS = r"""
 65 | predict truncated.h5 | truncated.h5
 65 | train unfinished -o new.npz | description.json
 65 | train former -o new.npz | former
-65 | verify --repair former | former
+65 | verify former | former
 73 | generate reference.toml -o former --overwrite | manifest.json
 65 | features nan.csv | nan
 65 | features inf.csv | inf

@@ -160,13 +160,12 @@ def test_a_dataset_of_a_development_version_is_refused(mark, command, tmp_path, 
     assert f"{tmp_path / 'old'}: " in line and line.endswith("make it anew in another folder with cgid generate")
 
 
-@pytest.mark.parametrize("options", [[], ["--repair"]])
-def test_recordings_of_a_development_version_are_refused(options, tmp_path, capsys):
+def test_recordings_of_a_development_version_are_refused(tmp_path, capsys):
     """They and their sums, without a description."""
     shutil.copy(GOLDEN / "recording.h5", tmp_path / "recording-00000.h5")
     digest = hashlib.sha256((GOLDEN / "recording.h5").read_bytes()).hexdigest()
     (tmp_path / "SHA256SUMS").write_text(f"{digest}  recording-00000.h5\n")
-    assert "make it anew in another folder" in refused(capsys, "verify", tmp_path, *options)
+    assert "make it anew in another folder" in refused(capsys, "verify", tmp_path)
 
 
 def test_a_shard_of_another_schema_is_refused(tmp_path, capsys):

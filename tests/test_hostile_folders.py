@@ -1,6 +1,6 @@
 """Folders from strangers: descriptions, sums, links and pipes in them; nothing hangs, grows, or lies outside.
 
-Each is given to `cgid info`, `verify` and `verify --repair`: one line, and no code but those of bad data.
+Each is given to `cgid info` and `cgid verify`: one line, and no code but those of bad data.
 """
 
 import hashlib
@@ -121,12 +121,11 @@ def test_a_hostile_folder_does_no_harm(made, name, tmp_path, capsys):
     folder = tmp_path / "folder"
     shutil.copytree(made, folder)
     HOSTILE[name](folder)
-    for command in (["info"], ["verify"], ["verify", "--repair"]):
-        if "--repair" not in command:
-            tracemalloc.start()
+    for command in ("info", "verify"):
+        tracemalloc.start()
         try:
-            assert run([*command, str(folder)]) in (0, 65, 73), command
-            assert not tracemalloc.is_tracing() or tracemalloc.get_traced_memory()[1] < 100 << 20
+            assert run([command, str(folder)]) in (0, 65), command
+            assert tracemalloc.get_traced_memory()[1] < 100 << 20
         finally:
             tracemalloc.stop()
         told = capsys.readouterr()
@@ -145,6 +144,6 @@ def test_a_link_to_a_file_outside_is_not_followed_and_its_target_stays(tmp_path,
     for command in ("info", "verify", "predict"):
         assert run([command, str(folder)]) == 65
     capsys.readouterr()
-    assert run(["verify", "--repair", str(folder)]) == 0
+    generate(small_scene(), folder, 64, seed=1, shard_signals=32, resume=True)
     assert not shard.is_symlink()
     assert outside.read_bytes() == content

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
+import re
+import shlex
 import shutil
 from pathlib import Path
 from typing import Any
@@ -19,10 +20,9 @@ from cgid.scene import generate, parse_scene
 from cgid.scene.generation import tabulate
 from cgid.scene.plan import plan
 from cgid.scene.recordings import generate_recordings
-from cgid.scene.repair import repair
 from cgid.store import Dataset, read_table
 from cgid.store.dataset import export
-from cgid.store.verification import verify
+from cgid.store.verification import remedy, verify
 from tests.test_stream import content
 
 SCENE = small_scene(2048)
@@ -75,10 +75,13 @@ def problems(path: Path) -> dict[str, str]:
     return {finding.file.name: finding.problem for finding in verify(path).findings}
 
 
-def mended(path: Path, **options: Any) -> bool:
-    """Repair what can be; return whether all is whole then."""
-    with contextlib.suppress(BadData, CannotCreate):
-        repair(verify(path), **options)
+def resumed(path: Path) -> bool:
+    """Run again, with `resume`, what made a folder of `made`; return whether all is whole."""
+    if path.name == "recordings":
+        generate_recordings(STREAM, path, 3, seed=3, resume=True)
+    else:
+        compression: Any = "gzip" if path.name == "packed" else "none"
+        generate(SCENE, path, N, 7, shard_signals=IN_SHARD, compression=compression, resume=True)
     return not verify(path).findings
 
 
@@ -169,7 +172,6 @@ def test_an_unfinished_run_says_how_far_it_has_come(tmp_path: Path, capsys: pyte
     (finding,) = verify(tmp_path / "data").damage
     assert finding.problem == "unfinished"
     assert "of 16" in finding.what and "--resume" in finding.what
-    assert not mended(tmp_path / "data")
     assert run(["verify", str(tmp_path / "data")]) == 65
     assert "--resume" in capsys.readouterr().err
 
@@ -188,10 +190,9 @@ def test_what_one_may_not_read_is_not_called_damaged_and_stays(
 
     with monkeypatch.context() as patched:
         patched.setattr(Path, "open", refused)
-        for options in ([], ["--repair"]):
-            assert run(["verify", str(folder), *options]) == 66
-            said = capsys.readouterr().err
-            assert name in said and "overwrite" not in said
+        assert run(["verify", str(folder)]) == 66
+        said = capsys.readouterr().err
+        assert name in said and "overwrite" not in said
         if name == "description.json":
             with pytest.raises((NoInput, CannotCreate)):
                 generate(SCENE, folder, N, 7, shard_signals=IN_SHARD, resume=True)
@@ -206,9 +207,13 @@ def test_shards_are_made_again_byte_for_byte(made: Path, copies: Path, name: str
     folder = copies / name
     (folder / "shard-00000.h5").unlink()
     (folder / "shard-00001.h5").write_bytes((folder / "shard-00001.h5").read_bytes()[:5000])
+    whole = resumed(folder)
     flip(folder / "shard-00002.h5", 4000)
-    assert mended(folder)
+    times = {file.name: file.stat().st_mtime_ns for file in folder.glob("*.h5")}
+    assert whole and resumed(folder)
     assert contents(folder) == contents(made / name)
+    again = {name for name, time in times.items() if (folder / name).stat().st_mtime_ns != time}
+    assert again == {"shard-00002.h5"}
 
 
 @pytest.mark.parametrize("change", ["flip", "another folder", "gone"])
@@ -222,34 +227,9 @@ def test_sums_that_are_wrong_make_nothing_again(made: Path, copies: Path, change
     else:
         sums.write_bytes((copies / "packed" / "SHA256SUMS").read_bytes())
     assert problems(folder) == {"SHA256SUMS": "missing" if change == "gone" else "damaged"}
-    assert mended(folder)
+    assert resumed(folder)
     assert contents(folder) == contents(made / "folder")
     assert {file: file.stat().st_mtime_ns for file in folder.glob("*.h5")} == times
-
-
-def test_shards_of_another_dataset_than_the_description_are_never_replaced(
-    copies: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    generate(SCENE, copies / "other", N, 5, shard_signals=IN_SHARD)
-    folder = copies / "folder"
-    before = contents(folder)
-    shutil.copy(copies / "other" / "description.json", folder)
-    for names in (["description.json"], ["description.json", "SHA256SUMS"]):
-        for name in names:
-            shutil.copy(copies / "other" / name, folder)
-        before = contents(folder)
-        assert run(["verify", str(folder), "--repair"]) == 65
-        assert contents(folder) == before
-    for shard in folder.glob("*.h5"):  # out of the way, they are made again
-        shard.unlink()
-    assert mended(folder)
-    assert contents(folder) == contents(copies / "other")
-
-
-def changed(path: Path, name: str, row: int) -> None:
-    """Change a value as an honest writer would, its checksum, too: other numbers than scene and seed give."""
-    with h5py.File(path, "r+") as file:
-        file[name][row] += 1
 
 
 # ---- sums ------------------------------------------------------------------------------------------------------------
@@ -261,11 +241,11 @@ def test_damaged_sums_are_found_and_written_again(made: Path, copies: Path, name
     for damage in (lambda: flip(sums, 67), lambda: sums.write_bytes(sums.read_bytes()[:-30])):
         damage()
         assert problems(copies / name) == {"SHA256SUMS": "damaged"}
-        assert mended(copies / name)
+        assert resumed(copies / name)
         assert contents(copies / name) == contents(made / name)
 
 
-def test_a_recorded_background_is_read_from_beside_the_scene_that_is_given(tmp_path: Path) -> None:
+def test_another_recorded_background_makes_nothing_again(tmp_path: Path) -> None:
     np.savetxt(tmp_path / "hum.csv", np.sin(np.arange(5000)), header="force [N]", comments="")
     scene = json.loads(small_scene().text)
     recorded = {"path": "hum.csv", "signal_to_noise": "20 dB", "sampling_rate": "100 kHz"}
@@ -273,16 +253,12 @@ def test_a_recorded_background_is_read_from_beside_the_scene_that_is_given(tmp_p
     path = generate(loaded, tmp_path / "data", 300, 7)
     before = contents(path)
     flip(path / "shard-00000.h5", place_of(path / "shard-00000.h5", "signals", 9))
-    for given, says in ((None, "--scene FILE"), (small_scene(), "scene")):
-        with pytest.raises((BadData, CannotCreate), match=says):
-            repair(verify(path), scene=given)
-    np.savetxt(tmp_path / "other.csv", np.cos(np.arange(5000)), header="force [N]", comments="")
     shutil.copy(tmp_path / "hum.csv", tmp_path / "kept.csv")
-    shutil.copy(tmp_path / "other.csv", tmp_path / "hum.csv")
+    np.savetxt(tmp_path / "hum.csv", np.cos(np.arange(5000)), header="force [N]", comments="")
     with pytest.raises(CannotCreate, match="background_sha256"):
-        repair(verify(path), scene=loaded)
+        generate(loaded, path, 300, 7, resume=True)
     shutil.copy(tmp_path / "kept.csv", tmp_path / "hum.csv")
-    assert mended(path, scene=loaded)
+    generate(loaded, path, 300, 7, resume=True)
     assert contents(path) == before
 
 
@@ -302,19 +278,42 @@ def test_an_export_of_what_is_damaged_leaves_nothing(copies: Path, tmp_path: Pat
 # ---- the commands ----------------------------------------------------------------------------------------------------
 
 
-def test_verify_tells_and_repairs(made: Path, copies: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    folder = copies / "folder"
-    flip(folder / "shard-00001.h5", place_of(folder / "shard-00001.h5", "signals", 3))
-    arguments = ["verify", str(folder), str(copies / "one.h5"), "--json"]
-    assert run(arguments) == 65
+def test_verify_names_the_command_that_makes_it_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Run as it is printed, it makes the damaged and the missing shard and no other, to the same bytes."""
+    monkeypatch.chdir(tmp_path)
+    made = "generate reference -n 300 --seed 3 --dtype float64 --shard-signals 100 --compression gzip -o"
+    assert run([*made.split(), "a folder"]) == 0
+    assert run(["generate", "reference", "-n", "20", "--seed", "3", "-o", "one.h5"]) == 0
+    folder, single = tmp_path / "a folder", tmp_path / "one.h5"
+    before, single_before = contents(folder), single.read_bytes()
+    (folder / "shard-00002.h5").unlink()
+    flip(folder / "shard-00001.h5", 20_000)
+    flip(single, place_of(single, "signals", 3))
+    times = (folder / "shard-00000.h5").stat().st_mtime_ns
+    capsys.readouterr()
+    assert run(["verify", str(folder), str(single), "--json"]) == 65
     out, err = capsys.readouterr()
     first, second = (json.loads(line) for line in out.splitlines())
-    assert (first["whole"], second["whole"]) == (False, True)
-    assert [found["what"] for found in first["findings"]] == ["signals 0 to 63 do not fit their checksum"]
-    assert err.count("cgid: error") == 1 and "shard-00001.h5" in err and "--repair" in err
-    assert run([*arguments, "--repair"]) == 0
-    out, err = capsys.readouterr()
-    assert json.loads(out.splitlines()[0])["findings"][0]["repaired"] and "error" not in err
-    assert contents(folder) == contents(made / "folder")
+    assert (first["whole"], second["whole"]) == (False, False)
+    found = {Path(finding["file"]).name: finding["problem"] for finding in first["findings"]}
+    assert found == {"shard-00001.h5": "damaged", "shard-00002.h5": "missing"}
+    assert second["findings"][0]["what"] == "signals 0 to 19 do not fit their checksum"
+    commands = [shlex.split(line.partition("cgid ")[2]) for line in re.findall("make it again: (.*)", err)]
+    assert [words[-1] for words in commands] == ["--resume", "--overwrite"]
+    assert all(run(words) == 0 for words in commands)
+    capsys.readouterr()
+    assert contents(folder) == before and single.read_bytes() == single_before
+    assert (folder / "shard-00000.h5").stat().st_mtime_ns == times
     assert run(["verify", str(folder)]) == 0
     assert capsys.readouterr().out == f"{folder}: dataset of 4 files, whole\n"
+
+
+def test_without_its_description_only_the_kind_of_command_is_known(copies: Path) -> None:
+    assert remedy(copies / "recordings") == "cgid generate stream -n 3 --seed 3 --dtype float32 -o {} --resume".format(
+        copies / "recordings"
+    )
+    (copies / "folder" / "description.json").write_text("{")
+    assert remedy(copies / "folder") == "repeat the command that made it, with --resume"
+    assert remedy(copies / "table.h5") == "repeat the command that made it, with --overwrite"

@@ -13,8 +13,7 @@ from cgid.cli.options import OutputName, require_no_input_written
 _OTHERS, _PLANT = "Other", "Plant outputs"
 #: Heading -> the options below it; "command --option" if a command uses the name differently.
 _OPTIONS = {
-    "Task": "--sample --list --explain --features-only --closed-form-only --parameters-only --repair --scene "
-    "--template",
+    "Task": "--sample --list --explain --features-only --closed-form-only --parameters-only --scene --template",
     "Reading the recording": "--rate --unit --sensitivity --gain --full-scale --channel --channels --same-beam "
     "--sample-format --variable --format --index --invert --keep-baseline --dead-time --give-up --from --to --events "
     "--kind",

@@ -1,4 +1,4 @@
-"""`cgid verify`: find damage in datasets, recordings, tables and models, and repair those made by cgid."""
+"""`cgid verify`: find damage in datasets, recordings, tables and models."""
 
 from __future__ import annotations
 
@@ -20,30 +20,26 @@ _NO_SUM = "no checksum, "
 
 @click.command(
     cls=Command,
-    short_help="Find damage in data or models, and repair datasets.",
+    short_help="Find damage in data or models.",
     example="cgid verify models/default.npz datasets/sample.csv",
 )
 @click.argument("data", type=PATH, nargs=-1, required=True, metavar="DATA...")
-@click.option("--repair", is_flag=True, help="Regenerate damaged files, and remove leftovers of stopped runs.")
 @click.option("--scene", type=SCENE, help="Use this scene file of a dataset, if it names a recorded background.")
 @given_laws_option
 @reading_options_for("variable", "format")
 @json_option
-def verify(
-    data: tuple[str, ...], repair: bool, scene: str | None, laws: tuple[str, ...], as_json: bool, reading: Reading
-) -> int:
+def verify(data: tuple[str, ...], scene: str | None, laws: tuple[str, ...], as_json: bool, reading: Reading) -> int:
     """Find damage in DATA: datasets (folders or files), recordings, tables, models; the exit code is 65 then.
 
     The files of a folder are compared with its SHA256SUMS, single files with their own checksums. A recording of
-    another program (TDMS, WAV, CSV, ...) has none: it is read to its end, as are all in a folder. With --repair damaged
-    or missing files of a folder are regenerated from its description, to the same bytes, and nothing else is changed;
-    for a single file the command is printed. Files that do not belong to a dataset are reported, but are not damage.
-    With --laws the first signals of each file of a dataset with contact laws of one's own are made again, and must be
-    the stored ones within 1e-6 of their peaks: what a law's module reads or imports is in no checksum. --repair needs
-    --laws for such a dataset.
+    another program (TDMS, WAV, CSV, ...) has none: it is read to its end, as are all in a folder. For a damaged dataset
+    the command is named that makes exactly its damaged and missing files again, to the same bytes. Files that do not
+    belong to a dataset are reported, but are not damage. With --laws the first signals of each file of a dataset with
+    contact laws of one's own are made again, and must be the stored ones within 1e-6 of their peaks: what a law's
+    module reads or imports is in no checksum.
     """
-    if scene is not None and not (repair or laws):
-        raise click.UsageError("--scene needs --repair or --laws, for which it is the source; give both or neither")
+    if scene is not None and not laws:
+        raise click.UsageError("--scene needs --laws, for which it is the source; give both or neither")
     from cgid.cli.info import is_model
 
     given = None
@@ -56,11 +52,11 @@ def verify(
     for path in errors.each(file for one in data for file in _recordings_of(one) or [one]):
         with errors:
             if not _is_file(path):
-                _verify_data(path, repair, given, bool(laws), as_json)
+                _verify_data(path, given, bool(laws), as_json)
             elif is_model(path):
                 _verify_model(path, as_json)
             elif not _is_foreign(path):
-                _verify_data(path, repair, given, bool(laws), as_json)
+                _verify_data(path, given, bool(laws), as_json)
             elif not _verify_rows(path, as_json):
                 _verify_foreign(path, reading, as_json)
     return errors.code
@@ -101,7 +97,7 @@ def _verify_rows(path: str, as_json: bool) -> bool:
 
 
 def _verify_model(path: str, as_json: bool) -> None:
-    """Report an intact model, or raise its damage; models cannot be repaired."""
+    """Report an intact model, or raise its damage."""
     from cgid.errors import BadData
     from cgid.identification.model import Model
 
@@ -171,46 +167,29 @@ def _read(path: str, reading: Reading) -> tuple[RecordingFile, int]:
     return recording, n_samples
 
 
-def _verify_data(path: str, repair: bool, scene: Any, laws: bool, as_json: bool) -> None:
-    from cgid.errors import BadData, CgidError
+def _verify_data(path: str, scene: Any, laws: bool, as_json: bool) -> None:
+    from cgid.errors import BadData
+    from cgid.store.verification import remedy
     from cgid.store.verification import verify as find
 
     report = find(path)
-    lines = [_line(finding.file, finding.problem, finding.what) for finding in report.findings]
-    left, note = report.damage, ""
-    if repair and any(finding.problem != "foreign" for finding in report.findings):
-        from cgid.scene.repair import repair as make_again
-
-        try:
-            with progress_bar(None, "values", "reading") as progress:
-                make_again(report, scene, progress)
-        except CgidError as error:
-            note = str(error)
-        after = find(path)
-        still, left = {finding.file for finding in after.findings}, after.damage
-        # An error of the repair is reported once, with its file.
-        stuck = [finding.file for finding in report.findings if finding.file in still and finding.problem != "foreign"]
-        about = next((file for file in stuck if note.startswith(f"{file}: ")), next(iter(stuck), None))
-        for line, finding in zip(lines, report.findings, strict=True):
-            if finding.problem != "foreign":
-                line["repaired"] = finding.file not in still
-                line["told"] = "made again" if line["repaired"] else note if finding.file == about else ""
+    findings, left = report.findings, report.damage
     if laws and not left:
-        from cgid.scene.repair import changed
+        from cgid.scene.changes import changed
 
         with progress_bar(None, "files", "making again") as progress:
-            left = changed(find(path) if repair else report, scene, progress)
-        lines += [_line(finding.file, finding.problem, finding.what) for finding in left]
+            left = changed(report, scene, progress)
+        findings += left
+    lines = [_line(finding.file, finding.problem, finding.what) for finding in findings]
     _tell(path, report.kind, report.n_files, lines, not left, as_json)
     if left and left[0].problem == "changed":
         names = f"{len(left)} of its files do" if len(left) > 1 else f"{left[0].file.name} does"
         raise BadData(f"{path}: must follow from its scene and laws, {names} not; give the laws that it was made with")
     if left:
         files = f"{len(left)} of its files are" if len(left) > 1 else f"{left[0].file.name} is"
-        hint = "see above how to make them again" if repair else "cgid verify --repair regenerates what it can"
-        if all(finding.problem == "unfinished" for finding in left):
-            hint = "continue with cgid generate ... --resume"
-        raise BadData(f"{path}: must be complete, {files} damaged, missing or unfinished; {hint}")
+        raise BadData(
+            f"{path}: must be complete, {files} damaged, missing or unfinished; make it again: {remedy(path)}"
+        )
 
 
 def _line(file: Path, problem: str, what: str) -> dict[str, Any]:
@@ -220,14 +199,10 @@ def _line(file: Path, problem: str, what: str) -> dict[str, Any]:
 def _tell(
     path: str, kind: str, n_files: int, lines: list[dict[str, Any]], whole: bool, as_json: bool, state: str = ""
 ) -> None:
-    """Print the state of one input, the findings in it, and the actions taken."""
+    """Print the state of one input, and the findings in it."""
     if as_json:
         print_json({"source": path, "kind": kind, "files": n_files, "whole": whole, "findings": lines})
         return
-    if not state:
-        state = ("repaired" if any(line.get("repaired") for line in lines) else "whole") if whole else "damaged"
-    say(f"{path}: {kind} of {counted(n_files, 'file')}, {state}")
+    say(f"{path}: {kind} of {counted(n_files, 'file')}, {state or ('whole' if whole else 'damaged')}")
     for line in lines:
-        note = f"; {'repaired' if line['repaired'] else 'not repaired'}" if "repaired" in line else ""
-        note += f": {line['told']}" if line.get("told") not in (None, "", line["what"]) else ""
-        say(f"  {line['file']}: {line['problem']}: {line['what'].removeprefix(line['file'] + ': ')}{note}")
+        say(f"  {line['file']}: {line['problem']}: {line['what'].removeprefix(line['file'] + ': ')}")

@@ -155,7 +155,7 @@ def generate(  # noqa: PLR0913
         n_missing = sum(description.part(number)["n_signals"] for number in run.missing)
         if progress is not None and n_missing < n_signals:
             progress(n_signals - n_missing)
-        make_shards(run, scene, seed, plan, run.missing, pool, progress, overwrite=overwrite or not single)
+        make_shards(run, scene, seed, plan, pool, progress, overwrite=overwrite or not single)
     return path
 
 
@@ -242,21 +242,20 @@ def make_shards(
     scene: Scene,
     seed: int,
     plan: ShardPlan,
-    missing: Sequence[int],
     pool: Workers = SERIAL,
     progress: Callable[[int], object] | None = None,
     *,
     overwrite: bool = True,
 ) -> None:
-    """Make the missing shards of a run, given by their numbers, and list their sums.
+    """Make the missing shards of a run, and list their sums.
 
     Raises `BadData` if the first signals of a whole shard do not follow from the scene any more.
     """
-    if missing and run.first_whole is not None:
+    if run.missing and run.first_whole is not None:
         require_shard(run.first_whole, scene, seed)
     place, digest = (run.output.parent, None) if run.is_single else (run.output, run.description.sha256)
     names = [run.output.name] if run.is_single else run.description.names
-    shards = [_Shard(names[number], **run.description.part(number)) for number in missing]
+    shards = [_Shard(names[number], **run.description.part(number)) for number in run.missing]
     work = _Work(scene=scene, seed=seed, plan=plan, place=place, digest=digest, overwrite=overwrite)
     here = run.is_single or pool.is_serial
     with closing(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal, cast
@@ -146,7 +146,7 @@ def generate_recordings(
         files = [] if single else [path / description.name(number) for number in run.missing]
         size = len(run.missing) * plan.size - sum(file.stat().st_size for file in files if file.exists())
         require_room(path, path.parent, size, "samples", "free some space, or make a shorter recording")
-        make_recordings(run, scene, seed, plan, run.missing, progress, overwrite=overwrite or not single)
+        make_recordings(run, scene, seed, plan, progress, overwrite=overwrite or not single)
     return path
 
 
@@ -168,18 +168,17 @@ def make_recordings(
     scene: Scene,
     seed: int,
     plan: RecordingPlan,
-    missing: Sequence[int],
     progress: Callable[[int], object] | None = None,
     *,
     overwrite: bool = True,
 ) -> None:
-    """Make the missing recordings of a run, given by their numbers, and list their sums.
+    """Make the missing recordings of a run, and list their sums.
 
     Raises `BadData` if the first impacts of a whole recording do not follow from the scene any more.
     """
-    if missing and run.first_whole is not None:
+    if run.missing and run.first_whole is not None:
         require_recording(run.first_whole, scene, seed)
-    for number in missing:
+    for number in run.missing:
         file = run.output if run.is_single else run.output / run.description.name(number)
         write_recording(file, plan, scene, seed, number, progress, overwrite=overwrite)
         if not run.is_single:

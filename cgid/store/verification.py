@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import shlex
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -26,13 +27,15 @@ from cgid.store.headers import KINDS, damaged_rows, header_of
 from cgid.store.reading import require_own
 from cgid.store.table import TABLE_SUFFIXES, read_table
 
-__all__ = ["Verified", "verify"]
+__all__ = ["Verified", "remedy", "verify"]
 
 _NOUNS = {FORMAT: "dataset", RECORDING_FORMAT: "recording", TABLE_FORMAT: "table"}
 #: By HDF5's numbers of filters; see `cgid.store.hdf5`.
 _COMPRESSIONS = {1: "gzip", 32015: "zstd", 32026: "blosc2"}
 #: Problems without damage.
 _HARMLESS = ("leftover", "foreign")
+#: Fields of a description that are options of `cgid generate`.
+_OPTIONS = ("dtype", "shard_signals", "compression")
 _FILE = r"(shard|recording)-\d{5,}\.h5"
 _TEXTS = (DESCRIPTION, SUMS)
 
@@ -82,7 +85,7 @@ def why_incomplete(folder: Folder, number: int) -> str:
 class Finding:
     """A problem with a file: "damaged", "missing", "unfinished" or "changed"; "leftover" and "foreign" are harmless.
 
-    "changed" is what its custom laws do not make any more, see `cgid.scene.repair.changed`.
+    "changed" is what its custom laws do not make any more, see `cgid.scene.changes.changed`.
     """
 
     file: Path
@@ -91,7 +94,7 @@ class Finding:
 
     @property
     def harmful(self) -> bool:
-        """Whether data are lost unless the file is repaired."""
+        """Whether data are lost unless the file is made again."""
         return self.problem not in _HARMLESS
 
 
@@ -136,7 +139,7 @@ def verify(path: str | Path) -> Verified:
     Returns
     -------
     Verified
-        Its `findings` are empty if nothing is damaged; `cgid.scene.repair.repair` repairs a folder.
+        Its `findings` are empty if nothing is damaged; `remedy` says how to make it again.
 
     Raises
     ------
@@ -154,6 +157,39 @@ def verify(path: str | Path) -> Verified:
         raise
     except OSError as error:
         raise NoInput(f"{path}: cannot be accessed ({error.strerror}); see to the permissions") from None
+
+
+def remedy(path: str | Path) -> str:
+    """Return the command that makes what is damaged in a dataset or recordings again, to the same bytes.
+
+    Parameters
+    ----------
+    path : str or Path
+        A folder, or a single file.
+
+    Returns
+    -------
+    str
+        As complete as what is left of the description permits.
+    """
+    path, about = Path(path), dict[str, Any]()
+    is_folder = path.is_dir()
+    try:
+        if is_folder:
+            content = read_folder(path).description.content
+            about = content["attributes"] | content
+        else:
+            about = dict(examine_file(path).about)
+    except CgidError:
+        pass
+    if about.get("format") not in (FORMAT, RECORDING_FORMAT) or "seed" not in about or about.get("first_signal"):
+        return f"repeat the command that made it, with {'--resume' if is_folder else '--overwrite'}"
+    options = {"-n": about.get("n_signals", about.get("n_recordings", 1)), "--seed": about["seed"]}
+    options |= {f"--{name.replace('_', '-')}": about[name] for name in _OPTIONS if name in about}
+    options["-o"] = path
+    words = ["cgid", "generate", about.get("scene_name"), *(word for option in options.items() for word in option)]
+    words += ["--laws", "FILE"] if "laws" in about else []
+    return shlex.join([*map(str, words), "--resume" if is_folder else "--overwrite"])
 
 
 def _verify_file(path: Path) -> Verified:

@@ -70,7 +70,7 @@ PAGES: dict[str, tuple[str, tuple[str, ...]]] = {
         (
             "cgid.store",
             "cgid.store.verification",
-            "cgid.scene.repair",
+            "cgid.scene.changes",
             "cgid.store.dataset",
         ),
     ),
