@@ -1,6 +1,6 @@
 """Scene files, and the signals of many impacts that a sensor records."""
 
-from cgid.scene.calibration import Calibration, CalibrationImpact, calibrated
+from cgid.scene.calibration import Calibration, calibrated
 from cgid.scene.generation import generate
 from cgid.scene.given_pulses import synthesise_given
 from cgid.scene.recordings import generate_recordings
@@ -11,7 +11,6 @@ from cgid.scene.synthesis import synthesise
 
 __all__ = [
     "Calibration",
-    "CalibrationImpact",
     "Scene",
     "Sensor",
     "calibrated",
