@@ -15,11 +15,11 @@ from sklearn.ensemble import HistGradientBoostingClassifier
 from threadpoolctl import threadpool_limits
 
 from cgid import shipped
-from cgid.ceiling import ceiling
 from cgid.identification.classifier import FAMILIES, ImpactClassifier
 from cgid.identification.metrics import evaluate
 from cgid.identification.rows import Rows, linear_columns, measure
 from cgid.scene import Scene, load_scene, synthesise
+from studies.ceilings.limit import ceiling
 
 TEST_SEED = 1_000_003
 EXACT = ("peak_force", "contact_duration", "restitution")

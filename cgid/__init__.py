@@ -9,7 +9,6 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from cgid import ceiling as ceiling
     from cgid import errors as errors
     from cgid import export_c as export_c
     from cgid import identification as identification
@@ -94,7 +93,7 @@ _HOMES = {
 
 #: Public modules.
 _MODULES = (
-    *("ceiling", "errors", "export_c", "identification", "impactor", "learn", "measure"),
+    *("errors", "export_c", "identification", "impactor", "learn", "measure"),
     *("physics", "plots", "public", "recordings", "scene", "site", "store"),
 )
 

@@ -633,15 +633,7 @@ _COMMANDS = r"""
 65 | generate reference.toml -o new.h5 -n 999999 | .h5
 73 | generate reference.toml -o new -n 999999999 | GB
 65 | generate reference.toml -o new -n 9999999999999 | --signals
-66 | ceiling none.toml | none.toml
-65 | ceiling reference -n 0 | --signals
-65 | ceiling reference -n 99999999999999 | --signals
-65 | ceiling peers --learner 99999999999999 | learner
-65 | ceiling strangers | strangers
-65 | ceiling randomised -n 0 | --signals
-65 | ceiling reference --learner 20 | learner
 65 | check beamless.toml | tail_beam
-2 | ceiling tail_beam | tail_beam
 66 | generate no_table.toml -o new.h5 | gone.csv
 65 | check device.toml | /dev/null
 65 | check endless.toml | coupling
@@ -690,7 +682,6 @@ _COMMANDS = r"""
 65 | generate caving.toml -o new.h5 --jobs 2 | --jobs
 65 | generate caving.toml -o new.h5 -n 3 | one recording
 65 | train caving.toml --features decay_time -o new.npz | stream
-65 | ceiling caving.toml | stream
 2 | generate reference --features peak_force -o new.h5 | --features-only
 2 | generate reference --quantities impulse -o new.h5 | --closed-form-only
 2 | generate reference --features-only --dtype float64 -o new.h5 | --dtype

@@ -20,7 +20,7 @@ from tests.tapped import taps
 ROOT = Path(__file__).parents[1]
 COMMANDS = {"cgid": cli, **cli.commands}
 #: Of minutes.
-SLOW = ("ceiling", "calibrate", "tap")
+SLOW = ("calibrate", "tap")
 
 
 def test_mistyped_names_are_suggested(capsys: pytest.CaptureFixture[str]) -> None:
@@ -35,7 +35,7 @@ def test_mistyped_names_are_suggested(capsys: pytest.CaptureFixture[str]) -> Non
     [
         ("cgid pre", ["predict"]),
         ("cgid check re", ["reference"]),
-        ("cgid ceiling ", SCENES),
+        ("cgid generate ", SCENES),
         ("cgid generate tail", ["tail_beam"]),
         ("cgid train p", ["peers", "plate"]),
         ("cgid predict --model default-", ["default-drop-height", "default-acceleration"]),

@@ -14,7 +14,7 @@ from pydantic import BaseModel, TypeAdapter
 from scipy import stats
 
 import cgid
-from cgid import ceiling, shipped, site
+from cgid import shipped, site
 from cgid.errors import BadData, CgidError, InvalidValue, NoInput
 from cgid.scene import Scene, load_scene, parse_scene, synthesise
 from cgid.scene.distributions import LIMITS, MAX_UNIFORM, MIN_UNIFORM, Distribution, Quantity, quantity_of
@@ -433,7 +433,7 @@ def test_identity_depends_on_every_number():
 
 def takes_a_scene():
     """Return the public functions whose first parameter is a scene, by name."""
-    public = {name: getattr(home, name) for home in (cgid, ceiling, cgid.scene, site) for name in home.__all__}
+    public = {name: getattr(home, name) for home in (cgid, cgid.scene, site) for name in home.__all__}
     functions = {name: one for name, one in public.items() if inspect.isfunction(one)}
     return {name: one for name, one in functions.items() if next(iter(inspect.signature(one).parameters)) == "scene"}
 
@@ -443,7 +443,7 @@ def test_functions_that_take_a_scene_take_its_name_or_file():
     for given_as in ("reference", DATASETS / "reference.toml", own):
         (batch,) = synthesise(given_as, 3)
         np.testing.assert_array_equal(batch.signals, signals.signals)
-    assert takes_a_scene().keys() >= {"synthesise", "generate", "record", "stream", "ceiling", "calibrate"}
+    assert takes_a_scene().keys() >= {"synthesise", "generate", "record", "stream", "calibrate"}
     for function in takes_a_scene().values():
         needed = [one for one in inspect.signature(function).parameters.values() if one.default is one.empty]
         needed = [one for one in needed if one.kind in (one.POSITIONAL_ONLY, one.POSITIONAL_OR_KEYWORD)]

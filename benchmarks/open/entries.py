@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 from benchmarks.open.judge import FRAME_COLUMNS, STREAM_COLUMNS, TIMES, WINDOW, Frames, Predictions, Streams, Truth
 from benchmarks.open.sets import COAL, GANGUE, LARGEST, PUBLIC_SEED, TRAIN_SEED, all_sets, write_rows
 from cgid import shipped
-from cgid.ceiling import ceiling
 from cgid.errors import InvalidValue
 from cgid.files import read_cells
 from cgid.identification.answers import identify_frames
@@ -31,6 +30,7 @@ from cgid.scene import synthesise
 from cgid.scene.through_beam import full_beam
 from cgid.signals import Batch
 from cgid.site.streams import finished, rows_of_streams
+from studies.ceilings.limit import ceiling
 
 _AT_ONCE = 512
 

@@ -21,8 +21,7 @@ _OPTIONS = {
     "Decision": "--miss-cost --coverage --class-conditional --vote",
     "Gangue fraction": "--window --gangue --dilution-cost --evidence --hold --blind-after",
     "What struck": "--impactor --masses",
-    "Signals": "--signals --seed --laws --dtype "
-    "--quantities --learner --shuffle-labels --test-share --calibration-share",
+    "Signals": "--signals --seed --laws --dtype --quantities --shuffle-labels --test-share --calibration-share",
     "Calibration": "--start-error --drift --participation-error --dimension-error --impacts",
     "Tap test": "--hammer --band --max-order --contact --taps",
     "Output": "--output --mirror --report --plot --plots --overwrite --resume --compression --shard-signals --json "
@@ -36,7 +35,6 @@ _EXCEPTIONS = {
     "train --from": "Task",
     "generate --features": "Signals",
     "features --features": "Task",
-    "ceiling --drop-height": "Signals",
     "check --seed": "Task",
     "check --laws": "Task",
     "verify --laws": "Task",
@@ -46,7 +44,7 @@ _EXCEPTIONS = {
 _COMMANDS = {
     "Recordings": "predict monitor events features info plot",
     "Models": "train export-model",
-    "Datasets and scenes": "generate check ceiling tap calibrate verify export fetch",
+    "Datasets and scenes": "generate check tap calibrate verify export fetch",
 }
 #: One line for the startup file of each shell.
 _COMPLETION = (

@@ -14,7 +14,6 @@ import click
 
 from cgid import __version__
 from cgid.cli.calibrate import calibrate
-from cgid.cli.ceiling import ceiling
 from cgid.cli.check import check
 from cgid.cli.events import events
 from cgid.cli.export import export, export_model
@@ -68,7 +67,6 @@ def cli() -> None:
 for command in (
     generate,
     check,
-    ceiling,
     calibrate,
     tap,
     events,

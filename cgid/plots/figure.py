@@ -1,4 +1,4 @@
-"""Matplotlib without a screen, colours and file formats; pictures of models and ceilings."""
+"""Matplotlib without a screen, colours and file formats; pictures of models."""
 
 from __future__ import annotations
 

@@ -74,7 +74,6 @@ PAGES: dict[str, tuple[str, tuple[str, ...]]] = {
             "cgid.store.dataset",
         ),
     ),
-    "ceiling": ("The best possible accuracy: cgid.ceiling", ("cgid.ceiling",)),
     "site": ("The beam of a site: cgid.site", ("cgid.site",)),
     "impactor": (
         "What struck, and public recordings: cgid.impactor, cgid.public",

@@ -9,15 +9,16 @@ from pathlib import Path
 
 from tqdm import tqdm
 
-from cgid.ceiling import MAX_SIGNALS, Ceiling, Learner, check_training, learner, require_supported, untrusted
 from cgid.files import write_whole
 from cgid.plots.figure import new_picture
 from cgid.scene import load_scene
 from cgid.validation import whole
 from studies import run
+from studies.ceilings import limit as white
 from studies.ceilings.beam import check_estimated
 from studies.ceilings.coloured import limits, uncovered
 from studies.ceilings.learners import above, behind_beam, through_beam
+from studies.ceilings.limit import MAX_SIGNALS, Ceiling, Learner, check_training, learner, require_supported, untrusted
 from studies.ceilings.survey import Point, survey, survey_picture
 
 
@@ -28,7 +29,7 @@ def study(given: argparse.Namespace) -> None:
     whole("signals", n, 2, MAX_SIGNALS)
     if given.learner is not None:
         check_training(given.learner)
-    with tqdm(unit=" signals", file=sys.stderr) as progress:
+    with tqdm(unit=" signals", file=sys.stderr, disable=None) as progress:
         if given.survey is not None:
             picture = new_picture(given.survey, overwrite=given.overwrite)
             found = survey(scene, n, seed, progress=progress.update)
@@ -53,9 +54,14 @@ def study(given: argparse.Namespace) -> None:
         else:
             if problem := untrusted(scene):
                 print(f"do not rely on this limit: {problem}", file=sys.stderr)
-            (limit,) = limits(scene, n, seed, (known,), progress=progress.update)
+            in_noise = limits if white.uncovered(scene) else white.ceilings  # of any colour, or white
+            (limit,) = in_noise(scene, n, seed, (known,), progress=progress.update)
             print(f"highest accuracy possible {_shown(limit)}")
+            print(f"right answers of Bayes' rule {limit.hits.mean():.4f}")
             print(f"Brier score {limit.brier_score:.4f} +- {limit.brier_error:.4f}")
+            if given.learner:
+                below = learner(scene, given.learner, n, seed, drop_height_known=known, progress=progress.update)
+                print(f"a learner on {below.n_training} measured signals {_shown(below)}")
 
 
 def _shown(found: Ceiling | Learner) -> str:

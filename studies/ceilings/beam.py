@@ -17,7 +17,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cgid.ceiling import require_supported
 from cgid.errors import InvalidValue
 from cgid.identification.contact import HIGHEST, LOWEST, ContactFit
 from cgid.identification.inversion import Inversion
@@ -28,6 +27,7 @@ from cgid.scene.draws import BLOCK
 from cgid.scene.impacts import PulseBlock, draw
 from cgid.scene.through_beam import beam_of, has_beam
 from cgid.validation import Floats
+from studies.ceilings.limit import require_supported
 
 #: Unknowns of a blow, in order; touch in samples after the table of forces begins, so many before that of touch.
 UNKNOWNS, _LEAD = ("ln peak", "ln width", "shape", "touch", "x", "y"), 3

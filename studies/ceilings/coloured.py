@@ -21,15 +21,6 @@ import numpy as np
 import scipy  # loads its submodules on first use
 from numpy.typing import NDArray
 
-from cgid.ceiling import (
-    NODES,
-    Ceiling,
-    ceilings,
-    onset_and_response,
-    require_supported,
-    true_pulses,
-    uncovered_pulses,
-)
 from cgid.errors import InvalidValue
 from cgid.measure.filters import mixing_matrix
 from cgid.measure.fit_samples import by_length, tied
@@ -49,6 +40,15 @@ from cgid.scene.draws import COLOURED
 from cgid.scene.noise import Coloured, ar_noise_of
 from cgid.signals import Batch
 from cgid.validation import Floats
+from studies.ceilings.limit import (
+    NODES,
+    Ceiling,
+    ceilings,
+    onset_and_response,
+    require_supported,
+    true_pulses,
+    uncovered_pulses,
+)
 
 #: White noise that is always added, over the peak: the accuracy of the pulse as a curve.
 _FLOOR = 1e-5

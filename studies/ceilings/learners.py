@@ -19,7 +19,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cgid.ceiling import Learner
 from cgid.identification.rows import BEAM_FEATURES
 from cgid.identification.through_beam import ThroughBeam
 from cgid.measure.features import extract_array
@@ -28,6 +27,7 @@ from cgid.scene.draws import BLOCK
 from cgid.scene.impacts import draws
 from cgid.validation import Floats
 from studies.ceilings.beam import BeamErrors
+from studies.ceilings.limit import Learner
 
 #: Fraction of the training signals held out to decide between the learners, and units of the network's layers.
 _HELD_BACK = 0.2

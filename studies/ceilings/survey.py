@@ -8,13 +8,13 @@ from typing import Any
 
 import numpy as np
 
-from cgid.ceiling import untrusted
 from cgid.errors import BadData
 from cgid.plots.figure import png, require_matplotlib
 from cgid.scene import Scene, varied
 from cgid.scene.impacts import draws
 from cgid.scene.sections import Population
 from studies.ceilings.coloured import check_covered, limits
+from studies.ceilings.limit import untrusted
 
 #: Settings of a survey: signal over noise [dB], sampling rate [Hz], largest over smallest radius.
 SNRS = (15.0, 20.0, 25.0, 30.0, 40.0, 50.0)

@@ -8,9 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cgid import ceiling, shipped
+from cgid import shipped
 from cgid.scene import Scene, load_scene
 from studies.ceilings import learners
+from studies.ceilings import limit as ceiling
 from studies.ceilings.__main__ import main
 from studies.ceilings.survey import changed, survey
 

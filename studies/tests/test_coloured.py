@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 import scipy
 
-from cgid.ceiling import ceiling
 from cgid.errors import InvalidValue
 from cgid.scene import parse_scene
 from studies.ceilings.coloured import limits, maps, noise_of
+from studies.ceilings.limit import ceiling
+from studies.tests.test_limit import PAIR, collected, drawn_pulses, rocks
 from tests import naive
-from tests.test_ceiling import PAIR, collected, drawn_pulses, rocks
 from tests.test_scene import content
 
 
@@ -17,7 +17,7 @@ from tests.test_scene import content
 def _few_draws():
     """An eighth of the draws that the density of a population is made of: enough for overlapping rocks, and quick."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("cgid.ceiling.PRIOR_DRAWS", 1 << 15)
+        patch.setattr("studies.ceilings.limit.PRIOR_DRAWS", 1 << 15)
         yield
 
 
@@ -67,7 +67,7 @@ COLOURS = {
 @pytest.mark.long
 @pytest.mark.parametrize("colour", list(COLOURS))
 def test_ceiling_in_coloured_noise_is_brute_force(colour, monkeypatch):
-    monkeypatch.setattr("cgid.ceiling.PRIOR_DRAWS", 1 << 18)
+    monkeypatch.setattr("studies.ceilings.limit.PRIOR_DRAWS", 1 << 18)
     scene = rocks(*PAIR, **COLOURS[colour])
     signals, peak = collected(scene, 16, seed=42)
     expected = []

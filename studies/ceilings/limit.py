@@ -3,7 +3,7 @@
 It is the accuracy of Bayes' rule on many synthetic signals. The probability of a signal under a population is the
 integral of its likelihood over the population's pulses: by quadrature along the shape, by Laplace's approximation over
 peak, duration and (if unknown) onset. For other scenes, a learner on measured signals bounds the limit from below.
-Coloured noise, acceleration and bounds from above are in `studies/ceilings`.
+Coloured noise, acceleration and bounds from above are in the modules beside it.
 """
 
 from __future__ import annotations
@@ -160,7 +160,7 @@ def ceiling(
     require_supported(scene)
     if rule := uncovered(scene):
         raise InvalidValue(
-            f"scene {scene.name}: the Bayes limit needs {rule}; cgid.ceiling.learner bounds it from below"
+            f"scene {scene.name}: the Bayes limit needs {rule}; studies.ceilings.limit.learner bounds it from below"
         )
     return ceilings(scene, n_signals, seed, (drop_height_known,), progress=progress)[0]
 

@@ -1,20 +1,18 @@
-"""The Bayes limit of a scene against brute force (the likelihood averaged over very many pulses); `cgid ceiling`."""
+"""The Bayes limit of a scene against brute force (the likelihood averaged over very many pulses)"""
 
 from __future__ import annotations
 
 import json
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from cgid import shipped
-from cgid.ceiling import ceiling, ceilings, learner, untrusted
-from cgid.cli.main import run
 from cgid.measure.template import dimensionless_logarithms
 from cgid.scene import load_scene, parse_scene, synthesise, varied
 from cgid.scene.impacts import draw
+from studies.ceilings.__main__ import main
+from studies.ceilings.limit import ceiling, ceilings, learner, untrusted
 from tests import few, naive
 from tests.test_scene import content
 
@@ -53,7 +51,7 @@ def collected(scene, n_signals, seed):
 def _few_draws():
     """An eighth of the draws that the density of a population is made of: enough for overlapping rocks, and quick."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("cgid.ceiling.PRIOR_DRAWS", 1 << 15)
+        patch.setattr("studies.ceilings.limit.PRIOR_DRAWS", 1 << 15)
         yield
 
 
@@ -95,7 +93,7 @@ def by_brute_force(scene, n_signals, seed):
     ids=["touch known", "touch within a sample", "low-pass"],
 )
 def test_ceiling_is_brute_force(changes, limit, monkeypatch):
-    monkeypatch.setattr("cgid.ceiling.PRIOR_DRAWS", 1 << 18)
+    monkeypatch.setattr("studies.ceilings.limit.PRIOR_DRAWS", 1 << 18)
     scene = rocks(*PAIR, **changes)
     expected, error = by_brute_force(scene, 16, seed=42)
     apart = np.abs(ceiling(scene, 16, seed=42).probabilities[:, 0] - expected)
@@ -206,7 +204,7 @@ def tapped():
 
 @pytest.fixture(scope="module")
 def peers():
-    return load_scene(shipped.scene_path("peers"))
+    return load_scene("peers")
 
 
 def test_a_learner_comes_near_the_limit_from_below(peers):
@@ -221,7 +219,7 @@ def test_a_learner_comes_near_the_limit_from_below(peers):
 
 def test_what_cannot_be_measured_is_answered_all_the_same(peers):
     """A tenth of the signals of this scene cannot be measured: too faint, or too few samples."""
-    found = learner(load_scene(shipped.scene_path("randomised")), 600, 300, 8)
+    found = learner(load_scene("randomised"), 600, 300, 8)
     assert len(found.hits) == 300 and found.accuracy > 0.65
     # Frames that end before the contact does: some features are never measured.
     assert learner(varied(peers, samples=40, pre_trigger=32), 200, 200, 8).accuracy > 0.4
@@ -237,23 +235,27 @@ def test_laplaces_approximation_is_trusted_at_little_noise_alone(peers):
 
 
 def test_the_command_prints_what_python_finds(capsys, peers):
-    arguments = ["ceiling", "peers", "-n", "64", "--learner", "300", "--seed", "8"]
-    assert run([*arguments, "--json"]) == 0
-    content = json.loads(capsys.readouterr().out)
+    assert main(["peers", "-n", "64", "--learner", "300", "--seed", "8"]) == 0
+    out = capsys.readouterr().out
     (limit,) = ceilings(peers, 64, 8, (False,))
-    assert (content["kind"], content["accuracy"]) == ("limit", limit.accuracy)
-    assert content["right_answers"] == limit.hits.mean()
-    assert content["roc_area"] == {label: limit.roc_area(label) for label in ("coal", "gangue")}
-    assert content["learner"]["accuracy"] == learner(peers, 300, 64, 8).accuracy
-    assert run(arguments) == 0
-    assert f"{limit.accuracy:.4f} +- {limit.accuracy_error:.4f}" in capsys.readouterr().out
+    assert f"highest accuracy possible {limit.accuracy:.4f} +- {limit.accuracy_error:.4f}" in out
+    assert f"right answers of Bayes' rule {limit.hits.mean():.4f}" in out
+    assert f"a learner on 300 measured signals {learner(peers, 300, 64, 8).accuracy:.4f}" in out
 
 
-def test_the_command_bounds_what_it_does_not_integrate_from_below(capsys, tmp_path):
-    text = Path(shipped.scene_path("peers")).read_text()
-    filtered = text.replace("relative_noise", "anti_alias = { frequency = 3e4 }\nrelative_noise")
-    (tmp_path / "filtered.toml").write_text(filtered)
-    assert run(["ceiling", str(tmp_path / "filtered.toml"), "-n", "64", "--learner", "300", "--json"]) == 0
-    content = json.loads(capsys.readouterr().out)
-    assert content["kind"] == "below" and "accuracy" not in content and "filter" in content["uncovered"]
-    assert 0.5 < content["learner"]["accuracy"] <= 1
+@pytest.mark.parametrize(
+    ("arguments", "code", "says"),
+    [
+        (["none.toml"], 66, "none.toml"),
+        (["reference", "-n", "0"], 65, "signals"),
+        (["reference", "-n", "99999999999999"], 65, "signals"),
+        (["peers", "--learner", "99999999999999"], 65, "learner"),
+        (["reference", "--learner", "20"], 65, "learner"),
+        (["strangers"], 65, "strangers"),
+        (["caving"], 65, "stream"),
+    ],
+)
+def test_what_the_command_refuses_is_named(capsys, arguments, code, says):
+    assert main(arguments) == code
+    (line,) = capsys.readouterr().err.strip().splitlines()[-1:]
+    assert line.startswith("error: ") and says in line
