@@ -21,11 +21,12 @@ from cgid.identification.metrics import evaluate
 from cgid.identification.model import Model
 from cgid.identification.rows import measure
 from cgid.measure.template import curve
-from cgid.physics import Elastic, HalfSpace, HuntCrossley, Impact, Sphere, Viscoelastic, dissipative_constant
+from cgid.physics import Elastic, HalfSpace, HuntCrossley, Impact, Sphere, Viscoelastic
 from cgid.physics.materials import Material
 from cgid.physics.sampled import SampledPulses, shares_of_contact
 from cgid.scene import Scene, load_scene, varied
 from cgid.scene.given_pulses import SolvedImpacts
+from studies.paper.sensitivity import dissipative_constant
 
 FINITE_ELEMENTS, VISCOELASTIC, FAMILY = "finite elements", "Kuwabara-Kono", "Hunt-Crossley (the family)"
 #: Samples of a contact in the fit without noise, and the noise that the fit assumes, relative to the peak.

@@ -55,13 +55,13 @@ from cgid.physics import (
     Thornton,
     Viscoelastic,
     WaltonBraun,
-    yield_pressure,
 )
 from cgid.physics.curves import TOLERANCE, HuntCrossleyCurves
 from cgid.physics.materials import STEEL, Material
 from cgid.plots.figure import png, require_matplotlib
 from cgid.scene import load_scene
 from cgid.scene.impacts import draw
+from studies.paper.sensitivity import yield_pressure
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from tests import naive

@@ -27,7 +27,7 @@ from tqdm import tqdm
 from cgid import validation
 from cgid.errors import BadData, CgidError
 from cgid.files import write_whole
-from cgid.physics import Elastic, HalfSpace, HertzRangeWarning, Impact, Sphere, dissipative_constant
+from cgid.physics import Elastic, HalfSpace, HertzRangeWarning, Impact, Sphere
 from cgid.physics.bodies import sphere_share
 from cgid.physics.materials import STEEL, Material
 from cgid.physics.sampled import SampledPulses, shares_of_contact, smoothed
@@ -36,6 +36,7 @@ from cgid.scene.given_pulses import MAKING, PARAMETERS, SolvedImpacts
 from cgid.scene.impacts import draw
 from cgid.workers import workers
 from studies.finite_element import ElasticPlate, FiniteElementImpact, History
+from studies.paper.sensitivity import dissipative_constant
 
 HERE = Path(__file__).parent
 RADIUS = 1.0

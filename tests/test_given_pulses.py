@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 
 from cgid.errors import InvalidValue
-from cgid.physics import Elastic, HalfSpace, HuntCrossley, Impact, Sphere, Viscoelastic, dissipative_constant
+from cgid.physics import Elastic, HalfSpace, HuntCrossley, Impact, Sphere, Viscoelastic
 from cgid.physics.materials import STEEL, YANG2018_SPHERES
 from cgid.physics.sampled import SampledPulses, shares_of_contact
 from cgid.scene import load_scene, synthesise, synthesise_given, varied
 from cgid.scene.impacts import draw
+from studies.paper.sensitivity import dissipative_constant
 
 DATASETS = Path(__file__).parents[1] / "datasets"
 

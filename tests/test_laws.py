@@ -21,10 +21,9 @@ from cgid.physics import (
     ThinPlate,
     ThinPlateWarning,
     Viscoelastic,
-    dissipative_constant,
-    plate_thickness,
 )
 from cgid.physics.materials import STEEL, YANG2018_SPHERES, Material
+from studies.paper.sensitivity import dissipative_constant, plate_thickness
 from tests import naive
 from tests.test_impact import impulse_by_quadrature
 

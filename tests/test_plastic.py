@@ -16,7 +16,6 @@ from cgid.physics import (
     ThinPlate,
     Thornton,
     WaltonBraun,
-    yield_pressure,
 )
 from cgid.physics.materials import STEEL, YANG2018_SPHERES, Material
 from cgid.scene import parse_scene, synthesise
@@ -24,6 +23,7 @@ from cgid.scene.distributions import LIMITS
 from cgid.scene.plan import plan
 from cgid.scene.stream import record
 from cgid.scene.synthesis import columns_of
+from studies.paper.sensitivity import yield_pressure
 from tests import naive
 from tests.plan_scenes import POPULATION, scene_of, uniform
 

@@ -16,15 +16,6 @@ from cgid.physics.laws import (
     contact_stiffness,
     free_fall_velocity,
 )
-from cgid.physics.sensitivity import (
-    Sensitivity,
-    dissipative_constant,
-    local_sensitivity,
-    plate_thickness,
-    range_influence,
-    response_grid,
-    yield_pressure,
-)
 
 __all__ = [
     "HUNT_CROSSLEY_LAWS",
@@ -38,7 +29,6 @@ __all__ = [
     "Law",
     "ModalImpact",
     "RigidWall",
-    "Sensitivity",
     "Sphere",
     "ThinPlate",
     "ThinPlateWarning",
@@ -48,11 +38,5 @@ __all__ = [
     "contact_stiffness",
     "damping_number",
     "delivered_restitution",
-    "dissipative_constant",
     "free_fall_velocity",
-    "local_sensitivity",
-    "plate_thickness",
-    "range_influence",
-    "response_grid",
-    "yield_pressure",
 ]

@@ -10,7 +10,6 @@ from numpy.typing import ArrayLike
 
 from cgid.physics import Impact, free_fall_velocity
 from cgid.physics.materials import YANG2018_SPHERES
-from cgid.physics.sensitivity import parameters_of, response_grid
 from cgid.validation import Floats
 from studies.paper import printed
 from studies.paper.drawing import Drawn, Figures, Lines, Surface, frame, joined
@@ -23,6 +22,7 @@ from studies.paper.printed import (
     table_4_impact,
     table_5_impact,
 )
+from studies.paper.sensitivity import parameters_of, response_grid
 
 #: The functions that make the figures, by file name.
 FIGURES = Figures()

@@ -19,11 +19,11 @@ import numpy as np
 from cgid.measure.filters import fft_filter
 from cgid.physics.bodies import sphere_share
 from cgid.physics.materials import STEEL, YANG2018_RADIUS, YANG2018_SPHERES
-from cgid.physics.sensitivity import dissipative_constant
 from cgid.validation import Floats
 from cgid.workers import workers
 from studies.paper import printed
 from studies.paper.printed import paper_impact
+from studies.paper.sensitivity import dissipative_constant
 
 if TYPE_CHECKING:
     from studies.finite_element import History

@@ -10,10 +10,10 @@ import numpy as np
 
 from cgid.physics import Impact
 from cgid.physics.materials import STEEL, YANG2018_RADIUS, YANG2018_SPHERES, Material
-from cgid.physics.sensitivity import PARAMETERS, parameters_of, range_influence
 from studies.paper import printed
 from studies.paper.drawing import QUANTITIES, SYMBOLS
 from studies.paper.printed import SECTION_4_VELOCITY, paper_impact, table_4_impact, table_5_impact
+from studies.paper.sensitivity import PARAMETERS, parameters_of, range_influence
 from studies.paper.study import Study
 from studies.paper.theories import READINGS, SHARED, Agreement, agreement
 

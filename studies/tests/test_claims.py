@@ -8,10 +8,10 @@ import pytest
 from cgid.measure.filters import fft_filter
 from cgid.physics import RIGID, STIFFNESS_THEORIES, Impact, contact_stiffness
 from cgid.physics.materials import STEEL, YANG2018_SPHERES, Material
-from cgid.physics.sensitivity import local_sensitivity, range_influence
 from studies.paper import printed
 from studies.paper.figures import FIGURES
 from studies.paper.printed import THEORY_LABELS, VELOCITIES, paper_impact, table_4_impact, table_5_impact
+from studies.paper.sensitivity import local_sensitivity, range_influence
 from studies.paper.study import DAMPED, UNDAMPED, shipped_study
 from studies.paper.tables import computed_contact
 from studies.paper.theories import agreement, of_simulation, of_theory

@@ -6,7 +6,7 @@ import pytest
 
 from cgid.physics import RIGID, Elastic, HalfSpace, HuntCrossley, Impact, Sphere
 from cgid.physics.materials import STEEL, YANG2018_SPHERES, Material
-from cgid.physics.sensitivity import (
+from studies.paper.sensitivity import (
     PARAMETERS,
     local_sensitivity,
     range_influence,
