@@ -1,10 +1,11 @@
 """Compilation of kernels: the same options for all, and a cache on disk.
 
 numba's own cache breaks when two processes compile at once, misses edits in other files, and unpickles files that other
-users may have written. Here every compiled kernel is one file in a folder that only the user can write to. Its name
-contains a hash of everything it depends on (sources in cgid, versions of Python, numpy, numba and llvmlite), and it
-begins with the SHA-256 of its content. A file that cannot be read is compiled again; one that cannot be written stays
-in memory. The folder is `kernels-<digest>` in `NUMBA_CACHE_DIR` or the user's cache folder (`XDG_CACHE_HOME`).
+users may have written; it is not faster. This one uses names that numba may change, so pyproject.toml bounds numba.
+Here every compiled kernel is one file in a folder that only the user can write to. Its name contains a hash of
+everything it depends on (sources in cgid, versions of Python, numpy, numba and llvmlite), and it begins with the
+SHA-256 of its content. A file that cannot be read is compiled again; one that cannot be written stays in memory. The
+folder is `kernels-<digest>` in `NUMBA_CACHE_DIR` or the user's cache folder (`XDG_CACHE_HOME`).
 """
 
 from __future__ import annotations
