@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 from through_beam import changed as with_keys
 
+from cgid._lib.validation import Floats
 from cgid.identification.detection import find_impacts
 from cgid.identification.estimation import cramer_rao_bound, estimate
 from cgid.identification.events import frames_alike
@@ -41,7 +42,6 @@ from cgid.scene.impacts import pulses_of_block
 from cgid.scene.plan import Plan
 from cgid.scene.sections import DISSIPATIONS
 from cgid.scene.through_beam import beam_of
-from cgid.validation import Floats
 from studies.ceilings.beam import BeamErrors
 
 #: No population or training draws from this seed, nor any that is given in its place.

@@ -17,6 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
+from cgid._lib.validation import Floats
 from cgid.identification.detection import find_impacts
 from cgid.identification.estimation import Estimates, estimate
 from cgid.identification.prediction import load_model, predict
@@ -25,7 +26,6 @@ from cgid.impactor import MeasuredPulses, population_of
 from cgid.recordings import read_recording
 from cgid.scene import parse_scene
 from cgid.signals import Signal
-from cgid.validation import Floats
 
 HERE = Path(__file__).parent
 BALLS = HERE.parents[1] / "shared" / "realdata" / "steel_balls"

@@ -43,7 +43,7 @@ from numpy.typing import NDArray
 from scipy.integrate import odeint, solve_ivp
 
 from cgid import shipped
-from cgid.files import write_whole
+from cgid._lib.files import write_whole
 from cgid.physics import (
     HalfSpace,
     HuntCrossley,

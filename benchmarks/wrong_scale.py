@@ -36,6 +36,7 @@ import numpy as np
 from scipy.signal import firwin, resample_poly
 
 from cgid import shipped
+from cgid._lib.validation import UNKNOWN
 from cgid.cli.main import run
 from cgid.identification.answers import Answer, answers_from
 from cgid.identification.card import table
@@ -46,7 +47,6 @@ from cgid.identification.rows import Rows, measure
 from cgid.measure.features import FEATURES
 from cgid.scene import load_scene, synthesise
 from cgid.scene.through_beam import beam_of
-from cgid.validation import UNKNOWN
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "models"))
 from train import acceleration_scenes, on_rigs, shipped_scene, streams

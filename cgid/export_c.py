@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid import __version__
+from cgid._lib.validation import Floats
 from cgid.errors import InvalidValue
 from cgid.identification.conformal import COVERAGES
 from cgid.identification.families import Contrast, Network, Standardiser
@@ -27,7 +28,6 @@ from cgid.measure.spectra import THIRD_OCTAVES, third_octave
 from cgid.measure.vibration import EARLY_BANDS, EARLY_TIME, WINDOW_TIME
 from cgid.signals import KNOWN
 from cgid.units import column_title
-from cgid.validation import Floats
 
 __all__ = ["c_source"]
 

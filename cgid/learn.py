@@ -15,7 +15,10 @@ from numpy.typing import ArrayLike, NDArray
 from sklearn.base import BaseEstimator, TransformerMixin
 from sklearn.utils.validation import _check_feature_names_in, check_is_fitted, validate_data
 
-from cgid import validation
+from cgid._lib import validation
+from cgid._lib.validation import Floats
+from cgid._lib.workers import MAX_JOBS
+from cgid._lib.workers import workers as executor
 from cgid.errors import InvalidValue
 from cgid.identification.rows import BEAM_FEATURES
 from cgid.identification.through_beam import ThroughBeam
@@ -26,9 +29,6 @@ from cgid.scene.draws import require_seed
 from cgid.scene.synthesis import require_count, require_frames
 from cgid.scene.through_beam import shared_beam
 from cgid.store import Dataset
-from cgid.validation import Floats
-from cgid.workers import MAX_JOBS
-from cgid.workers import workers as executor
 
 __all__ = ["TrainingStream"]
 

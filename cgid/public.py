@@ -19,9 +19,10 @@ from urllib.error import HTTPError, URLError
 from urllib.parse import quote, urlsplit
 from urllib.request import HTTPRedirectHandler, Request, build_opener
 
-from cgid import shipped, validation
+from cgid import shipped
+from cgid._lib import validation
+from cgid._lib.files import looking_at, write_whole
 from cgid.errors import BadData, CannotCreate, InvalidValue, NoInput
-from cgid.files import looking_at, write_whole
 
 __all__ = ["PublicData", "fetch"]
 

@@ -18,7 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid import __version__
-from cgid.files import check_new, write_whole
+from cgid._lib.files import check_new, write_whole
+from cgid._lib.terminal import counted, printable
+from cgid._lib.validation import UNKNOWN
 from cgid.identification.answers import Answer
 from cgid.identification.diagnosis import Hint
 from cgid.identification.model import Model
@@ -30,8 +32,6 @@ from cgid.plots.answers import drawn_figure
 from cgid.plots.figure import COLOURS, NEUTRAL, colours_of
 from cgid.plots.recording import Mark, hertz, overview_figure, written
 from cgid.recordings import Channel, RecordingFile
-from cgid.terminal import counted, printable
-from cgid.validation import UNKNOWN
 
 #: Longest list of names that is written in full.
 _MAX_NAMES = 8

@@ -64,7 +64,7 @@ def scene_descriptions() -> dict[str, str]:
 def _resolve(
     given: str | Path, kind: Literal["datasets", "models"], names: tuple[str, ...], ending: str, what: str, hint: str
 ) -> Path:
-    from cgid import validation
+    from cgid._lib import validation
 
     validation.instance(what, given, str, Path)
     if given in names:

@@ -10,9 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cgid import units, validation
+from cgid import units
+from cgid._lib import validation
+from cgid._lib.validation import Floats, require_rate
 from cgid.errors import BadData, InvalidValue
-from cgid.validation import Floats, require_rate
 
 #: Possible model inputs besides the signal, and their units.
 KNOWN: Mapping[str, str] = {"drop_height": "m"}
@@ -189,7 +190,7 @@ class Batch:
     Raises
     ------
     InvalidValue
-        A label breaks the rule of `cgid.validation.label`.
+        A label breaks the rule of `cgid._lib.validation.label`.
     """
 
     signals: NDArray[Any]

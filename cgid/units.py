@@ -10,8 +10,8 @@ import re
 from collections.abc import Mapping
 from typing import Any
 
+from cgid._lib.validation import shown, suggestion
 from cgid.errors import InvalidValue
-from cgid.validation import shown, suggestion
 
 #: Standard gravity [m/s^2], the factor of the unit g.
 STANDARD_GRAVITY = 9.80665

@@ -24,9 +24,10 @@ import joblib
 import numpy as np
 from tqdm import tqdm
 
-from cgid import validation
+from cgid._lib import validation
+from cgid._lib.files import write_whole
+from cgid._lib.workers import workers
 from cgid.errors import BadData, CgidError
-from cgid.files import write_whole
 from cgid.physics import Elastic, HalfSpace, HertzRangeWarning, Impact, Sphere
 from cgid.physics.bodies import sphere_share
 from cgid.physics.materials import STEEL, Material
@@ -34,7 +35,6 @@ from cgid.physics.sampled import SampledPulses, shares_of_contact, smoothed
 from cgid.scene import load_scene
 from cgid.scene.given_pulses import MAKING, PARAMETERS, SolvedImpacts
 from cgid.scene.impacts import draw
-from cgid.workers import workers
 from studies.finite_element import ElasticPlate, FiniteElementImpact, History
 from studies.paper.sensitivity import dissipative_constant
 

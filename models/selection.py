@@ -22,7 +22,10 @@ from sklearn.model_selection import StratifiedGroupKFold
 from sklearn.svm import SVC
 from threadpoolctl import threadpool_limits
 
-from cgid import shipped, validation
+from cgid import shipped
+from cgid._lib import validation
+from cgid._lib.validation import Floats
+from cgid._lib.workers import SERIAL, Workers, workers
 from cgid.errors import InvalidValue
 from cgid.identification.card import plain, table
 from cgid.identification.classifier import ImpactClassifier
@@ -30,8 +33,6 @@ from cgid.identification.metrics import evaluate, paired_difference
 from cgid.identification.model import Model
 from cgid.identification.rows import Rows, linear_columns, measure
 from cgid.scene import load_scene, synthesise
-from cgid.validation import Floats
-from cgid.workers import SERIAL, Workers, workers
 
 #: A later family must be better by this accuracy.
 MARGIN = 0.003

@@ -32,7 +32,7 @@ from domain_shift import domain_shift, domain_shift_table
 from selection import select, selection_section
 
 from cgid import shipped
-from cgid.files import write_together
+from cgid._lib.files import write_together
 from cgid.identification.card import PICTURES, Section, check_model_output, write_card, write_model
 from cgid.identification.families import Neighbourhood
 from cgid.identification.model import Model

@@ -20,7 +20,9 @@ import psutil
 import pytest
 from distributed import Client, LocalCluster
 
-from cgid import workers as cluster
+from cgid._lib import workers as cluster
+from cgid._lib.validation import positive
+from cgid._lib.workers import SERIAL, Workers, workers
 from cgid.cli.main import run
 from cgid.errors import CannotCreate, ClusterFailed, InvalidValue
 from cgid.identification.grouped import Candidate, TrainingSet, choose_candidate, cross_validate, final
@@ -28,8 +30,6 @@ from cgid.identification.rows import Rows
 from cgid.scene import Scene, generate
 from cgid.scene import generation as shards
 from cgid.store import Dataset
-from cgid.validation import positive
-from cgid.workers import SERIAL, Workers, workers
 from tests.mortal import fatal
 
 ROOT = Path(__file__).parents[1]

@@ -19,10 +19,10 @@ import numpy as np
 import pytest
 from packaging.requirements import Requirement
 
-from cgid import compiled
+from cgid._lib import compiled
 from cgid.store._packing import fletcher32
 
-PACKAGE = Path(compiled.__file__).parent
+PACKAGE = Path(compiled.__file__).parents[1]
 
 
 def flipped(path: Path) -> None:
@@ -276,7 +276,7 @@ def test_numba_is_bounded_because_the_cache_uses_what_it_may_change():
 def test_all_files_with_kernels_and_what_they_import_are_among_the_sources():
     def has_kernels(path: Path) -> bool:  # at the top: what imports a decorator on use has no kernel of its own
         top = ast.parse(path.read_text()).body
-        return any(isinstance(node, ast.ImportFrom) and node.module == "cgid.compiled" for node in top)
+        return any(isinstance(node, ast.ImportFrom) and node.module == "cgid._lib.compiled" for node in top)
 
     needed = set(filter(has_kernels, PACKAGE.rglob("*.py")))
     assert len(needed) >= 7
@@ -296,7 +296,7 @@ def imported(path: Path) -> set[Path]:
 
 def test_nothing_else_compiles():
     users = [path for path in PACKAGE.rglob("*.py") if re.search(r"import .*\bnjit|numba\.njit\(", path.read_text())]
-    assert users == [PACKAGE / "compiled.py"]
+    assert users == [PACKAGE / "_lib" / "compiled.py"]
 
 
 # -- whole processes --------------------------------------------------------------------------------------

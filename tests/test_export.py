@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 
 from cgid import load_model
+from cgid._lib.validation import UNKNOWN
 from cgid.cli.main import run
 from cgid.errors import BadData, InvalidValue
 from cgid.export_c import c_source
@@ -24,7 +25,6 @@ from cgid.identification.families import Standardiser
 from cgid.identification.model import Model
 from cgid.measure.features import extract_array
 from cgid.shipped import MODELS, path_of
-from cgid.validation import UNKNOWN
 from tests import few
 
 needs_gcc = pytest.mark.skipif(shutil.which("gcc") is None, reason="gcc is not installed")

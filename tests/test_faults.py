@@ -14,9 +14,9 @@ import numpy as np
 import pytest
 
 from benchmarks.faults import COMMANDS, FAULTS, Server, Trial, files_in, inputs, load, sweep
+from cgid._lib.files import whole_file, write_together
 from cgid.cli.main import run
 from cgid.errors import WriteFailed
-from cgid.files import whole_file, write_together
 from cgid.store.disk import DiskFile, hdf5_on_disk
 from cgid.store.hdf5 import RecordingPlan, writing
 from tests import few
@@ -167,7 +167,7 @@ def test_the_next_file_of_a_name_clears_what_a_killed_process_left(sources, name
     folder.mkdir()
     other = folder / f".{file}x.0123456789ab.part"  # of another name
     other.touch()
-    died = "import os, signal, sys; from cgid.files import whole_file\n"
+    died = "import os, signal, sys; from cgid._lib.files import whole_file\n"
     died += "with whole_file(sys.argv[1]) as part: part.write_bytes(b'half'); os.kill(os.getpid(), signal.SIGKILL)"
     subprocess.run([sys.executable, "-c", died, folder / file], cwd=ROOT, check=False)
     (left,) = folder.glob(f".{file}.*.part")

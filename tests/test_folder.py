@@ -12,8 +12,8 @@ from pathlib import Path
 
 import pytest
 
+from cgid._lib.files import clear_half_written, whole_file, write_whole
 from cgid.errors import BadData, CannotCreate, WriteFailed
-from cgid.files import clear_half_written, whole_file, write_whole
 from cgid.store.description import FORMAT
 from cgid.store.folder import DESCRIPTION, SUMS, describe, parse_description, read_sums, sums_text
 from cgid.store.run import begun, locked

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from cgid import validation
+from cgid._lib import validation
 from cgid.errors import BadData, InvalidValue
 from cgid.signals import Batch, Signal
 from cgid.units import known_unit

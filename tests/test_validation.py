@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cgid import Impact, Signal, Sphere, extract, fft_filter, validation
+from cgid import Impact, Signal, Sphere, extract, fft_filter
+from cgid._lib import validation
 from cgid.errors import InvalidValue
 from cgid.identification.detection import ImpactDetector
 from cgid.identification.estimation import estimate, posterior

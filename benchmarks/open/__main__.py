@@ -14,8 +14,8 @@ import sys
 from pathlib import Path
 
 from benchmarks.open.sets import HERE, draw_seed, make
+from cgid._lib.files import read_regular, write_whole
 from cgid.errors import BadData, CannotCreate, CgidError
-from cgid.files import read_regular, write_whole
 from cgid.store.folder import SUMS
 
 #: Results of the public sets; the table goes between these lines of a page.

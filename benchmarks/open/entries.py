@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from benchmarks.open.judge import FRAME_COLUMNS, STREAM_COLUMNS, TIMES, WINDOW, Frames, Predictions, Streams, Truth
 from benchmarks.open.sets import COAL, GANGUE, LARGEST, PUBLIC_SEED, TRAIN_SEED, all_sets, write_rows
 from cgid import shipped
+from cgid._lib.files import read_cells
 from cgid.errors import InvalidValue
-from cgid.files import read_cells
 from cgid.identification.answers import identify_frames
 from cgid.identification.model import Model
 from cgid.identification.prediction_settings import PredictionSettings

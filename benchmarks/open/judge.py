@@ -17,11 +17,11 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from benchmarks.open.sets import COAL, COLUMNS, GANGUE, LARGEST, LIMIT, OTHER, all_sets, unchanged_digest, write_rows
+from cgid._lib.files import read_cells
+from cgid._lib.validation import suggestion
 from cgid.errors import BadData, InvalidValue
-from cgid.files import read_cells
 from cgid.identification.card import plain, table
 from cgid.identification.share import wilson_interval
-from cgid.validation import suggestion
 
 Floats = NDArray[np.float64]
 #: Columns of predictions of frames and of streams; the last of each may be left out.

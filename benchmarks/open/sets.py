@@ -21,8 +21,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid import shipped
+from cgid._lib.files import read_regular, whole_file, write_whole
 from cgid.errors import BadData, CannotCreate, InvalidValue
-from cgid.files import read_regular, whole_file, write_whole
 from cgid.scene import Scene, load_scene, parse_scene, synthesise
 from cgid.scene.draws import generator
 from cgid.scene.stream import record

@@ -7,9 +7,9 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Any
 
+from cgid._lib.terminal import counted
 from cgid.cli.output import finite, print_json, say, warn
 from cgid.cli.table import Column, TableOutput, flags, numbers, times
-from cgid.terminal import counted
 
 if TYPE_CHECKING:
     from cgid.cli.hints import Hints

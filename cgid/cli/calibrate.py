@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from cgid._lib.terminal import counted
 from cgid.cli.help import Command
 from cgid.cli.options import (
     OUTPUT,
@@ -22,7 +23,6 @@ from cgid.cli.options import (
 )
 from cgid.cli.output import print_json, progress_bar, say, warn
 from cgid.errors import BadData, InvalidValue
-from cgid.terminal import counted
 
 if TYPE_CHECKING:
     import numpy as np
@@ -106,8 +106,8 @@ def calibrate(
     impacts. If these come from a drawing, give its uncertainty with --dimension-error. Train with the learned beam by
     cgid train site.toml. Nothing is written if the beam does not explain the impacts sufficiently.
     """
-    from cgid import validation
-    from cgid.files import check_new
+    from cgid._lib import validation
+    from cgid._lib.files import check_new
     from cgid.scene import load_scene
     from cgid.site import dimensions
     from cgid.site.calibration import FEWEST, check_numbers, check_scene, table_beside
@@ -222,7 +222,7 @@ def _of_dataset(path: str, scene: Scene) -> tuple[NDArray[np.floating], float, i
 
 
 def _draw(found: SiteCalibration, path: Path, overwrite: bool) -> None:
-    from cgid.files import write_whole
+    from cgid._lib.files import write_whole
     from cgid.plots.figure import modes_picture
 
     write_whole(path, modes_picture(found.start, found.learned), overwrite=overwrite)

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from cgid._lib.terminal import counted
 from cgid.cli.help import Command
 from cgid.cli.options import (
     OUTPUT,
@@ -24,7 +25,6 @@ from cgid.cli.options import (
 )
 from cgid.cli.output import FileErrors, say, say_error, warn
 from cgid.errors import BadData, CgidError, InvalidValue, MissingOption
-from cgid.terminal import counted
 
 if TYPE_CHECKING:
     from cgid.identification.events import Event
@@ -61,7 +61,7 @@ def events(
     table: cgid train events.csv -o mine.npz. Delete the rows that you cannot label. An impact measured by several
     channels is one row. With --same-beam, each beam and each other channel has rows of its own.
     """
-    from cgid.files import check_new, write_whole
+    from cgid._lib.files import check_new, write_whole
     from cgid.identification.manifest import manifest_text, recordings_of, require_labels_kept
     from cgid.identification.prediction_settings import require_groups
 
@@ -228,7 +228,7 @@ def _peak(event: Event) -> Any:
 
 def write_template(data: tuple[str, ...], path: Path, reading: Reading, *, overwrite: bool) -> int:
     """Write a manifest with a row for each recording, with a label if its folder is one."""
-    from cgid.files import check_new, write_whole
+    from cgid._lib.files import check_new, write_whole
     from cgid.identification.manifest import manifest_text, path_from, recordings_in, require_labels_kept, row_of
 
     every = [(Path(item), recordings_in(Path(item)) if Path(item).is_dir() else [Path(item)]) for item in data]

@@ -8,6 +8,7 @@ from typing import Any
 
 import click
 
+from cgid._lib.terminal import counted
 from cgid.cli.help import Command
 from cgid.cli.options import (
     OUTPUT,
@@ -21,7 +22,6 @@ from cgid.cli.options import (
     worker_options,
 )
 from cgid.cli.output import print_json, progress_bar, say, warn
-from cgid.terminal import counted
 
 #: Options for tables and their outputs; and the options for the columns, with the table that they need.
 _ONLY = {"features_only": "features", "closed_form_only": "closed-form", "parameters_only": "parameters"}

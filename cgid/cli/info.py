@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from cgid._lib.terminal import counted
 from cgid.cli.help import Command
 from cgid.cli.options import CHAIN, PATH, Reading, json_option, reading_options_for, same_beam_option, warn_of_volts
 from cgid.cli.output import FileErrors, print_json, say, warn
 from cgid.cli.table import written_table
-from cgid.terminal import counted
 
 if TYPE_CHECKING:
     from cgid.identification.events import Event

@@ -67,7 +67,7 @@ def require_no_input_written(inputs: Iterable[str | Path] = ()) -> None:
 
     Every command checks its arguments, and the files that they name, before it runs.
     """
-    from cgid.files import require_not_input
+    from cgid._lib.files import require_not_input
 
     context = click.get_current_context()
     inputs = list(inputs)
@@ -100,7 +100,7 @@ def _named_by(name: str) -> Iterator[Path]:
         elif path.suffix.lower() == ".csv" and is_manifest(path):
             yield from named_recordings(path)
         elif path.suffix.lower() == ".toml":
-            from cgid.files import parse_toml, read_regular
+            from cgid._lib.files import parse_toml, read_regular
 
             content = parse_toml(read_regular(path, "TOML", _MAX_TOML).decode(), _MAX_TOML)
             yield from (path.parent / text for text in _texts_in(content))

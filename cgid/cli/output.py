@@ -18,8 +18,8 @@ from typing import Any, TextIO
 
 import click
 
+from cgid._lib.terminal import printable
 from cgid.errors import INTERRUPTIONS, CannotCreate, CgidError, InvalidValue, WriteFailed
-from cgid.terminal import printable
 
 #: Version of the lines of --json.
 JSON_VERSION = 1

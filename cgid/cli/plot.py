@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from cgid._lib.terminal import counted
 from cgid.cli.help import Command
 from cgid.cli.options import (
     OUTPUT,
@@ -20,7 +21,6 @@ from cgid.cli.options import (
     warn_of_volts,
 )
 from cgid.cli.output import print_json, say, warn
-from cgid.terminal import counted
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -74,7 +74,7 @@ def plot(
     The recording may be of any length, since it is read block by block. Impacts are detected separately in each
     channel, as in cgid predict, and counted once for the channels of one beam (--same-beam).
     """
-    from cgid.files import write_whole
+    from cgid._lib.files import write_whole
     from cgid.identification.detection import INVERT_HINT
     from cgid.identification.prediction_settings import require_groups
     from cgid.measure.overview import OverviewStream
@@ -201,7 +201,7 @@ def _opened(file: str, reading: Reading) -> RecordingFile:
 
 
 def _require_order(begin: float, end: float | None) -> None:
-    from cgid import validation
+    from cgid._lib import validation
     from cgid.errors import InvalidValue
 
     validation.not_negative("--from", begin, "s")

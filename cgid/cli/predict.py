@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from cgid._lib.terminal import counted
 from cgid.cli.answer_rows import AnswerLines, RecordingRows
 from cgid.cli.help import Command
 from cgid.cli.options import (
@@ -28,9 +29,9 @@ from cgid.cli.options import (
 from cgid.cli.output import FileErrors, progress_bar, say
 from cgid.cli.table import TableOutput, output_options
 from cgid.errors import CgidError
-from cgid.terminal import counted
 
 if TYPE_CHECKING:
+    from cgid._lib.validation import Floats
     from cgid.identification.answers import Answer
     from cgid.identification.model import Model
     from cgid.identification.prediction_settings import PredictionSettings
@@ -40,7 +41,6 @@ if TYPE_CHECKING:
     from cgid.recordings.recording import Channel
     from cgid.report import Report
     from cgid.signals import Batch, Signal
-    from cgid.validation import Floats
 
 
 def _report(
@@ -377,7 +377,7 @@ def predict(
         write_report(report, prediction.reports, overwrite=overwrite)
         say(f"wrote {report}", err=True)
     if picture is not None and impactors is not None:
-        from cgid.files import write_whole
+        from cgid._lib.files import write_whole
         from cgid.plots.answers import sizes_picture
 
         content = sizes_picture(impactors.sizes(), ", ".join(files), picture.suffix.lower())

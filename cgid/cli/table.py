@@ -13,10 +13,10 @@ from typing import Any, NamedTuple
 
 import click
 
+from cgid._lib.terminal import counted, spreadsheet_cell
 from cgid.cli.options import OUTPUT, overwrite_option
 from cgid.cli.output import finite, say
 from cgid.errors import BadData
-from cgid.terminal import counted, spreadsheet_cell
 from cgid.units import column_title
 
 #: Suffixes of table files.
@@ -81,7 +81,7 @@ class TableOutput:
         self._overwrite, self._files = overwrite, ExitStack()
         self._write: Callable[[list[Any]], object] | None = None
         if self._path is not None:
-            from cgid.files import check_new
+            from cgid._lib.files import check_new
 
             if as_json:
                 raise click.UsageError("--json prints lines of several kinds, -o writes one table; give one of them")
@@ -122,7 +122,7 @@ class TableOutput:
         titles, columns = self._titles, self.columns
         if self._path is None:
             return _csv_writer(_print_line, columns)
-        from cgid.files import clear_half_written, whole_file
+        from cgid._lib.files import clear_half_written, whole_file
 
         clear_half_written(self._path)
         file = self._files.enter_context(whole_file(self._path, overwrite=self._overwrite))

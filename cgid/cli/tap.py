@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from cgid._lib.terminal import counted
 from cgid.cli.help import Command
 from cgid.cli.options import (
     OUTPUT,
@@ -21,11 +22,10 @@ from cgid.cli.options import (
 )
 from cgid.cli.output import print_json, progress_bar, say, warn
 from cgid.errors import BadData, InvalidValue
-from cgid.terminal import counted
 
 if TYPE_CHECKING:
+    from cgid._lib.validation import Floats
     from cgid.site.tapping import TapTest
-    from cgid.validation import Floats
 
 
 @click.command(
@@ -87,7 +87,7 @@ def tap(
     With an instrumented hammer, name its channel by --hammer: then participations are in 1/kg. The table is one for
     tail_beam.modes of a scene and, with --scene, for tail_beam.learned.
     """
-    from cgid.files import check_new
+    from cgid._lib.files import check_new
     from cgid.site.tapping import read_times, save_learned, tap_test
 
     path = check_new(Path(output), "a table of modes", (".csv",), overwrite=overwrite)
@@ -124,7 +124,7 @@ def tap(
         learned, known = matched(test, *modes, error)
         save_learned(learned, path, overwrite=overwrite)
     if drawing is not None:
-        from cgid.files import write_whole
+        from cgid._lib.files import write_whole
         from cgid.plots.figure import stabilisation_picture
 
         write_whole(drawing, stabilisation_picture(test), overwrite=overwrite)

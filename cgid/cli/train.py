@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import click
 
-from cgid import validation
+from cgid._lib import validation
+from cgid._lib.terminal import counted
 from cgid.cli.help import Command
 from cgid.cli.options import (
     CHAIN,
@@ -34,7 +35,6 @@ from cgid.cli.options import (
 )
 from cgid.cli.output import accuracy_text, print_json, progress_bar, say, warn
 from cgid.errors import BadData, InvalidValue
-from cgid.terminal import counted
 
 if TYPE_CHECKING:
     from cgid.identification.labelled_recordings import Reading as ManifestReading
@@ -181,9 +181,9 @@ def train(
     cgid train events.csv -o mine.npz
     cgid train events.csv --from default-acceleration -o site-model.npz
     """  # noqa: D301 - \b keeps the lines of the example apart
+    from cgid._lib.workers import workers
     from cgid.identification.card import check_model_output, write_model
     from cgid.measure.features import choose
-    from cgid.workers import workers
 
     if template is not None:
         from cgid.cli.events import write_template

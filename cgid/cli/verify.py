@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from cgid._lib.terminal import counted
 from cgid.cli.help import Command
 from cgid.cli.options import PATH, SCENE, Reading, given_laws_option, json_option, reading_options_for
 from cgid.cli.output import FileErrors, print_json, progress_bar, say
-from cgid.terminal import counted
 
 if TYPE_CHECKING:
     from cgid.recordings import RecordingFile

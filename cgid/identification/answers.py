@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from cgid._lib.validation import UNKNOWN, Floats
 from cgid.errors import BadData, InvalidValue, MissingOption
 from cgid.identification.detection import find_impacts
 from cgid.identification.diagnosis import Cause, causes_of, with_frames
@@ -21,7 +22,6 @@ from cgid.measure.frames import DETECTION_LIMIT, MINIMUM_FRAME, Problem, Problem
 from cgid.recordings.chain import require_measured
 from cgid.signals import Signal, force_factor
 from cgid.units import ELECTRICAL, UNITS, quantity_of
-from cgid.validation import UNKNOWN, Floats
 
 if TYPE_CHECKING:
     from cgid.identification.through_beam import BeamStream

@@ -10,12 +10,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
 
+from cgid._lib.files import check_new, write_together
+from cgid._lib.terminal import counted, printable
 from cgid.errors import CannotCreate
-from cgid.files import check_new, write_together
 from cgid.identification.detection import VIBRATION_DEAD_TIME
 from cgid.identification.model import MIN_GROUPS, Model
 from cgid.signals import KNOWN
-from cgid.terminal import counted, printable
 
 if TYPE_CHECKING:
     from cgid.identification.training import Training

@@ -23,10 +23,10 @@ from sklearn.utils.multiclass import check_classification_targets
 from sklearn.utils.validation import check_is_fitted, validate_data
 from threadpoolctl import ThreadpoolController
 
-from cgid import validation
+from cgid._lib import validation
+from cgid._lib.validation import Floats
+from cgid._lib.workers import SERIAL, Workers
 from cgid.identification.families import Contrast, Linear, Neighbourhood, Network, Standardiser, softmax, squares
-from cgid.validation import Floats
-from cgid.workers import SERIAL, Workers
 
 #: Maximum number of rows of either side in the training of a contrast, and its iterations.
 _MAX_CONTRASTED, _CONTRAST_ITERATIONS = 100_000, 300

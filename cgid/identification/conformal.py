@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from cgid._lib.validation import Floats
 from cgid.errors import BadData, InvalidValue
-from cgid.validation import Floats
 
 #: The coverages in a model card.
 COVERAGES = (0.80, 0.85, 0.90, 0.95, 0.99)

@@ -21,9 +21,9 @@ from typing import TYPE_CHECKING, ClassVar, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from cgid._lib.validation import Floats
 from cgid.errors import BadData
 from cgid.identification.families import MIN_DIVISOR
-from cgid.validation import Floats
 
 if TYPE_CHECKING:
     from cgid.identification.families import Arrays

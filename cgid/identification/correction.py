@@ -19,7 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 
-from cgid import validation
+from cgid._lib import validation
+from cgid._lib.validation import Floats
 from cgid.errors import BadData, InvalidValue
 from cgid.identification.families import Contrast, Standardiser, softmax
 from cgid.identification.grouped import SAME_IMPACT, groups_of_labels, warnings_of_few
@@ -29,7 +30,6 @@ from cgid.identification.model_file import STANDARDISER
 from cgid.identification.rows import Rows
 from cgid.measure.features import FEATURES
 from cgid.units import quantity_of
-from cgid.validation import Floats
 
 #: Minimum number of labelled impacts inside the training of the model; with fewer the interval of the accuracy is
 #: meaningless.

@@ -13,7 +13,8 @@ from typing import Any, get_args
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cgid import validation
+from cgid._lib import validation
+from cgid._lib.validation import Floats, require_rate
 from cgid.errors import BadData, InvalidValue
 from cgid.identification.events import Event, FrameCutter, Framing, Onset
 from cgid.identification.pulse_onsets import START_CHUNKS as PULSE_START
@@ -24,7 +25,6 @@ from cgid.measure.frames import DETECTION_LIMIT, LARGEST
 from cgid.measure.table import ImpactKind
 from cgid.measure.vibration import MIN_EVENT
 from cgid.signals import Signal
-from cgid.validation import Floats, require_rate
 
 #: Later samples within this time belong to the same impact, because of its ring-down [s].
 DEAD_TIME = 2e-3

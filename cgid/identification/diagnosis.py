@@ -17,11 +17,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from cgid._lib.validation import UNKNOWN, Floats
 from cgid.errors import CgidError
 from cgid.identification.events import EVENT_TIME
 from cgid.measure.features import FEATURES, extract_array
 from cgid.measure.frames import ProblemKind
-from cgid.validation import UNKNOWN, Floats
 
 if TYPE_CHECKING:
     from cgid.identification.answers import Answer

@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cgid import validation
+from cgid._lib import validation
+from cgid._lib.validation import Floats, require_rate
 from cgid.errors import BadData, InvalidValue
 from cgid.identification.prior import Prior
 from cgid.measure.filters import low_pass_response
@@ -21,7 +22,6 @@ from cgid.measure.frames import LARGEST, frames_of
 from cgid.measure.likelihood import cramer_rao_bound, profile
 from cgid.measure.pulses import PulseBatch
 from cgid.measure.template import parameters_of
-from cgid.validation import Floats, require_rate
 
 __all__ = ["Estimates", "Posterior", "cramer_rao_bound", "estimate", "posterior"]
 

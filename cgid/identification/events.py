@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from cgid._lib.validation import Floats
 from cgid.errors import InvalidValue
 from cgid.measure.table import LEAST_SAMPLES
 from cgid.measure.vibration import MIN_EVENT
 from cgid.signals import Signal
-from cgid.validation import Floats
 
 __all__ = ["Event"]
 

@@ -13,8 +13,8 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from cgid._lib.validation import Floats
 from cgid.errors import BadData
-from cgid.validation import Floats
 
 Arrays = Mapping[str, NDArray[Any]]
 #: Smallest divisor of a model: with all other numbers up to 1e100, quotients and their squares are finite.

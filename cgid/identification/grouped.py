@@ -20,6 +20,9 @@ from scipy.optimize import minimize_scalar
 from sklearn.model_selection import StratifiedGroupKFold
 from threadpoolctl import threadpool_limits
 
+from cgid._lib.terminal import counted
+from cgid._lib.validation import Floats
+from cgid._lib.workers import SERIAL, Workers
 from cgid.errors import BadData
 from cgid.identification.classifier import (
     ImpactClassifier,
@@ -36,9 +39,6 @@ from cgid.identification.metrics import paired_difference
 from cgid.identification.model import MIN_GROUPS, inputs_of, level_weights
 from cgid.identification.rows import Rows, Sets, adapted, linear_columns
 from cgid.identification.windows import CLEAR, VOTE_TIME, RunningVote, independent_windows
-from cgid.terminal import counted
-from cgid.validation import Floats
-from cgid.workers import SERIAL, Workers
 
 #: Maximum number of folds: up to this number of groups each is a fold; more groups share this many folds, in the inner
 #: loop a quarter of it, since it is run for each fold of the outer one.

@@ -18,8 +18,9 @@ from typing import Any, NamedTuple, NoReturn
 import numpy as np
 from numpy.typing import NDArray
 
+from cgid._lib.files import require_regular
+from cgid._lib.validation import Floats
 from cgid.errors import BadData, CgidError, InvalidValue, MissingOption, NoInput
-from cgid.files import require_regular
 from cgid.identification.detection import ImpactDetector
 from cgid.identification.events import Event, frames_alike
 from cgid.identification.manifest import Annotation, Manifest
@@ -37,7 +38,6 @@ from cgid.recordings import MAX_STREAM, RecordingFile, open_recording
 from cgid.recordings.chain import Statement, require_measured
 from cgid.recordings.recording import clear_errors
 from cgid.units import UNITS, quantity_of
-from cgid.validation import Floats
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from cgid._lib.validation import Floats
 from cgid.identification.beam_responses import (
     STRONGER,
     BeamResponses,
@@ -22,7 +23,6 @@ from cgid.identification.beam_responses import (
     grid_numbers,
 )
 from cgid.measure.beam import GRID, TOUCH, Singles
-from cgid.validation import Floats
 
 #: Expected strengths of an impact over the noise, for samples of a typical location.
 _LEVELS = np.geomspace(2.0, 2e4, 12)

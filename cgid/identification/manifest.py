@@ -18,14 +18,14 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-from cgid import validation
+from cgid._lib import validation
+from cgid._lib.files import parse_toml, read_regular
+from cgid._lib.terminal import counted, spreadsheet_cell, text_of_cell
+from cgid._lib.validation import shown
 from cgid.errors import BadData, CannotCreate, CgidError, InvalidValue, NoInput
-from cgid.files import parse_toml, read_regular
 from cgid.identification.prediction_settings import require_groups
 from cgid.recordings.chain import Chain, Gain
-from cgid.terminal import counted, spreadsheet_cell, text_of_cell
 from cgid.units import quantity_of
-from cgid.validation import shown
 
 #: The columns of a row.
 COLUMNS = (

@@ -9,11 +9,11 @@ from numpy.typing import NDArray
 from scipy import stats
 from sklearn import metrics
 
+from cgid._lib.validation import Floats
 from cgid.errors import InvalidValue
 from cgid.identification.conformal import COVERAGES, Conformal
 from cgid.identification.share import wilson_interval
 from cgid.identification.windows import MIN_PROBABILITY, RunningVote
-from cgid.validation import Floats
 
 if TYPE_CHECKING:
     from cgid.identification.rows import Rows

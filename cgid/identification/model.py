@@ -13,9 +13,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cgid import validation
+from cgid._lib import validation
+from cgid._lib.files import read_regular
+from cgid._lib.validation import Floats
 from cgid.errors import BadData, InvalidValue
-from cgid.files import read_regular
 from cgid.identification.conformal import Conformal
 from cgid.identification.confusion import Confusion
 from cgid.identification.families import (
@@ -51,7 +52,6 @@ from cgid.measure.features import FEATURES, kind_of
 from cgid.measure.filters import Equalisation
 from cgid.measure.table import Kind
 from cgid.units import quantity_of
-from cgid.validation import Floats
 
 if TYPE_CHECKING:
     from cgid.identification.classifier import ImpactClassifier

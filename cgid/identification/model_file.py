@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cgid import validation
+from cgid._lib import validation
 from cgid.errors import BadData
 from cgid.identification.confusion import Confusion
 from cgid.identification.families import BY_NAME, MIN_DIVISOR, Boosting, Contrast, Linear, Network, Standardiser

@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from cgid import validation
+from cgid._lib import validation
+from cgid._lib.validation import require_rate
 from cgid.errors import BadData, MissingOption
 from cgid.identification.answers import Answer
 from cgid.identification.model import Model
@@ -24,7 +25,6 @@ from cgid.recordings.recording import Blocks, Channel, require_one_rate
 from cgid.recordings.variables import full_scale_of
 from cgid.shipped import MODELS, model_path
 from cgid.signals import Signal
-from cgid.validation import require_rate
 
 if TYPE_CHECKING:
     import pandas

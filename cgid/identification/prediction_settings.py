@@ -10,12 +10,12 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cgid import validation
+from cgid._lib import validation
+from cgid._lib.validation import UNKNOWN, Floats, Rule, shown
 from cgid.errors import InvalidValue, MissingOption
 from cgid.identification.model import Model
 from cgid.identification.windows import VOTE_TIME
 from cgid.signals import KNOWN
-from cgid.validation import UNKNOWN, Floats, Rule, shown
 
 __all__ = ["PredictionSettings"]
 

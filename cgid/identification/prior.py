@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cgid import validation
+from cgid._lib import validation
+from cgid._lib.validation import Floats
 from cgid.measure.likelihood import Profile
 from cgid.measure.template import dimensionless_logarithms
-from cgid.validation import Floats
 
 #: Nodes along each of peak and duration at a node of a profile.
 _HERMITE = 3

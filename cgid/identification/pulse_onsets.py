@@ -20,8 +20,8 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from cgid._lib.validation import Floats
 from cgid.identification.events import Onset, Read
-from cgid.validation import Floats
 
 #: An impact rises above this many standard deviations of the noise.
 THRESHOLD_OVER_NOISE = 6.0

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from cgid._lib.validation import Floats
 from cgid.identification.beam_responses import BeamResponses
 from cgid.measure.beam import gain
-from cgid.validation import Floats
 
 
 class RingDown:

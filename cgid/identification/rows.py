@@ -16,7 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-from cgid import validation
+from cgid._lib import validation
+from cgid._lib.validation import Floats
+from cgid._lib.workers import SERIAL, Workers
 from cgid.errors import BadData, CgidError, InvalidValue
 from cgid.identification.through_beam import ThroughBeam
 from cgid.identification.windows import CLEAR, WINDOW_TIME, columns_of, require_times
@@ -27,8 +29,6 @@ from cgid.measure.table import MIN_BANDWIDTH, Kind
 from cgid.measure.vibration import BEAM_PULSE, EARLY_BANDS
 from cgid.signals import KNOWN, Batch
 from cgid.units import UNITS, quantity_of
-from cgid.validation import Floats
-from cgid.workers import SERIAL, Workers
 
 __all__ = ["Rows", "measure"]
 

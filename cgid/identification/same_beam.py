@@ -15,6 +15,7 @@ from typing import Generic, NamedTuple, Protocol, TypeVar
 
 import numpy as np
 
+from cgid._lib.validation import Floats
 from cgid.errors import BadData, InvalidValue
 from cgid.identification.answers import Answer, answers_from, measured_events
 from cgid.identification.events import Event
@@ -23,7 +24,6 @@ from cgid.identification.model import Model
 from cgid.identification.prediction_settings import PredictionSettings, known_columns
 from cgid.measure.features import FEATURES
 from cgid.measure.vibration import BEAM_PULSE
-from cgid.validation import Floats
 
 #: Sound crosses a beam within this time [s].
 CROSSING = 4e-3

@@ -35,12 +35,12 @@ from typing import ClassVar
 
 import numpy as np
 
-from cgid import validation
+from cgid._lib import validation
+from cgid._lib.validation import Floats
 from cgid.errors import InvalidValue
 from cgid.identification.confusion import SUREST, Confusion, logit
 from cgid.identification.model import Model
 from cgid.identification.prediction_settings import RULES
-from cgid.validation import Floats
 
 __all__ = ["Share"]
 

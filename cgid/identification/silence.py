@@ -12,12 +12,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from cgid._lib.validation import Floats
 from cgid.identification.detection import ImpactDetector
 from cgid.identification.events import Event
 from cgid.identification.windows import WINDOW_TIME, windows_of
 from cgid.measure.table import ImpactKind
 from cgid.recordings import RecordingFile
-from cgid.validation import Floats
 
 #: A window is silent if it contains no impact, and its power is below this fraction of that of windows with one (6 dB).
 SILENT_POWER = 0.25

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from cgid._lib.validation import Floats
 from cgid.errors import BadData, CgidError, InvalidValue
 from cgid.identification.answers import Answer, answers_from, factor_to, identify_events, unmeasured
 from cgid.identification.detection import ImpactDetector
@@ -28,7 +29,6 @@ from cgid.measure.features import FEATURES, require_measurable
 from cgid.measure.filters import Equalisation
 from cgid.measure.table import MIN_BANDWIDTH, ImpactKind
 from cgid.signals import channel_name
-from cgid.validation import Floats
 
 if TYPE_CHECKING:
     from cgid.identification.diagnosis import Change

@@ -15,7 +15,8 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
-from cgid import validation
+from cgid._lib import validation
+from cgid._lib.validation import UNKNOWN
 from cgid.errors import InvalidValue
 from cgid.identification.answers import Answer
 from cgid.identification.diagnosis import Change, Condition, Diagnosis
@@ -23,7 +24,6 @@ from cgid.identification.model import Model
 from cgid.identification.prediction_settings import PredictionSettings
 from cgid.identification.share import Share, ShareWindow, ShutDecision, Switch, answers_of, as_in, separates
 from cgid.recordings.soundness import SensorWatch
-from cgid.validation import UNKNOWN
 
 __all__ = ["CavingWatch", "Decision", "Ground", "SupportState"]
 

@@ -8,6 +8,7 @@ from fractions import Fraction
 import numpy as np
 from numpy.typing import NDArray
 
+from cgid._lib.validation import Floats
 from cgid.identification.beam_responses import Observations
 from cgid.identification.contact import Contact, ContactFit
 from cgid.identification.inversion import ForceEstimate, Inversion
@@ -15,7 +16,6 @@ from cgid.identification.ring_down import RingDown
 from cgid.measure.ar_noise import ARNoise, ar_noise_of
 from cgid.measure.beam import SPAN_TIME, TOUCH, Beam, gain
 from cgid.measure.vibration import VibrationBatch
-from cgid.validation import Floats
 
 #: Maximum time of the onset before the first sample above the noise [s]: the travel time of waves.
 REACH = 1.2e-3

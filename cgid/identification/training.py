@@ -17,7 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-from cgid import __version__, validation
+from cgid import __version__
+from cgid._lib import validation
+from cgid._lib.validation import Floats
+from cgid._lib.workers import SERIAL, Workers
 from cgid.errors import BadData, InvalidValue
 from cgid.identification.classifier import ImpactClassifier, Weights, contrast_of
 from cgid.identification.conformal import Conformal
@@ -59,8 +62,6 @@ from cgid.measure.features import any_through_beam, choose
 from cgid.measure.pulses import MAX_UNEXPLAINED
 from cgid.signals import Batch
 from cgid.units import quantity_of
-from cgid.validation import Floats
-from cgid.workers import SERIAL, Workers
 
 __all__ = ["Training", "train_on_groups", "train_on_specimens"]
 
@@ -167,7 +168,7 @@ def train_on_specimens(  # noqa: PLR0913
     progress : callable, optional
         Called with the number of signals measured.
     workers : Workers
-        Measures signals: see `cgid.workers.workers`.
+        Measures signals: see `cgid._lib.workers.workers`.
 
     Returns
     -------
@@ -239,7 +240,7 @@ def train_on_groups(
     progress : callable, optional
         Called with 1 for each tested group.
     workers : Workers
-        Fits folds: see `cgid.workers.workers`.
+        Fits folds: see `cgid._lib.workers.workers`.
 
     Returns
     -------

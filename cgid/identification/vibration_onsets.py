@@ -12,8 +12,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from cgid._lib.validation import Floats
 from cgid.identification.events import Onset, Read
-from cgid.validation import Floats
 
 #: Single precision suffices for sums of a few energies; halving the memory nearly halves the time.
 Singles = NDArray[np.float32]

@@ -11,13 +11,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from cgid import validation
+from cgid._lib import validation
+from cgid._lib.validation import Floats
 from cgid.errors import InvalidValue
 from cgid.identification.families import softmax
 from cgid.measure.features import extract_array
 from cgid.measure.filters import Equalisation
 from cgid.measure.frames import MINIMUM_FRAME
-from cgid.validation import Floats
 
 #: Default length of a window [s].
 WINDOW_TIME = 0.1

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from cgid._lib.validation import Floats
 from cgid.errors import InvalidValue
 from cgid.identification.detection import find_impacts
 from cgid.identification.model import Model
@@ -18,7 +19,6 @@ from cgid.impactor.recognition import forces, through_beam
 from cgid.measure.table import ImpactKind
 from cgid.scene import Scene, record
 from cgid.units import UNITS
-from cgid.validation import Floats
 
 #: Probability of the intervals.
 COVERAGE = 0.9

@@ -14,11 +14,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cgid import validation
+from cgid._lib import validation
+from cgid._lib.validation import Floats
 from cgid.errors import BadData, InvalidValue
 from cgid.impactor.measured import MeasuredPulses
 from cgid.impactor.posterior import QUANTITIES, ImpactorPopulation
-from cgid.validation import Floats
 
 #: Number of size classes, their maximum, steps of the iteration, and resampled sets of impacts.
 _CLASSES, _MAX_CLASSES, _STEPS, _RESAMPLED = 16, 200, 60, 200

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from cgid._lib.validation import Floats
 from cgid.errors import InvalidValue
 from cgid.identification.estimation import estimate
 from cgid.identification.inversion import ForceEstimate
@@ -23,7 +24,6 @@ from cgid.scene.impacts import contacts_of, draws
 from cgid.scene.plan import Plan
 from cgid.scene.rocks import Rocks, arrivals_of, arriving, thrown_back
 from cgid.scene.through_beam import beam_of, full_beam
-from cgid.validation import Floats
 
 #: Number of draws if pulses follow from a formula, if pulses are fitted, and for a scene with a beam.
 _MANY, _FEW, _FEWEST = 1 << 17, 1 << 15, 1 << 14

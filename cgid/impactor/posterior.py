@@ -20,11 +20,11 @@ from statistics import NormalDist
 import numpy as np
 from numpy.typing import NDArray
 
-from cgid import validation
+from cgid._lib import validation
+from cgid._lib.validation import Floats
 from cgid.errors import InvalidValue
 from cgid.impactor.measured import MeasuredPulses
 from cgid.measure.template import dimensionless_logarithms
-from cgid.validation import Floats
 
 #: Estimated quantities of an impactor and their units.
 QUANTITIES = {"mass": "kg", "radius": "m", "speed": "m/s"}

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from cgid._lib.validation import Floats, require_rate
 from cgid.errors import InvalidValue
 from cgid.identification.estimation import estimate
 from cgid.identification.through_beam import ThroughBeam
@@ -26,7 +27,6 @@ from cgid.measure.vibration import VibrationBatch
 from cgid.physics import RIGID, HalfSpace, RigidWall
 from cgid.physics.materials import STEEL, Material
 from cgid.scene import Scene, load_scene
-from cgid.validation import Floats, require_rate
 
 #: Vibrations processed at once.
 _ROWS = 256

@@ -14,7 +14,7 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
-from cgid.validation import Floats
+from cgid._lib.validation import Floats
 
 #: Number of coefficients, minimum number of samples to fit them, and maximum number of samples used.
 ORDER, MIN_SAMPLES, MAX_SAMPLES = 16, 40, 512

@@ -14,10 +14,10 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from cgid import validation
+from cgid._lib import validation
+from cgid._lib.validation import Floats
 from cgid.errors import BadData
 from cgid.measure.modes import CORRECTED, Modes, NodeShapes, lagrange, phi, residues
-from cgid.validation import Floats
 
 #: Quadrature nodes of an average over the error of a frequency.
 _DRAWS = 5

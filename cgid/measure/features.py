@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cgid import validation
+from cgid._lib import validation
+from cgid._lib.validation import Floats, require_rate
 from cgid.errors import BadData, InvalidValue
 from cgid.measure.filters import Equalisation
 from cgid.measure.frames import DETECTION_LIMIT, Problem, frames_of
@@ -19,7 +20,6 @@ from cgid.measure.pulses import FAINT, PULSE_FEATURES, PulseBatch
 from cgid.measure.table import Feature, ImpactKind, Kind, Table
 from cgid.measure.vibration import VIBRATION_FEATURES, Beam, VibrationBatch
 from cgid.measure.windows import WINDOW_FEATURES, WindowBatch
-from cgid.validation import Floats, require_rate
 
 if TYPE_CHECKING:
     import pandas

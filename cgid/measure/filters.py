@@ -21,10 +21,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cgid import validation
+from cgid._lib import validation
+from cgid._lib.validation import Floats, require_rate
 from cgid.errors import InvalidValue
 from cgid.measure.spectra import MEL_BANDS, mel, padded_length
-from cgid.validation import Floats, require_rate
 
 __all__ = ["Equalisation", "fft_filter", "filter_gain"]
 

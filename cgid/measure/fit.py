@@ -11,6 +11,7 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from cgid._lib.validation import Floats
 from cgid.measure.ar_noise import ORDER, ar_noise_of
 from cgid.measure.fit_samples import Rows, rows_of, windows
 from cgid.measure.frames import Problem, constant_signal, no_impact
@@ -18,7 +19,6 @@ from cgid.measure.optimum import Optimum, Problems, search_nearby
 from cgid.measure.profile import PARABOLIC, Profiled, binned, exact, gaussian_restitution, parabolic
 from cgid.measure.search import SearchResult, around, last_bin, search
 from cgid.measure.template import relative_times
-from cgid.validation import Floats
 
 #: Rows fitted at once.
 _ROWS = 2048

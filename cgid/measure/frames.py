@@ -10,9 +10,9 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cgid import validation
+from cgid._lib import validation
+from cgid._lib.validation import Floats
 from cgid.errors import BadData
-from cgid.validation import Floats
 
 #: Minimum number of samples of a frame: those of the shortest pulse and one on either side.
 MINIMUM_FRAME = 6

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from cgid.validation import Floats
+from cgid._lib.validation import Floats
 
 #: Initial damping, and the minimum after a failed step: less would not change the step.
 _FIRST_DAMPING, _FELT = 1e-6, 0.6

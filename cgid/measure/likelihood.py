@@ -16,7 +16,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cgid import validation
+from cgid._lib import validation
+from cgid._lib.validation import Floats, rates
 from cgid.errors import InvalidValue
 from cgid.measure.filters import low_pass_response, mixing_matrix
 from cgid.measure.fit_samples import rows_of, windows
@@ -32,7 +33,6 @@ from cgid.measure.template import (
     relative_times,
     shape_deviation,
 )
-from cgid.validation import Floats, rates
 
 #: Maximum number of impacts of the bound computed at once, and most samples of them together.
 _ROWS, _SAMPLES = 64, 1 << 20

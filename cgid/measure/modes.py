@@ -15,10 +15,10 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cgid import validation
+from cgid._lib import validation
+from cgid._lib.files import read_cells
+from cgid._lib.validation import Complex, Floats
 from cgid.errors import BadData, InvalidValue
-from cgid.files import read_cells
-from cgid.validation import Complex, Floats
 
 __all__ = ["Modes", "read_modes"]
 

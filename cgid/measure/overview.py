@@ -10,9 +10,9 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-from cgid import validation
+from cgid._lib import validation
+from cgid._lib.validation import Floats, require_rate
 from cgid.errors import BadData, InvalidValue
-from cgid.validation import Floats, require_rate
 
 #: Maximum number of columns of a waveform; at least half of them are used if the recording has enough samples.
 WAVEFORM_COLUMNS = 4096

@@ -8,11 +8,11 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
+from cgid._lib.validation import Floats
 from cgid.measure.least_squares import solve_scaled
 from cgid.measure.optimum import Optimum, Problems, bounded
 from cgid.measure.search import BIN, NODES, SearchResult
 from cgid.measure.template import covariance_of, relative_times
-from cgid.validation import Floats
 
 #: Shapes at which the likelihood is profiled (every other one of the search).
 _EVERY = slice(0, 20, 2)

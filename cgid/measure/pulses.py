@@ -11,6 +11,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from cgid._lib.validation import Floats
 from cgid.measure.fit import MODEL_ERROR, PulseFit, Start, fit_pulses, without_impact
 from cgid.measure.fit_samples import strongest_run
 from cgid.measure.frames import Frames, Problem, ProblemKind, constant_signal, no_impact
@@ -18,7 +19,6 @@ from cgid.measure.residual import N_SHAPES, Residual, fit_residual
 from cgid.measure.search import around
 from cgid.measure.spectra import PulseSpectrum
 from cgid.measure.table import Bank, Feature, bank, described
-from cgid.validation import Floats
 
 #: Minimum number of samples between the 10 % crossings of a measurable width.
 MINIMUM_SAMPLES = 4

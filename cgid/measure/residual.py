@@ -11,9 +11,9 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
+from cgid._lib.validation import Floats
 from cgid.measure.search import BIN, N_BINS, NODES, Bins, Samples, bank
 from cgid.measure.template import SHAPES_PATH, relative_times
-from cgid.validation import Floats
 
 #: Root mean square that the components leave unexplained in pulses of other laws, over the peak.
 SHAPE_ERROR = 0.01

@@ -8,8 +8,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from cgid._lib.validation import Floats
 from cgid.errors import optional
-from cgid.validation import Floats
 
 #: Nominal mid-band frequencies of the third-octave bands [Hz] (IEC 61260-1:2014), as in feature names. The exact ones
 #: are 1000 Hz times 10^(number / 10), with numbers from `_FIRST_THIRD_OCTAVE` on.

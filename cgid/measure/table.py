@@ -25,7 +25,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from cgid.validation import Floats
+from cgid._lib.validation import Floats
 
 #: Kind of an impact: one positive pulse, or a decaying vibration of both signs.
 ImpactKind = Literal["pulse", "vibration"]

@@ -20,8 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid import family
+from cgid._lib.validation import Floats
 from cgid.measure.least_squares import scaled
-from cgid.validation import Floats
 
 #: Bounds of the shape s = ln e.
 MIN_SHAPE, MAX_SHAPE = float(np.log(family.MIN_RESTITUTION)), -float(np.log(family.MIN_RESTITUTION))

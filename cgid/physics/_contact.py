@@ -26,7 +26,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cgid.compiled import bare_jit, inner_jit, jit
+from cgid._lib.compiled import bare_jit, inner_jit, jit
 from cgid.physics._dop853 import COLUMNS, HISTORY, LAST, TAU, W, Y
 from cgid.physics._modes import (
     IMPULSE,

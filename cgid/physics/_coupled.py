@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cgid.compiled import inner_jit, jit
+from cgid._lib.compiled import inner_jit, jit
 from cgid.physics import _contact, _dop853
 from cgid.physics._contact import OUT_OF_REACH, SEPARATED, find_peak, integrate
 from cgid.physics._modes import CELLS, Structure, advance, aloft, energy, rise, settle, structure, tabulate, width_of

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cgid.compiled import jit
+from cgid._lib.compiled import jit
 from cgid.family import CONTACT, CUT, INTERVALS, ORDERS, POWERS, SEGMENTS
 
 Array = NDArray[Any]

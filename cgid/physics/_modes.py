@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cgid.compiled import bare_jit, inner_jit, jit
+from cgid._lib.compiled import bare_jit, inner_jit, jit
 from cgid.physics._dop853 import END, LAST, STAGES, within
 
 Array = NDArray[Any]

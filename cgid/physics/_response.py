@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cgid.compiled import jit
+from cgid._lib.compiled import jit
 
 Array = NDArray[Any]
 

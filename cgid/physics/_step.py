@@ -12,7 +12,7 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from cgid.compiled import bare_jit
+from cgid._lib.compiled import bare_jit
 from cgid.physics._modes import IMPULSE, RATE, STAGE, velocity
 
 Array = NDArray[Any]

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from cgid import validation
+from cgid._lib import validation
+from cgid._lib.validation import Floats
 from cgid.physics.materials import Material
-from cgid.validation import Floats
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -16,8 +16,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from cgid.validation import Floats, not_negative
-from cgid.validation import restitution as valid_restitution
+from cgid._lib.validation import Floats, not_negative
+from cgid._lib.validation import restitution as valid_restitution
 
 _SMALL = 0.8  # above it, coth(t) - 1/t does not cancel
 _N_TERMS = 14

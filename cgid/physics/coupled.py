@@ -9,13 +9,13 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cgid import validation
+from cgid._lib import validation
+from cgid._lib.validation import Floats
 from cgid.errors import InvalidValue
 from cgid.physics.bodies import HalfSpace
 from cgid.physics.curves import FEW_SAMPLES, TOLERANCE, Curves, is_builtin
 from cgid.physics.impact import Impact, Unchecked
 from cgid.physics.laws import Elastic, HuntCrossley
-from cgid.validation import Floats
 
 #: Phase of the fastest mode [rad] in a cell of time for a tolerance of 1, and the widest cell [T0].
 _PHASE, _WIDEST = 2.66, 0.0625

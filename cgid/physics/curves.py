@@ -20,9 +20,9 @@ import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 from cgid import family
+from cgid._lib.validation import Floats
 from cgid.errors import CgidError, InvalidValue
 from cgid.physics.closed_forms import damping_of, peak_displacement, peak_force
-from cgid.validation import Floats
 
 if TYPE_CHECKING:
     from cgid.physics.impact import Impact
@@ -208,7 +208,7 @@ class Curves:
         if not hasattr(run, "py_func"):
             run = partial(run, *verbs_of(self.law, compiled=False), flags)
         else:
-            from cgid.compiled import with_law
+            from cgid._lib.compiled import with_law
 
             run = partial(with_law, run, *verbs_of(self.law, compiled=True), flags)
         return run if is_builtin(self.law) else partial(_run_own_law, self.law, run)
@@ -512,7 +512,7 @@ class HuntCrossleyCurves(Curves):
 @cache
 def _compiled_builtin(function: Callable[..., Any]) -> Any:
     """Return a function of a built-in law, compiled or from the cache."""
-    from cgid.compiled import jit
+    from cgid._lib.compiled import jit
 
     return jit(function)
 

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.polynomial import legendre
 from numpy.typing import NDArray
 
+from cgid._lib.validation import Complex, Floats
 from cgid.errors import InvalidValue
 from cgid.measure.modes import phi
-from cgid.validation import Complex, Floats
 
 #: Steps per contact for an error of 1 (see `steps_for`), minimum steps per contact, maximum steps per sample.
 _STEPS_FOR_ONE, _MIN_STEPS, _MAX_STRIDE = 4.0, 32, 1 << 16

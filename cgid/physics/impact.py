@@ -11,7 +11,8 @@ from typing import Any, get_args
 import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
 
-from cgid import validation
+from cgid._lib import validation
+from cgid._lib.validation import Floats
 from cgid.errors import InvalidValue
 from cgid.physics import bodies
 from cgid.physics.bodies import Sphere, Target, ThinPlate
@@ -27,7 +28,6 @@ from cgid.physics.curves import (
     require_numbers,
 )
 from cgid.physics.laws import STIFFNESS_THEORIES, Plastic, stiffness_of
-from cgid.validation import Floats
 
 #: Largest displacement over radius for Hertz's small-strain theory.
 HERTZ_LIMIT = 0.1

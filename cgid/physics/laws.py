@@ -22,14 +22,15 @@ import numpy as np
 from numpy.polynomial.chebyshev import chebval
 from numpy.typing import ArrayLike
 
-from cgid import family, validation
+from cgid import family
+from cgid._lib import validation
+from cgid._lib.validation import Floats
 from cgid.errors import InvalidValue
 from cgid.physics.bodies import sphere_share
 from cgid.physics.closed_forms import damping_number, delivered_restitution
 from cgid.physics.curves import Curves, Law, hunt_crossley_curves
 from cgid.physics.plastic import EQUIVALENT_STIFFNESS, thornton_curves, walton_braun_curves
 from cgid.units import STANDARD_GRAVITY
-from cgid.validation import Floats
 
 if TYPE_CHECKING:
     from cgid.physics.impact import Impact

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from cgid import validation
+from cgid._lib import validation
 
 __all__ = [
     "COAL",

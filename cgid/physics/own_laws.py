@@ -110,7 +110,7 @@ def require_sound(law: type[Law]) -> None:
         return
     from numba.core.errors import NumbaError
 
-    from cgid.compiled import VERBS
+    from cgid._lib.compiled import VERBS
     from cgid.physics.laws import LAWS
 
     if law.name in LAWS:

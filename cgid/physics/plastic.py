@@ -31,9 +31,9 @@ from numpy.polynomial.polynomial import polyval
 from numpy.typing import DTypeLike, NDArray
 
 from cgid import family
+from cgid._lib.validation import Floats
 from cgid.physics.closed_forms import peak_displacement, peak_force
 from cgid.physics.curves import TOLERANCE, Curves, Law, Quantity, in_threads, kernel
-from cgid.validation import Floats
 
 _N_TERMS = 50  # of the two series, whose arguments are at most 1/2
 _ANGLE_STEPS = 3  # the initial value is within .005, and each step cubes the error

@@ -23,10 +23,10 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import eigh
 from threadpoolctl import threadpool_limits
 
-from cgid import validation
+from cgid._lib import validation
+from cgid._lib.validation import Floats
 from cgid.errors import InvalidValue
 from cgid.physics import _modes
-from cgid.validation import Floats
 
 Indices = NDArray[np.intp]
 

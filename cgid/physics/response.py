@@ -15,12 +15,12 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cgid import validation
+from cgid._lib import validation
+from cgid._lib.validation import Complex, Floats
 from cgid.errors import InvalidValue
 from cgid.measure.modes import Modes, residues, resonator_poles
 from cgid.physics.curves import in_parts
 from cgid.physics.driving import DrivenSample, Pulses, Windows, polynomials_for
-from cgid.validation import Complex, Floats
 
 __all__ = ["LowPass", "Resonance", "Response"]
 

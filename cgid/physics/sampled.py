@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cgid import validation
+from cgid._lib import validation
+from cgid._lib.validation import Floats
 from cgid.errors import InvalidValue
-from cgid.validation import Floats
 
 __all__ = ["SampledPulses"]
 

@@ -9,13 +9,13 @@ from functools import cached_property, lru_cache
 import numpy as np
 from numpy.typing import ArrayLike
 
-from cgid import validation
+from cgid._lib import validation
+from cgid._lib.validation import Floats
 from cgid.errors import InvalidValue
 from cgid.measure.modes import Modes
 from cgid.physics.bodies import ThinPlate
 from cgid.physics.materials import Material
 from cgid.physics.plates import PanelShapes, PolynomialShapes, Rigidities, SineShapes, on_panel, ritz_modes
-from cgid.validation import Floats
 
 __all__ = ["Ribs", "TailBeam"]
 

@@ -11,10 +11,10 @@ import struct
 from collections.abc import Callable
 from typing import Any
 
+from cgid._lib.validation import UNKNOWN
 from cgid.identification.support import Decision, Ground
 from cgid.plant.output import Address, Server
 from cgid.plant.state import PlantState, Record, Support, age
-from cgid.validation import UNKNOWN
 
 #: Version of the registers.
 VERSION = 2

@@ -12,8 +12,8 @@ from contextlib import suppress
 from threading import Condition, Lock, Thread
 from typing import Any, NamedTuple
 
+from cgid._lib.terminal import counted
 from cgid.errors import CannotCreate, InvalidValue, optional
-from cgid.terminal import counted
 
 #: Maximum number of messages that wait for an output: a quarter of an hour at ten a second.
 MAX_WAITING = 10_000

@@ -13,8 +13,8 @@ from ipaddress import ip_address
 from pathlib import Path
 from typing import Any
 
+from cgid._lib.files import write_whole
 from cgid.errors import CannotCreate
-from cgid.files import write_whole
 from cgid.identification.support import Decision, Ground
 from cgid.plant.output import Address, Server, Service, library
 from cgid.plant.state import PlantState, Record, Support, age

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from cgid._lib.validation import Floats
 from cgid.plots.figure import COLOURS, colours_of, picture, plain, require_matplotlib
 from cgid.plots.recording import MAX_CHANNELS, MAX_LABEL_LENGTH, WIDTH, Clock
-from cgid.validation import Floats
 
 if TYPE_CHECKING:
     from cgid.identification.share import Share, Switch

@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from cgid._lib.files import check_new
+from cgid._lib.validation import Floats
 from cgid.errors import optional
-from cgid.files import check_new
-from cgid.validation import Floats
 
 #: Blue, vermilion, green, purple, sky, orange of Okabe and Ito (jfly.uni-koeln.de/color, 2008); distinct for every
 #: kind of colour vision.

@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from cgid._lib.validation import Floats
 from cgid.measure.overview import Overview, OverviewStream
 from cgid.plots.figure import COLOURS, colours_of, plain, png, require_matplotlib
 from cgid.recordings import Channel
 from cgid.signals import Signal
-from cgid.validation import Floats
 
 #: A picture with more channels is illegible.
 MAX_CHANNELS = 8

@@ -16,10 +16,10 @@ from typing import TYPE_CHECKING, Any, Generic, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from cgid._lib.validation import shown
 from cgid.errors import BadData, InvalidValue, MissingOption
 from cgid.signals import channel_name
 from cgid.units import ELECTRICAL, UNITS, known_unit, number_and_unit, quantity_of, ratio_of
-from cgid.validation import shown
 
 if TYPE_CHECKING:
     from cgid.recordings.recording import Blocks

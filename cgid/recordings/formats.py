@@ -16,12 +16,12 @@ from pathlib import Path
 from threading import Timer
 from typing import Any, BinaryIO
 
+from cgid._lib.validation import require_rate
 from cgid.errors import BadData, InvalidValue, NoInput, WriteFailed
 from cgid.recordings.chain import Chain, Statement, units_of
 from cgid.recordings.recording import DATASET_HINT, Blocks, RecordingFile, clear_errors, library_errors
 from cgid.recordings.sound import AUDIO_MAGICS, WAV_MAGICS
 from cgid.signals import Signal
-from cgid.validation import require_rate
 
 #: First bytes of a file, enough to recognise any format.
 HEAD_SIZE = 1024

@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cgid import validation
+from cgid._lib import validation
+from cgid._lib.terminal import counted
 from cgid.errors import BadData
-from cgid.terminal import counted
 from cgid.units import LARGEST, UNITS, quantity_of
 
 if TYPE_CHECKING:

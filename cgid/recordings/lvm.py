@@ -16,11 +16,11 @@ from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Any
 
+from cgid._lib.terminal import counted
 from cgid.errors import BadData
 from cgid.recordings.recording import MAX_CHANNELS, RATE_TOLERANCE, Blocks, Remark
 from cgid.recordings.text import Body, Piece, assembled, encoding_and_end, n_lines, whole_lines
 from cgid.recordings.text_layout import NUMBER, Column, Header, Layout, stamped_moment
-from cgid.terminal import counted
 
 _END_OF_HEAD = "***End_of_Header***"
 _SEPARATORS = {"tab": "\t", "comma": ",", "semicolon": ";", "space": " "}

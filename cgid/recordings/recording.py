@@ -13,12 +13,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from cgid._lib.validation import require_rate
 from cgid.errors import BadData, CgidError, InvalidValue, MissingOption, NoInput, optional
 from cgid.recordings.chain import Chain, scaled
 from cgid.recordings.gaps import Gaps
 from cgid.signals import Signal, channel_name
 from cgid.units import UNITS, quantity_of
-from cgid.validation import require_rate
 
 #: Advice for a dataset given instead of a recording.
 DATASET_HINT = "read it with cgid.store, or pick one of its signals with --index"

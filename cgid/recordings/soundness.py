@@ -15,8 +15,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from cgid._lib.validation import Floats
 from cgid.errors import BadData
-from cgid.validation import Floats
 
 #: Duration of a stretch [s], and how many of its samples show its noise.
 _STRETCH, _N_SAMPLES = 0.1, 256

@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from cgid._lib.terminal import counted
 from cgid.errors import BadData
 from cgid.recordings.recording import (
     MAX_CHANNELS,
@@ -43,7 +44,6 @@ from cgid.recordings.text_layout import (
     stamped_moment,
 )
 from cgid.recordings.times import EvenTimes, Floats, rate_of, refined_rate, runs_evenly, seconds
-from cgid.terminal import counted
 
 #: Characters to read at once; the header must end within the first piece.
 PIECE = 1 << 20

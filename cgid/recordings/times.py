@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from cgid._lib.terminal import counted
 from cgid.errors import BadData
-from cgid.terminal import counted
 from cgid.units import seconds_of
 
 if TYPE_CHECKING:

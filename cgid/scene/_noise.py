@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cgid.compiled import jit
+from cgid._lib.compiled import jit
 
 Array = NDArray[Any]
 Word = np.uint64  # it holds 32 bits, and their products

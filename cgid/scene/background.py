@@ -12,12 +12,12 @@ from typing import Annotated, Any, Self
 import numpy as np
 from pydantic import AfterValidator, Field, model_validator
 
+from cgid._lib.files import read_cells, require_regular
+from cgid._lib.validation import Floats, Rule
 from cgid.errors import BadData
-from cgid.files import read_cells, require_regular
 from cgid.recordings.recording import clear_errors
 from cgid.scene.distributions import Decibel, Frequency, Quantity, Section
 from cgid.units import parse
-from cgid.validation import Floats, Rule
 
 #: The quantity of a sensor -> the dimension of its levels, and its SI unit.
 QUANTITIES = {

@@ -9,7 +9,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from cgid import validation
+from cgid._lib import validation
+from cgid._lib.validation import Floats
 from cgid.errors import BadData, InvalidValue
 from cgid.physics import Impact
 from cgid.physics.response import Resonance, Response
@@ -17,7 +18,6 @@ from cgid.scene.impacts import beam_modes
 from cgid.scene.schema import Scene, load_scene, varied
 from cgid.signals import Signal
 from cgid.units import STANDARD_GRAVITY
-from cgid.validation import Floats
 
 #: Samples used before an impact and on either side of the largest; of a drop's force per sample; largest hammer delay.
 _BEFORE, _AROUND, _FINER, _MAX_DELAY = 32, 1 << 13, 16, 4

@@ -15,8 +15,8 @@ from pydantic.fields import FieldInfo
 from pydantic_core import CoreSchema, core_schema
 from scipy.special import ndtr, ndtri
 
+from cgid._lib.validation import Floats, Rule, positive, real, shown
 from cgid.units import DIMENSIONS, parse
-from cgid.validation import Floats, Rule, positive, real, shown
 
 #: Dimension -> lowest and highest value in SI units: wider than any real impact, and without overflow in any formula.
 LIMITS: dict[str, tuple[float, float]] = {

@@ -16,7 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtri
 
-from cgid import validation
+from cgid._lib import validation
+from cgid._lib.validation import Floats
 from cgid.physics.laws import speed_of_fall
 from cgid.physics.materials import YIELD_OVER_STRENGTH
 from cgid.scene.background import BackgroundSection, HumLine
@@ -24,7 +25,6 @@ from cgid.scene.distributions import Section, quantity_of
 from cgid.scene.schema import HUM_FREQUENCY, Scene
 from cgid.scene.sections import SHAPES, Population, RandomiseSection, Tap
 from cgid.scene.sensor import AntiAlias
-from cgid.validation import Floats
 
 #: Samples that share one address.
 BLOCK = 256

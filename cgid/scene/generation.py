@@ -21,9 +21,11 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_info
 
-from cgid import __version__, validation
+from cgid import __version__
+from cgid._lib import validation
+from cgid._lib.files import require_room, write_whole
+from cgid._lib.workers import SERIAL, Workers, workers
 from cgid.errors import BadData, InvalidValue
-from cgid.files import require_room, write_whole
 from cgid.scene.draws import BLOCK, parameter_units, require_seed
 from cgid.scene.plan import Plan
 from cgid.scene.schema import Scene, load_scene
@@ -36,7 +38,6 @@ from cgid.store.hdf5 import ShardPlan, library, require
 from cgid.store.reading import Dataset
 from cgid.store.run import Run, begun, check_output, is_single_file, require_description
 from cgid.store.table import TableHeader, check_table_output, table_writer
-from cgid.workers import SERIAL, Workers, workers
 
 #: Signals per shard: 32 MiB of 2048 float32 samples, built in memory.
 SHARD_SIGNALS = 4096

@@ -12,9 +12,10 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cgid import validation
+from cgid._lib import validation
+from cgid._lib.files import read_regular
+from cgid._lib.validation import Floats
 from cgid.errors import BadData, InvalidValue
-from cgid.files import read_regular
 from cgid.physics.sampled import SampledPulses
 from cgid.scene.draws import (
     BLOCK,
@@ -38,7 +39,6 @@ from cgid.scene.plan import Plan, plan
 from cgid.scene.schema import Scene, load_scene
 from cgid.scene.synthesis import batch_of, make_frames, require_frames
 from cgid.signals import Batch
-from cgid.validation import Floats
 
 __all__ = ["SolvedImpacts"]
 

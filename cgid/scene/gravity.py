@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from cgid._lib.validation import Floats, unchecked
 from cgid.errors import InvalidValue
 from cgid.physics import Elastic, HuntCrossley, Impact, Law, Sphere, ThinPlate
 from cgid.physics.bodies import Target, reduced_modulus, reduced_radius
@@ -22,7 +23,6 @@ from cgid.physics.impact import Contacts
 from cgid.physics.laws import STIFFNESS_THEORIES, named, speed_of_fall, stiffness_of
 from cgid.physics.materials import YIELD_OVER_STRENGTH, Material
 from cgid.scene.sections import ImpactSection, Population
-from cgid.validation import Floats, unchecked
 
 #: Default maximum relative error of neglecting gravity.
 GRAVITY_TOLERANCE = 1e-3

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from cgid._lib.validation import Floats, unchecked
 from cgid.errors import InvalidValue
 from cgid.measure.modes import Modes
 from cgid.physics import HuntCrossley, Impact, Law, Sphere, laws
@@ -27,7 +28,6 @@ from cgid.scene.gravity import weighed
 from cgid.scene.plan import NEGLIGIBLE_ECHO, RESPONSE_TOLERANCE, STORED, Plan, highest_frequency
 from cgid.scene.schema import Scene
 from cgid.scene.sections import SHAPES, TailBeamSection
-from cgid.validation import Floats, unchecked
 
 #: Maximum number of blocks that are drawn at once.
 _MAX_BLOCKS = 16

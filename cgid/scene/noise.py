@@ -12,6 +12,7 @@ import numpy as np
 import scipy  # loads its submodules on first use
 from numpy.typing import NDArray
 
+from cgid._lib.validation import Floats
 from cgid.errors import BadData, InvalidValue
 from cgid.recordings import read_recording
 from cgid.scene._noise import LANES, TILE, add_normal
@@ -21,7 +22,6 @@ from cgid.scene.impacts import PulseBlock, pulses_of_block
 from cgid.scene.plan import Plan
 from cgid.scene.schema import Scene
 from cgid.scene.sensor import CHUNK, Sensor
-from cgid.validation import Floats
 
 #: Samples of a signal that have an address: 93 hours at 51.2 kHz.
 MAX_SAMPLES = TILE // LANES << 32

@@ -10,7 +10,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from cgid import validation
+from cgid._lib import validation
 from cgid.errors import InvalidValue
 from cgid.family import MIN_RESTITUTION
 from cgid.measure.features import FEATURES, allow_truncation, choose, kind_for, kind_of, require_supported, supported

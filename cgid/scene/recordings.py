@@ -9,9 +9,10 @@ from typing import Any, Literal, cast
 
 import numpy as np
 
-from cgid import validation
+from cgid._lib import validation
+from cgid._lib.files import require_room
+from cgid._lib.terminal import counted
 from cgid.errors import InvalidValue
-from cgid.files import require_room
 from cgid.scene.distributions import MIN_RECORDING
 from cgid.scene.draws import require_seed
 from cgid.scene.generation import attributes_of, in_order, require_same_samples
@@ -24,7 +25,6 @@ from cgid.store.folder import Description, describe, sha256_of
 from cgid.store.hdf5 import RecordingPlan, writing
 from cgid.store.reading import Recording
 from cgid.store.run import Run, begun, check_output, is_single_file
-from cgid.terminal import counted
 
 #: Memory for the truth of an impact, including sorting and writing [bytes],
 _IMPACT_BYTES = 500

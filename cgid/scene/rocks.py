@@ -17,6 +17,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from cgid._lib.validation import Floats
 from cgid.scene.draws import (
     ARRIVALS,
     BLOCK,
@@ -34,7 +35,6 @@ from cgid.scene.draws import (
 from cgid.scene.schema import Scene
 from cgid.scene.stream_section import RateTable, StreamSection
 from cgid.units import STANDARD_GRAVITY
-from cgid.validation import Floats
 
 #: Largest expected number of rocks in a stretch. Because their number is drawn by inversion at no more than 1 - 2^-53,
 #: a stretch never exceeds a block of 256.

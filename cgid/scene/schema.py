@@ -12,8 +12,9 @@ from typing import Any, Self, get_args
 
 from pydantic import BaseModel, Field, PrivateAttr, ValidationError, model_validator
 
+from cgid._lib.files import parse_toml, read_regular
+from cgid._lib.validation import cut, shown, suggestion
 from cgid.errors import BadData, InvalidValue
-from cgid.files import parse_toml, read_regular
 from cgid.physics.bodies import Target
 from cgid.physics.laws import named
 from cgid.physics.own_laws import add_laws, own_law, sources
@@ -37,7 +38,6 @@ from cgid.scene.sections import (
 from cgid.scene.sensor import CHUNK, Sensor
 from cgid.scene.stream_section import StreamSection
 from cgid.shipped import scene_path
-from cgid.validation import cut, shown, suggestion
 
 #: Largest scene file [bytes] and most keys in it: 10,000 measured modes have 60,000.
 _MAX_FILE_SIZE, _MAX_KEYS = 8 << 20, 100_000

@@ -20,7 +20,8 @@ from pydantic import (
 )
 from pydantic_core import CoreSchema, core_schema
 
-from cgid import validation
+from cgid._lib import validation
+from cgid._lib.validation import Floats, Rule, poisson_ratio
 from cgid.family import MAX_RESTITUTION, MIN_RESTITUTION
 from cgid.measure.modes import COLUMNS, LEARNED_COLUMNS, Modes, rows_of_table
 from cgid.physics import HUNT_CROSSLEY_LAWS, RIGID, HalfSpace, RigidWall, ThinPlate
@@ -44,7 +45,6 @@ from cgid.scene.distributions import (
     WholeNumber,
     quantity_of,
 )
-from cgid.validation import Floats, Rule, poisson_ratio
 
 #: Force over its peak against time over the duration, strictly between 0 and 1. The order defines their indices.
 SHAPES: Mapping[str, Callable[[Floats], Floats]] = {

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import field_validator, model_validator
 
+from cgid._lib.validation import Floats, Rule
 from cgid.measure.filters import SENSOR_TAPER, fft_filter
 from cgid.physics.response import LowPass, Resonance
 from cgid.scene.background import QUANTITIES, ColouredNoise
@@ -26,7 +27,6 @@ from cgid.scene.distributions import (
     quantity_of,
 )
 from cgid.units import parse
-from cgid.validation import Floats, Rule
 
 #: Keys in the unit of the quantity -> suffix of the name of their dimension.
 _LEVELS = {"absolute_noise": "", "noise_density": " noise density", "range": "", "offset": "", "drift": " per time"}

@@ -9,7 +9,8 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from cgid import validation
+from cgid._lib import validation
+from cgid._lib.validation import Floats
 from cgid.errors import InvalidValue
 from cgid.physics import Impact
 from cgid.physics.coupled import ModalImpact
@@ -21,7 +22,6 @@ from cgid.scene.rocks import Rocks, arrivals_of, arriving, thrown_back
 from cgid.scene.schema import Scene, load_scene, samples_of
 from cgid.scene.sensor import CHUNK
 from cgid.signals import Signal
-from cgid.validation import Floats
 
 
 class TimeAxis:

@@ -8,11 +8,11 @@ from typing import Annotated, Any, Self
 import numpy as np
 from pydantic import BaseModel, BeforeValidator, ConfigDict, model_validator
 
+from cgid._lib.validation import Floats, Rule
 from cgid.scene.distributions import LIMITS, Duration, Inclination, Moments, Quantity, Section, Speed, WholeNumber
 from cgid.scene.sections import Population
 from cgid.scene.sensor import Sensor
 from cgid.units import parse
-from cgid.validation import Floats, Rule
 
 #: Lowest bandwidth over the sampling rate; it spreads every impact over some 65,000 samples.
 _MIN_BAND = 1 / 512

@@ -10,7 +10,8 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-from cgid import validation
+from cgid._lib import validation
+from cgid._lib.validation import Floats
 from cgid.errors import InvalidValue
 from cgid.measure.features import extract_array, extract_truncated, samples_needed
 from cgid.scene.draws import BLOCK, at_once, drawn_block, parameter_units, require_seed
@@ -21,7 +22,6 @@ from cgid.scene.schema import Scene, load_scene
 from cgid.scene.sensor import Sensor, clip
 from cgid.signals import Batch
 from cgid.store.table import Rows
-from cgid.validation import Floats
 
 #: Blocks drawn and measured at once, to share the overhead, and most samples of their frames (16 MB).
 TOGETHER, _MAX_SAMPLES = 4, 1 << 22

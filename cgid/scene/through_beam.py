@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from scipy.linalg import eigh
 
+from cgid._lib.validation import Floats
 from cgid.errors import InvalidValue
 from cgid.measure.beam import FINE, MAX_SENSORS, RATES, SPAN_TIME, TOUCH, Beam, bounded, filtered, points_of
 from cgid.measure.modes import Modes, NodeShapes, nodes
@@ -21,7 +22,6 @@ from cgid.scene.schema import Scene, parse_scene, stored_scene
 from cgid.scene.synthesis import batch_of, blocks, make_frames, require_count, require_frames
 from cgid.signals import Batch
 from cgid.store import Dataset
-from cgid.validation import Floats
 
 #: Pulses drawn for the principal shapes, in blocks of 256, their seed, and the number of shapes.
 _BLOCKS, _SEED, N_SHAPES = 12, 0x5EED_0002_C9D1, 18

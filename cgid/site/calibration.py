@@ -12,9 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-from cgid import validation
+from cgid._lib import validation
+from cgid._lib.files import check_new, write_together
+from cgid._lib.validation import Floats
 from cgid.errors import BadData, InvalidValue
-from cgid.files import check_new, write_together
 from cgid.identification.detection import ImpactDetector
 from cgid.identification.inversion import Inversion
 from cgid.identification.through_beam import REACH, clipped_samples
@@ -30,7 +31,6 @@ from cgid.scene.synthesis import synthesise
 from cgid.scene.through_beam import beam_of, spread_over, through_modes
 from cgid.site.dimensions import Dimension, dimension_errors, learn_dimensions
 from cgid.site.learning import ImpactFrames, evidence_of, learn
-from cgid.validation import Floats
 
 if TYPE_CHECKING:
     from cgid.identification.events import Event

@@ -14,13 +14,13 @@ from typing import Any
 
 import numpy as np
 
+from cgid._lib.validation import Floats
 from cgid.errors import InvalidValue
 from cgid.identification.inversion import Inversion
 from cgid.measure.beam import Beam
 from cgid.scene.schema import Scene, parse_scene
 from cgid.scene.through_beam import through_modes
 from cgid.site.learning import ImpactFrames, System, newton
-from cgid.validation import Floats
 
 #: Dimensions of a [tail_beam] that may be learned.
 DAMPING = "damping_ratio"

@@ -14,11 +14,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from cgid._lib.validation import Floats
 from cgid.identification.inversion import Inversion, Observations
 from cgid.measure.ar_noise import ARNoise
 from cgid.measure.beam import Beam, Singles, corrected, respond
 from cgid.measure.modes import CORRECTED
-from cgid.validation import Floats
 
 #: Relative step of the difference quotients in a pole: at the end of a response, it turns the fastest mode by some
 #: thousandths of a radian.

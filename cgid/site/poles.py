@@ -20,8 +20,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from cgid._lib.validation import Floats
 from cgid.measure.least_squares import least_squares
-from cgid.validation import Floats
 
 Complexes = NDArray[np.complex128]
 

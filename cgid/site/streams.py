@@ -19,6 +19,8 @@ from numpy.typing import NDArray
 from scipy.special import ndtri
 from threadpoolctl import threadpool_limits
 
+from cgid._lib.validation import Floats
+from cgid._lib.workers import SERIAL, Workers
 from cgid.errors import InvalidValue
 from cgid.identification.confusion import Confusion, StreamAnswers, logit
 from cgid.identification.detection import find_impacts
@@ -32,8 +34,6 @@ from cgid.scene.schema import Scene, parse_scene
 from cgid.scene.sections import rows_of
 from cgid.scene.stream import record
 from cgid.scene.through_beam import full_beam, has_beam, spread_over
-from cgid.validation import Floats
-from cgid.workers import SERIAL, Workers
 
 #: Length of a simulated stream [s].
 DURATION = 60.0

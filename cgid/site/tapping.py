@@ -15,17 +15,17 @@ from pathlib import Path
 
 import numpy as np
 
-from cgid import validation
+from cgid._lib import validation
+from cgid._lib.files import check_new, read_cells, write_whole
+from cgid._lib.terminal import counted
+from cgid._lib.validation import Floats
 from cgid.errors import BadData, InvalidValue
-from cgid.files import check_new, read_cells, write_whole
 from cgid.identification.detection import ImpactDetector
 from cgid.identification.events import Event
 from cgid.measure.modes import Modes, residues, text_of_table
 from cgid.physics.response import DERIVATIVES
 from cgid.site.poles import Complexes, Poles, poles_of
-from cgid.terminal import counted
 from cgid.units import UNITS, quantity_of
-from cgid.validation import Floats
 
 #: Contact time of a hammer without a hammer channel, and the ringing of its filter after the force has ended [s].
 CONTACT, _AFTER = 2e-3, 0.5e-3

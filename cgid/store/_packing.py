@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cgid.compiled import jit
+from cgid._lib.compiled import jit
 
 #: A checksum in a file.
 CHECKSUM = np.dtype("<u4")

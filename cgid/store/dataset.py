@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
+from cgid._lib.files import check_new, clear_half_written, require_room, whole_file
 from cgid.errors import BadData, CannotCreate, InvalidValue
-from cgid.files import check_new, clear_half_written, require_room, whole_file
 from cgid.signals import Batch
 from cgid.store.description import DIGEST, FORMAT, MAX_SHARD_SIZE
 from cgid.store.disk import hdf5_on_disk
@@ -123,7 +123,7 @@ def write_dataset(
     batches: Iterable[Batch],
     progress: Callable[[int], object] | None = None,
 ) -> None:
-    """Write a dataset uncompressed into an empty file; used within `cgid.files.whole_file`."""
+    """Write a dataset uncompressed into an empty file; used within `cgid._lib.files.whole_file`."""
     done, plain = 0, replace(plan, compression="none")
     with hdf5_on_disk(path) as output:
         for batch in batches:

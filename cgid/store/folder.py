@@ -22,10 +22,10 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+from cgid._lib.files import half_written
+from cgid._lib.validation import RATES
 from cgid.errors import BadData, CannotCreate, NoInput
-from cgid.files import half_written
 from cgid.store.description import COMPRESSIONS, FORMAT, RECORDING_FORMAT, require_schema
-from cgid.validation import RATES
 
 DESCRIPTION, SUMS, LOCK = "description.json", "SHA256SUMS", ".lock"
 FOLDER_VERSION = 3

@@ -31,8 +31,8 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
+from cgid._lib.files import whole_file
 from cgid.errors import BadData, InvalidValue, optional
-from cgid.files import whole_file
 from cgid.signals import Batch
 from cgid.store.description import MAX_RECORDING, RECORDING_FORMAT, RECORDING_SCHEMA_VERSION
 from cgid.store.disk import VERSIONS, Hdf5OnDisk, hdf5_on_disk, undisturbed

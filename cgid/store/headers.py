@@ -11,6 +11,7 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
+from cgid._lib.validation import RATES
 from cgid.errors import BadData
 from cgid.store.description import (
     DAMAGE,
@@ -26,7 +27,6 @@ from cgid.store.description import (
 )
 from cgid.store.gates import BEST_RATIO, Identity, attributes_of, members, opened, plain_dataset
 from cgid.units import UNITS
-from cgid.validation import RATES
 
 #: Labels and names are shorter [bytes].
 _WIDEST_TEXT = 4096

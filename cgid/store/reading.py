@@ -14,13 +14,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from cgid._lib.terminal import counted
 from cgid.errors import BadData, InvalidValue, NoInput
 from cgid.signals import Batch, Signal
 from cgid.store.description import DIGEST, FORMAT, RECORDING_FORMAT, ShardHeader, hdf5_format, text_of
 from cgid.store.folder import LINKED, SUMS, Folder, read_folder
 from cgid.store.gates import Identity, identity_of, opened
 from cgid.store.headers import recording_header, rows, shard_header
-from cgid.terminal import counted
 from cgid.units import quantity_of
 
 #: Maximum number of signals read at once, and their largest size [bytes].
@@ -180,7 +180,7 @@ class Dataset:
         ------
         BadData
             A shard has another SHA-256 or a wrong checksum, another file has its name, or a label breaks the rule of
-            `cgid.validation.label`.
+            `cgid._lib.validation.label`.
         """
         for number, count in enumerate(self._counts):
             yield from self._read(number, 0, count, n_rows)

@@ -10,8 +10,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from cgid._lib.files import clear_half_written, looking_at, write_whole
 from cgid.errors import BadData, CannotCreate, WriteFailed
-from cgid.files import clear_half_written, looking_at, write_whole
 from cgid.store.description import DIGEST, is_hdf5
 from cgid.store.folder import (
     DESCRIPTION,

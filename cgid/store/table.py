@@ -12,8 +12,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from cgid._lib.files import check_new, clear_half_written, whole_file
+from cgid._lib.terminal import spreadsheet_cell, text_of_cell
 from cgid.errors import BadData, InvalidValue, MissingExtra, NoInput, optional
-from cgid.files import check_new, clear_half_written, whole_file
 from cgid.store.description import (
     DAMAGE,
     TABLE_FORMAT,
@@ -25,7 +26,6 @@ from cgid.store.description import (
     sealed,
     text_of,
 )
-from cgid.terminal import spreadsheet_cell, text_of_cell
 from cgid.units import column_title
 
 #: Rows written and read at once, at least.

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from cgid._lib.files import half_written
 from cgid.errors import BadData, CgidError, NoInput
-from cgid.files import half_written
 from cgid.store.description import FORMAT, RECORDING_FORMAT, TABLE_FORMAT
 from cgid.store.folder import (
     DESCRIPTION,

@@ -9,10 +9,10 @@ from pathlib import Path
 
 from tqdm import tqdm
 
-from cgid.files import write_whole
+from cgid._lib.files import write_whole
+from cgid._lib.validation import whole
 from cgid.plots.figure import new_picture
 from cgid.scene import load_scene
-from cgid.validation import whole
 from studies import run
 from studies.ceilings import limit as white
 from studies.ceilings.beam import check_estimated

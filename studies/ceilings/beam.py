@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from cgid._lib.validation import Floats
 from cgid.errors import InvalidValue
 from cgid.identification.contact import HIGHEST, LOWEST, ContactFit
 from cgid.identification.inversion import Inversion
@@ -26,7 +27,6 @@ from cgid.scene import Scene
 from cgid.scene.draws import BLOCK
 from cgid.scene.impacts import PulseBlock, draw
 from cgid.scene.through_beam import beam_of, has_beam
-from cgid.validation import Floats
 from studies.ceilings.limit import require_supported
 
 #: Unknowns of a blow, in order; touch in samples after the table of forces begins, so many before that of touch.

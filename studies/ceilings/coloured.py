@@ -21,6 +21,7 @@ import numpy as np
 import scipy  # loads its submodules on first use
 from numpy.typing import NDArray
 
+from cgid._lib.validation import Floats
 from cgid.errors import InvalidValue
 from cgid.measure.filters import mixing_matrix
 from cgid.measure.fit_samples import by_length, tied
@@ -39,7 +40,6 @@ from cgid.scene import Scene
 from cgid.scene.draws import COLOURED
 from cgid.scene.noise import Coloured, ar_noise_of
 from cgid.signals import Batch
-from cgid.validation import Floats
 from studies.ceilings.limit import (
     NODES,
     Ceiling,

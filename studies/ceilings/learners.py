@@ -19,13 +19,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from cgid._lib.validation import Floats
 from cgid.identification.rows import BEAM_FEATURES
 from cgid.identification.through_beam import ThroughBeam
 from cgid.measure.features import extract_array
 from cgid.scene import Scene, synthesise
 from cgid.scene.draws import BLOCK
 from cgid.scene.impacts import draws
-from cgid.validation import Floats
 from studies.ceilings.beam import BeamErrors
 from studies.ceilings.limit import Learner
 

@@ -18,7 +18,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cgid import validation
+from cgid._lib import validation
+from cgid._lib.validation import Floats
 from cgid.errors import InvalidValue
 from cgid.identification.prior import Prior
 from cgid.measure.features import extract_array
@@ -31,7 +32,6 @@ from cgid.scene import Scene, load_scene, parse_scene, synthesise
 from cgid.scene.draws import BLOCK
 from cgid.scene.impacts import draws
 from cgid.signals import Batch
-from cgid.validation import Floats
 
 __all__ = ["Ceiling", "Learner", "ceiling", "learner"]
 

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cgid.compiled import inner_jit, jit
+from cgid._lib.compiled import inner_jit, jit
 
 Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]

@@ -15,10 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from cgid import validation
+from cgid._lib import validation
+from cgid._lib.validation import Floats
 from cgid.errors import InvalidValue
 from cgid.physics.materials import Material
-from cgid.validation import Floats
 from studies.finite_element.mesh import Integers, Mesh
 
 Flags = NDArray[np.bool_]

@@ -9,13 +9,13 @@ from typing import Literal
 
 import numpy as np
 
-from cgid import validation
+from cgid._lib import validation
+from cgid._lib.validation import Floats
 from cgid.errors import InvalidValue
 from cgid.physics.bodies import HalfSpace, Sphere, sphere_share
 from cgid.physics.impact import HERTZ_LIMIT, HertzRangeWarning, Impact
 from cgid.physics.laws import Elastic
 from cgid.signals import Signal
-from cgid.validation import Floats
 from studies.finite_element.assembly import Pair, body, require_elements_fit
 from studies.finite_element.mesh import (
     ElasticPlate,

@@ -16,10 +16,10 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cgid import validation
+from cgid._lib import validation
+from cgid._lib.validation import Floats
 from cgid.errors import InvalidValue
 from cgid.physics.materials import Material
-from cgid.validation import Floats
 
 LOWER_FACES = ("fixed", "free")
 #: Both bodies are meshed evenly out to this many contact radii; only there may the surfaces touch.

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
+from cgid._lib.validation import Floats
 from cgid.errors import CgidError, InvalidValue
-from cgid.validation import Floats
 from studies.finite_element._stepping import advance, press
 from studies.finite_element.assembly import Body, Pair
 from studies.finite_element.mesh import REACH

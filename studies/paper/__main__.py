@@ -11,8 +11,8 @@ from typing import Any
 
 from tqdm import tqdm
 
+from cgid._lib.files import looking_at, write_together
 from cgid.errors import CannotCreate
-from cgid.files import looking_at, write_together
 from cgid.physics import HertzRangeWarning
 from cgid.plots.figure import require_matplotlib
 from studies import run

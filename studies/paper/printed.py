@@ -10,9 +10,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from cgid._lib.validation import Floats
 from cgid.physics import Elastic, HalfSpace, HuntCrossley, Impact, Sphere
 from cgid.physics.materials import STEEL, YANG2018_RADIUS, YANG2018_SPHERES, Material
-from cgid.validation import Floats
 
 #: Impact speeds of the simulations [m/s], section 3.1.
 VELOCITIES = (2.0, 4.0, 6.0, 8.0, 10.0)

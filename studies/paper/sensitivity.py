@@ -16,7 +16,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cgid import validation
+from cgid._lib import validation
+from cgid._lib.validation import Floats
 from cgid.errors import InvalidValue
 from cgid.physics.bodies import HalfSpace, RigidWall, ThinPlate, impedance_of_unit_thickness
 from cgid.physics.curves import Curves
@@ -24,7 +25,6 @@ from cgid.physics.impact import Impact
 from cgid.physics.laws import Elastic, HuntCrossley, Thornton, Viscoelastic
 from cgid.physics.materials import Material
 from cgid.physics.plastic import thornton_curves
-from cgid.validation import Floats
 
 #: Parameters of the sphere and of the half space, with their units.
 PARAMETERS = {

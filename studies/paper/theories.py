@@ -15,9 +15,9 @@ from functools import cache
 
 import numpy as np
 
+from cgid._lib.validation import Floats
 from cgid.physics import STIFFNESS_THEORIES
 from cgid.physics.bodies import sphere_share
-from cgid.validation import Floats
 from studies.paper.printed import THEORY_LABELS, paper_impact
 from studies.paper.study import UNDAMPED, Study
 

@@ -37,7 +37,7 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 
 #: Files whose text is in the compiled kernels: those with kernels, and those they take constants from.
 SOURCES = (
-    "compiled.py",
+    "_lib/compiled.py",
     "family.py",
     "physics/_contact.py",
     "physics/_coupled.py",
@@ -50,7 +50,7 @@ SOURCES = (
     "scene/_noise.py",
     "store/_packing.py",
 )
-_PACKAGE = Path(__file__).parent
+_PACKAGE = Path(__file__).parents[1]
 #: Folders of other sources or versions are removed after this time without a new kernel [s]: 30 days.
 _FORGOTTEN = 30 * 86400.0
 #: NUMBA_... variables that change the kernel compiled from the same source.

@@ -20,7 +20,7 @@ from functools import cache
 from importlib.metadata import version
 from typing import Any, TypeVar
 
-from cgid import validation
+from cgid._lib import validation
 from cgid.errors import INTERRUPTIONS, ClusterFailed, InvalidValue, optional
 
 #: The scheduler must answer and have a worker within this time [s].
