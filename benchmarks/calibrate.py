@@ -32,8 +32,8 @@ from cgid.identification.prediction import load_model
 from cgid.identification.rows import measure
 from cgid.identification.through_beam import ThroughBeam
 from cgid.identification.training import train_on_specimens
-from cgid.measure.beam import Beam, corrected, gain
-from cgid.measure.modes import Modes, NodeShapes, nodes
+from cgid.measure.modal.beam import Beam, corrected, gain
+from cgid.measure.modal.modes import Modes, NodeShapes, nodes
 from cgid.scene import Scene, load_scene, parse_scene, synthesise
 from cgid.scene.impacts import beam_modes
 from cgid.scene.sections import rows_of

@@ -20,7 +20,7 @@ from cgid.identification.estimation import estimate
 from cgid.identification.metrics import evaluate
 from cgid.identification.model import Model
 from cgid.identification.rows import measure
-from cgid.measure.template import curve
+from cgid.measure.fit.template import curve
 from cgid.physics import Elastic, HalfSpace, HuntCrossley, Impact, Sphere, Viscoelastic
 from cgid.physics.materials import Material
 from cgid.physics.sampled import SampledPulses, shares_of_contact

@@ -43,8 +43,8 @@ from cgid.identification.model import Model
 from cgid.identification.rows import BEAM_FEATURES, BEAM_GUARDS, DEFAULT_FEATURES, DEFAULT_GUARDS
 from cgid.identification.share import wilson_interval
 from cgid.identification.through_beam import ThroughBeam
-from cgid.measure import features as known
-from cgid.measure.features import extract_array
+from cgid.measure.features import extraction as known
+from cgid.measure.features.extraction import extract_array
 from cgid.scene import load_scene, synthesise
 from cgid.scene.through_beam import beam_of
 

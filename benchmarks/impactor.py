@@ -33,7 +33,7 @@ from cgid.impactor.columns import detection_of, match_times
 from cgid.impactor.population import impact_beam
 from cgid.impactor.posterior import QUANTITIES
 from cgid.impactor.recognition import of_material, through_beam
-from cgid.measure.template import relative_times
+from cgid.measure.fit.template import relative_times
 from cgid.physics import HalfSpace, HuntCrossley, Impact, Sphere
 from cgid.physics.materials import STEEL, Material
 from cgid.scene import Scene, load_scene, parse_scene, record, synthesise

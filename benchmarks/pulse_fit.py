@@ -20,8 +20,8 @@ FEW = 6
 _FIT = """
 import json, time
 import numpy as np
-from cgid import family
-from cgid.measure.pulses import PulseBatch
+from cgid.measure.fit import family
+from cgid.measure.features.pulses import PulseBatch
 
 N, FEW = 2048, 6
 CASES = [("0.5 % noise", 60, 0.005), ("1 % noise", 60, 0.01), ("3 % noise", 60, 0.03), ("10 % noise", 60, 0.1)]

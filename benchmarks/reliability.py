@@ -18,7 +18,7 @@ from cgid.identification.answers import identify, identify_frames, suited
 from cgid.identification.card import table
 from cgid.identification.metrics import evaluate
 from cgid.identification.model import Model
-from cgid.measure.features import extract_array
+from cgid.measure.features.extraction import extract_array
 from cgid.recordings import read_recording
 from cgid.scene import load_scene, synthesise
 

@@ -34,7 +34,7 @@ from cgid.identification.classifier import ImpactClassifier
 from cgid.identification.model import Model
 from cgid.identification.rows import Rows, measure
 from cgid.identification.training import train_on_specimens
-from cgid.measure.features import extract_array
+from cgid.measure.features.extraction import extract_array
 from cgid.recordings import read_recording
 from cgid.scene import Scene, load_scene, synthesise, varied
 

@@ -24,10 +24,10 @@ from cgid.identification.diagnosis import CHANGED, ChannelAnswers
 from cgid.identification.model import Model
 from cgid.identification.prediction import load_model
 from cgid.identification.through_beam import ThroughBeam
-from cgid.measure.beam import Beam, corrected
-from cgid.measure.features import extract_array
-from cgid.measure.modes import Modes, NodeShapes, nodes
-from cgid.measure.vibration import VibrationBatch
+from cgid.measure.features.extraction import extract_array
+from cgid.measure.features.vibration import VibrationBatch
+from cgid.measure.modal.beam import Beam, corrected
+from cgid.measure.modal.modes import Modes, NodeShapes, nodes
 from cgid.scene import Scene, load_scene, parse_scene, synthesise
 from cgid.scene.through_beam import beam_of, moved
 from cgid.signals import Batch

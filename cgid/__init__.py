@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from cgid.impactor import estimate_impactors as estimate_impactors
     from cgid.learn import ImpactFeatures as ImpactFeatures
     from cgid.learn import stream as stream
-    from cgid.measure.features import extract as extract
+    from cgid.measure.features.extraction import extract as extract
     from cgid.measure.filters import fft_filter as fft_filter
     from cgid.physics import RIGID as RIGID
     from cgid.physics import Elastic as Elastic
@@ -76,7 +76,7 @@ _HOMES = {
     "ThinPlate": "cgid.physics",
     "Viscoelastic": "cgid.physics",
     "estimate_impactors": "cgid.impactor",
-    "extract": "cgid.measure.features",
+    "extract": "cgid.measure.features.extraction",
     "fft_filter": "cgid.measure.filters",
     "find_impacts": "cgid.identification.detection",
     "identify_recording": "cgid.identification.pipeline",

@@ -23,9 +23,9 @@ from cgid.identification.conformal import COVERAGES
 from cgid.identification.families import Contrast, Network, Standardiser
 from cgid.identification.model import MIN_SHARE, Model
 from cgid.identification.model_file import STANDARDISER
-from cgid.measure.features import FEATURES
+from cgid.measure.features.extraction import FEATURES
+from cgid.measure.features.vibration import EARLY_BANDS, EARLY_TIME, WINDOW_TIME
 from cgid.measure.spectra import THIRD_OCTAVES, third_octave
-from cgid.measure.vibration import EARLY_BANDS, EARLY_TIME, WINDOW_TIME
 from cgid.signals import KNOWN
 from cgid.units import column_title
 

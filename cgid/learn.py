@@ -22,7 +22,7 @@ from cgid._lib.workers import workers as executor
 from cgid.errors import InvalidValue
 from cgid.identification.rows import BEAM_FEATURES
 from cgid.identification.through_beam import ThroughBeam
-from cgid.measure.features import choose, extract_array
+from cgid.measure.features.extraction import choose, extract_array
 from cgid.measure.frames import DETECTION_LIMIT, MINIMUM_FRAME
 from cgid.scene import Scene, load_scene, synthesise
 from cgid.scene.draws import require_seed

@@ -39,7 +39,7 @@ from cgid.identification.model import Model
 from cgid.identification.model_file import UNEXPLAINED
 from cgid.identification.rows import BEAM_FEATURES, BEAM_GUARDS, DEFAULT_FEATURES, DEFAULT_GUARDS, Rows, measure
 from cgid.identification.training import train_on_specimens
-from cgid.measure.beam import Beam
+from cgid.measure.modal.beam import Beam
 from cgid.scene import Scene, load_scene, parse_scene, synthesise
 from cgid.scene.through_beam import beam_of
 from cgid.site.streams import StreamRows, finished, rows_of_streams, variations

@@ -22,7 +22,7 @@ from scipy.io import wavfile
 from cgid import shipped
 from cgid.identification.model import Model
 from cgid.identification.training import train_on_specimens
-from cgid.measure.modes import LEARNED_COLUMNS
+from cgid.measure.modal.modes import LEARNED_COLUMNS
 from cgid.scene import generate, load_scene, parse_scene, synthesise
 from cgid.scene.generation import tabulate
 from cgid.scene.plan import plan

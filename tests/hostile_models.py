@@ -19,8 +19,8 @@ import numpy as np
 import cgid.identification.through_beam  # noqa: F401 - loaded here, so that no watched process imports it
 from cgid.identification.model import MAX_FILE_SIZE, Model
 from cgid.identification.model_file import LEVELS, signed
-from cgid.measure.beam import points_of
 from cgid.measure.features import choose
+from cgid.measure.modal.beam import points_of
 
 GOLDEN = Path(__file__).parent / "golden"
 #: The action of a pickle when it is loaded: it makes this folder, which the tests look for.

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq, least_squares
 
-from cgid import family
+from cgid.measure.fit import family
 
 
 def peak(samples: Sequence[float]) -> tuple[int, float]:

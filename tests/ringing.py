@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 from scipy import signal
 
-from cgid import family
+from cgid.measure.fit import family
 from cgid.signals import Batch
 
 RATE = 25600.0

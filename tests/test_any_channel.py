@@ -19,7 +19,7 @@ from cgid.identification.inversion import Inversion
 from cgid.identification.model import Model
 from cgid.identification.prediction_settings import PredictionSettings
 from cgid.identification.stream import identify_blocks
-from cgid.measure.ar_noise import MIN_SAMPLES, ORDER, ar_noise_of
+from cgid.measure.fit.ar_noise import MIN_SAMPLES, ORDER, ar_noise_of
 from cgid.scene import load_scene, synthesise
 from tests.streams_of_pulses import RATE, ROOT, stream
 

@@ -13,8 +13,8 @@ from cgid.identification.inversion import Inversion
 from cgid.identification.prediction import load_model
 from cgid.identification.rows import BEAM_GUARDS, measure
 from cgid.identification.training import train_on_specimens
-from cgid.measure.beam import corrected
-from cgid.measure.modes import LEARNED_COLUMNS, Modes, read_modes
+from cgid.measure.modal.beam import corrected
+from cgid.measure.modal.modes import LEARNED_COLUMNS, Modes, read_modes
 from cgid.scene import generate, load_scene, parse_scene, record, synthesise
 from cgid.scene.impacts import beam_modes
 from cgid.scene.sections import rows_of
@@ -389,7 +389,7 @@ def test_weights_whiten_the_noise():
     """Noise of a known autoregression has the same power at every frequency once it is weighed."""
     from scipy.signal import lfilter
 
-    from cgid.measure.ar_noise import ORDER, ARNoise
+    from cgid.measure.fit.ar_noise import ORDER, ARNoise
 
     rng, own = np.random.default_rng(2), np.zeros(ORDER)
     own[:2] = 1.2, -0.5

@@ -15,7 +15,7 @@ from cgid.cli.monitor import Inbox, UnbufferedInput
 from cgid.errors import BadData, InvalidValue
 from cgid.identification.detection import ImpactDetector, find_impacts
 from cgid.identification.vibration_onsets import onset_in
-from cgid.measure.features import extract_array
+from cgid.measure.features.extraction import extract_array
 from cgid.recordings import read_recording
 from cgid.recordings.live import live_stream
 from cgid.signals import Signal

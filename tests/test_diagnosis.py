@@ -31,7 +31,7 @@ from cgid.identification.prediction_settings import PredictionSettings
 from cgid.identification.rows import DEFAULT_VIBRATION_FEATURES, Rows
 from cgid.identification.stream import identify_blocks
 from cgid.identification.training import train_on_specimens
-from cgid.measure.features import supported
+from cgid.measure.features.extraction import supported
 from cgid.scene import Scene, load_scene, parse_scene, synthesise, varied
 from cgid.scene.recordings import parts_of_recording
 from cgid.site import SiteCalibration

@@ -4,15 +4,15 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from cgid import family
 from cgid.errors import BadData, InvalidValue
 from cgid.identification.estimation import Prior, cramer_rao_bound, estimate, posterior
-from cgid.measure.features import extract_array
+from cgid.measure.features.extraction import extract_array
+from cgid.measure.features.pulses import PulseBatch
 from cgid.measure.filters import fft_filter
-from cgid.measure.fit import MODEL_ERROR, Start, fit_pulses
-from cgid.measure.fit_samples import strongest_run
-from cgid.measure.pulses import PulseBatch
-from cgid.measure.template import curve, relative_times
+from cgid.measure.fit import family
+from cgid.measure.fit.fit import MODEL_ERROR, Start, fit_pulses
+from cgid.measure.fit.fit_samples import strongest_run
+from cgid.measure.fit.template import curve, relative_times
 from cgid.scene import load_scene, parse_scene, synthesise
 from tests import few, naive
 from tests.conftest import ROOT

@@ -8,12 +8,12 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from cgid import family
 from cgid.errors import BadData, CgidError
 from cgid.identification.answers import identify, unmeasured
 from cgid.identification.detection import DEAD_TIME, ImpactDetector, find_impacts
 from cgid.identification.model import Model
 from cgid.identification.pulse_onsets import THRESHOLD_OVER_PEAK
+from cgid.measure.fit import family
 from cgid.scene import load_scene, synthesise
 from cgid.signals import Signal
 from tests import few, naive

@@ -23,7 +23,7 @@ from cgid.identification.classifier import ImpactClassifier, noise_contrast
 from cgid.identification.conformal import COVERAGES, Conformal
 from cgid.identification.families import Standardiser
 from cgid.identification.model import Model
-from cgid.measure.features import extract_array
+from cgid.measure.features.extraction import extract_array
 from cgid.shipped import MODELS, path_of
 from tests import few
 

@@ -4,7 +4,7 @@ import mpmath
 import numpy as np
 import pytest
 
-from cgid import family
+from cgid.measure.fit import family
 from cgid.physics.closed_forms import damping_number
 from tests import few
 from tests.references.make_family import reference_pulse, time_of_peak

@@ -10,12 +10,12 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy import integrate, optimize, signal
 
-from cgid import family
 from cgid.errors import BadData
 from cgid.identification.detection import find_impacts
 from cgid.measure.features import FEATURES as ALL_FEATURES
-from cgid.measure.features import choose, extract, extract_array
-from cgid.measure.pulses import MAX_RINGING, MAX_UNEXPLAINED, PulseBatch
+from cgid.measure.features.extraction import choose, extract, extract_array
+from cgid.measure.features.pulses import MAX_RINGING, MAX_UNEXPLAINED, PulseBatch
+from cgid.measure.fit import family
 from cgid.physics import Elastic, HalfSpace, HuntCrossley, Impact, Sphere
 from cgid.physics.materials import STEEL, YANG2018_SPHERES
 from cgid.recordings import read_recording

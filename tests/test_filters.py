@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from cgid import family
 from cgid.errors import InvalidValue
 from cgid.measure.filters import fft_filter, filter_gain, low_pass_response, mixing_matrix
+from cgid.measure.fit import family
 from tests import naive
 
 RATE = 1e6

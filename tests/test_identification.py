@@ -25,7 +25,7 @@ from cgid.identification.model import Model
 from cgid.identification.model_file import signed
 from cgid.identification.rows import DEFAULT_FEATURES, FEW_FEATURES
 from cgid.identification.training import Training, hold_out, measure, train_on_specimens
-from cgid.measure.features import extract_array
+from cgid.measure.features.extraction import extract_array
 from cgid.scene import Scene, load_scene, parse_scene, synthesise, varied
 from cgid.signals import Signal
 from tests import few

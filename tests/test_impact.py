@@ -12,8 +12,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cgid import family
 from cgid.errors import InvalidValue
+from cgid.measure.fit import family
 from cgid.physics import (
     RIGID,
     Elastic,

@@ -14,7 +14,7 @@ import pytest
 from scipy import linalg, signal, sparse, stats
 from scipy.sparse.linalg import splu
 
-from cgid.measure.modes import Modes as MeasuredModes
+from cgid.measure.modal import Modes as MeasuredModes
 from cgid.physics import HalfSpace, HuntCrossley, ModalImpact, Sphere
 from cgid.physics.materials import STEEL, Material
 from cgid.physics.response import LowPass, Resonance, Response

@@ -17,17 +17,17 @@ import pytest
 from scipy import signal
 from scipy.optimize import least_squares
 
-from cgid import family
 from cgid.identification.answers import identify_frames
 from cgid.identification.contact import Contact
 from cgid.identification.inversion import ForceEstimate, Inversion, Observations, Start
 from cgid.identification.model import Model
 from cgid.identification.through_beam import BeamStream, ThroughBeam
 from cgid.identification.training import train_on_specimens
-from cgid.measure.ar_noise import ORDER, ARNoise, ar_noise_of
-from cgid.measure.beam import FINE, TOUCH, Beam, filtered, gain, points_of, respond, respond_on_average
-from cgid.measure.modes import LEARNED_COLUMNS, lagrange, nodes
-from cgid.measure.vibration import VibrationBatch
+from cgid.measure.features.vibration import VibrationBatch
+from cgid.measure.fit import family
+from cgid.measure.fit.ar_noise import ORDER, ARNoise, ar_noise_of
+from cgid.measure.modal.beam import FINE, TOUCH, Beam, filtered, gain, points_of, respond, respond_on_average
+from cgid.measure.modal.modes import LEARNED_COLUMNS, lagrange, nodes
 from cgid.physics.response import Response
 from cgid.scene import load_scene, parse_scene, synthesise, varied
 from cgid.scene.impacts import beam_modes

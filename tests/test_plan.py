@@ -12,7 +12,7 @@ import pytest
 
 from cgid.cli.main import run
 from cgid.errors import BadData, InvalidValue
-from cgid.measure.features import FEATURES, extract_array, extract_truncated
+from cgid.measure.features.extraction import FEATURES, extract_array, extract_truncated
 from cgid.physics import _contact, _kernels, coupled, curves
 from cgid.physics.coupled import ModalCurves
 from cgid.physics.curves import Curves

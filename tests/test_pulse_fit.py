@@ -5,11 +5,11 @@ import pytest
 from scipy import linalg, optimize
 
 from cgid.identification.estimation import estimate
-from cgid.measure.ar_noise import ORDER, ARNoise, ar_noise_of
-from cgid.measure.features import extract_array, extract_truncated
-from cgid.measure.residual import N_SHAPES
-from cgid.measure.search import NODES
-from cgid.measure.template import SHAPES_PATH, TEMPLATE_PATH, curve, pulse_and_slopes, relative_times
+from cgid.measure.features.extraction import extract_array, extract_truncated
+from cgid.measure.fit.ar_noise import ORDER, ARNoise, ar_noise_of
+from cgid.measure.fit.residual import N_SHAPES
+from cgid.measure.fit.search import NODES
+from cgid.measure.fit.template import SHAPES_PATH, TEMPLATE_PATH, curve, pulse_and_slopes, relative_times
 from tests import few, naive
 from tests.references import make_shapes
 from tests.test_estimation import BEFORE, frames_of, squared

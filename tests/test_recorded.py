@@ -34,7 +34,7 @@ from cgid.identification.rows import Rows, Slicing, in_unit, measure, sets_for
 from cgid.identification.silence import Silence, silence_of
 from cgid.identification.training import train_on_groups
 from cgid.identification.windows import WINDOW_TIME, RunningVote, measure_windows, windows_of
-from cgid.measure.features import FEATURES, extract_array, supported
+from cgid.measure.features.extraction import FEATURES, extract_array, supported
 from cgid.measure.spectra import MEL_BANDS
 from cgid.recordings import open_recording
 from cgid.signals import Batch

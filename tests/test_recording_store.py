@@ -11,7 +11,7 @@ import pytest
 
 from cgid.cli.main import run
 from cgid.errors import BadData, CannotCreate, InvalidValue
-from cgid.measure.features import extract_array
+from cgid.measure.features.extraction import extract_array
 from cgid.recordings import is_dataset, read_recording
 from cgid.scene import parse_scene
 from cgid.scene.recordings import generate_recordings

@@ -11,7 +11,7 @@ from sklearn.preprocessing import StandardScaler
 
 from cgid.identification.reference import MAX_DRIFT, MeanSpectrum, drift
 from cgid.identification.stream import Drifts
-from cgid.measure.features import choose, extract_array, supported
+from cgid.measure.features.extraction import choose, extract_array, supported
 from cgid.measure.filters import Equalisation
 from cgid.measure.spectra import MEL_BANDS
 from cgid.recordings import read_recording

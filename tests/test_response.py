@@ -8,7 +8,7 @@ from scipy import signal
 from scipy.linalg import expm
 
 from cgid.errors import InvalidValue
-from cgid.measure.modes import Modes
+from cgid.measure.modal import Modes
 from cgid.physics import Elastic, HalfSpace, HuntCrossley, Impact, Sphere
 from cgid.physics.driving import steps_for
 from cgid.physics.materials import STEEL, Material

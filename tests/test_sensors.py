@@ -20,9 +20,9 @@ from cgid.identification.rows import BEAM_FEATURES
 from cgid.identification.stream import identify_blocks
 from cgid.identification.through_beam import ThroughBeam, clipped_samples
 from cgid.identification.training import train_on_specimens
-from cgid.measure.beam import Beam
-from cgid.measure.features import extract_array
-from cgid.measure.vibration import VibrationBatch
+from cgid.measure.features.extraction import extract_array
+from cgid.measure.features.vibration import VibrationBatch
+from cgid.measure.modal.beam import Beam
 from cgid.scene import load_scene, parse_scene, synthesise, varied
 from cgid.scene.impacts import beam_modes
 from cgid.scene.through_beam import beam_of, moved, recorded_together

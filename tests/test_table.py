@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 
 from cgid.errors import InvalidValue
-from cgid.measure import features, vibration, windows
-from cgid.measure.features import FEATURES, choose, extract, extract_array
+from cgid.measure.features import extraction as features
+from cgid.measure.features import vibration, windows
+from cgid.measure.features.extraction import FEATURES, choose, extract, extract_array
+from cgid.measure.features.table import Bank, Feature, Table
 from cgid.measure.spectra import MEL_BANDS
-from cgid.measure.table import Bank, Feature, Table
 from tests.ringing import PRE_TRIGGER, RATE, ringing_batch
 
 
@@ -51,7 +52,7 @@ def test_a_bank_is_added_by_one_line(monkeypatch):
 
 
 def test_every_row_of_the_descriptions_is_measured():
-    lines = files("cgid.measure").joinpath("features.csv").read_text(encoding="utf-8").splitlines()
+    lines = files("cgid.measure.features").joinpath("features.csv").read_text(encoding="utf-8").splitlines()
     rows = {row["name"] for row in csv.DictReader(lines)}
     assert rows == {entry.name for entry in FEATURES.entries if "*" not in entry.name or "relative" not in entry.name}
 

@@ -11,7 +11,7 @@ from numpy.polynomial.legendre import leggauss
 from threadpoolctl import threadpool_limits
 
 from cgid.errors import BadData, InvalidValue
-from cgid.measure.modes import read_modes
+from cgid.measure.modal import read_modes
 from cgid.physics import ThinPlate
 from cgid.physics.materials import STEEL, Material
 from cgid.physics.response import Response

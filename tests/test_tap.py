@@ -9,7 +9,7 @@ import pytest
 
 from cgid.cli.main import run
 from cgid.errors import BadData
-from cgid.measure.modes import LEARNED_COLUMNS, read_modes
+from cgid.measure.modal.modes import LEARNED_COLUMNS, read_modes
 from cgid.scene import load_scene
 from cgid.scene.impacts import beam_modes
 from cgid.shipped import scene_path

@@ -98,7 +98,9 @@ def test_public_modules_need_no_import_of_their_own(monkeypatch: pytest.MonkeyPa
         for name in names:  # not by attribute, which is there once a module is loaded
             module = importlib.import_module(f"{package.__name__}.{name}")
             assert vars(package)["__getattr__"](name) is module
-    written = "import cgid; cgid.measure.modes, cgid.learn.TrainingStream, cgid.scene.calibrated, cgid.physics.Impact"
+    written = (
+        "import cgid; cgid.measure.modal.Modes, cgid.learn.TrainingStream, cgid.scene.calibrated, cgid.physics.Impact"
+    )
     subprocess.run([sys.executable, "-c", written], check=True)
 
 

@@ -11,9 +11,9 @@ from hypothesis.extra.numpy import arrays
 from scipy import integrate, signal
 
 from cgid.errors import BadData
-from cgid.measure.features import FEATURES, choose, extract_array, supported
+from cgid.measure.features.extraction import FEATURES, choose, extract_array, supported
+from cgid.measure.features.vibration import EARLY_TIME, WINDOW_TIME
 from cgid.measure.spectra import MEL_BANDS, THIRD_OCTAVES, EnergySpectrum, third_octave
-from cgid.measure.vibration import EARLY_TIME, WINDOW_TIME
 from tests.ringing import N_SAMPLES, PRE_TRIGGER, RATE, damped_sinusoid, ringing_batch
 
 ALL = choose(None, "vibration")

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from cgid.errors import MissingExtra
-from cgid.measure.features import extract_array
+from cgid.measure.features.extraction import extract_array
 from cgid.measure.spectra import LEVEL, N_PACKETS, WAVELET, packet_energies
 from tests.ringing import PRE_TRIGGER, RATE, ringing_batch
 

@@ -11,9 +11,9 @@ from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import StandardScaler
 
 from cgid.errors import BadData
-from cgid.measure.features import choose, extract_array, supported
+from cgid.measure.features.extraction import choose, extract_array, supported
+from cgid.measure.features.windows import CORRELATION_LAGS, FRAME_TIME, WINDOW_THIRD_OCTAVES, WindowBatch
 from cgid.measure.spectra import EVEN_BANDS, MEL_BANDS, third_octave
-from cgid.measure.windows import CORRELATION_LAGS, FRAME_TIME, WINDOW_THIRD_OCTAVES, WindowBatch
 from cgid.recordings import read_recording
 
 RATE = 44_100.0

@@ -38,7 +38,7 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 #: Files whose text is in the compiled kernels: those with kernels, and those they take constants from.
 SOURCES = (
     "_lib/compiled.py",
-    "family.py",
+    "measure/fit/family.py",
     "physics/_contact.py",
     "physics/_coupled.py",
     "physics/_dop853.py",

@@ -135,7 +135,7 @@ def _shares(draws: list[Any], values: dict[str, Any], sampling_rate: Any, scene:
     """Return the fraction of the pulses that each warning concerns."""
     import numpy as np
 
-    from cgid.measure.pulses import RECOMMENDED_SAMPLES
+    from cgid.measure.features.pulses import RECOMMENDED_SAMPLES
     from cgid.physics.impact import BEYOND_THIN_PLATE, HERTZ_LIMIT, INELASTICITY_LIMIT
 
     strain = np.concatenate([d.strain for d in draws])

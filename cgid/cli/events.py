@@ -28,7 +28,7 @@ from cgid.errors import BadData, CgidError, InvalidValue, MissingOption
 
 if TYPE_CHECKING:
     from cgid.identification.events import Event
-    from cgid.measure.table import ImpactKind
+    from cgid.measure.features.table import ImpactKind
     from cgid.recordings import RecordingFile
 
 #: Channels of each beam, by name or number.
@@ -129,7 +129,7 @@ def _rows(file: str, folder: Path, reading: Reading, beams: Groups) -> Iterator[
     from cgid.identification.labelled_recordings import unit_of
     from cgid.identification.manifest import path_from
     from cgid.identification.same_beam import Rocks, grouped
-    from cgid.measure.features import kind_for
+    from cgid.measure.features.extraction import kind_for
     from cgid.units import quantity_of
 
     if file == "-":

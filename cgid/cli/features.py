@@ -100,7 +100,7 @@ class _Rows:
     def of_features(self) -> None:
         """Print one row for each feature and each bank."""
         from cgid.measure.features import FEATURES
-        from cgid.measure.table import Bank
+        from cgid.measure.features.table import Bank
 
         names = ("name", "unit", "definition", "source", "kind")
         if not self.as_json:
@@ -144,7 +144,7 @@ class _Rows:
 
     def dataset(self, path: str, invert: bool) -> None:
         """Print one row for each signal of a dataset, batch by batch."""
-        from cgid.measure.features import FEATURES, any_through_beam, extract_array, kind_for
+        from cgid.measure.features.extraction import FEATURES, any_through_beam, extract_array, kind_for
         from cgid.store import Dataset
 
         dataset = Dataset(path)
@@ -184,7 +184,7 @@ class _Rows:
 
     def _expected(self, signal: Signal) -> list[Column]:
         """Return the columns that impacts of a signal would have."""
-        from cgid.measure.features import choose, kind_for, supported
+        from cgid.measure.features.extraction import choose, kind_for, supported
 
         every = choose(None, kind_for(signal.quantity))
         return _columns(
@@ -195,7 +195,7 @@ class _Rows:
         """Return the measured impacts of one channel."""
         from cgid.errors import InvalidValue
         from cgid.identification.detection import find_impacts
-        from cgid.measure.features import extract_array, kind_for, kind_of
+        from cgid.measure.features.extraction import extract_array, kind_for, kind_of
         from cgid.recordings.chain import require_measured
 
         require_measured(signal.unit, signal.name)
@@ -298,7 +298,7 @@ def _selected_features(
     names: tuple[str, ...] | None, kind: Any, sampling_rate: float, n_samples: int
 ) -> tuple[str, ...]:
     """Return the given features, by default all of the kind that the sampling rate and the frames allow."""
-    from cgid.measure.features import choose, require_supported, supported
+    from cgid.measure.features.extraction import choose, require_supported, supported
 
     if names is not None:
         return names

@@ -186,7 +186,7 @@ def _channels(recording: Any, as_json: bool, beams: Groups) -> tuple[dict[str, A
     from cgid.errors import BadData
     from cgid.identification.detection import INVERT_HINT, ImpactDetector
     from cgid.identification.same_beam import Detected, Rocks, grouped
-    from cgid.measure.features import kind_for
+    from cgid.measure.features.extraction import kind_for
     from cgid.signals import channel_name
 
     names, rate = recording.channels, recording.sampling_rate

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from cgid.identification.events import Event
-    from cgid.measure.table import ImpactKind
+    from cgid.measure.features.table import ImpactKind
     from cgid.plots.recording import Mark
     from cgid.recordings import Channel, RecordingFile
 
@@ -142,7 +142,7 @@ class _Finder:
         begin: float,
     ) -> None:
         from cgid.identification.detection import ImpactDetector
-        from cgid.measure.features import kind_for
+        from cgid.measure.features.extraction import kind_for
 
         self._rate, self._begin = sampling_rate, begin
         self._detectors = [

@@ -393,7 +393,7 @@ def _with_synthetic(data: list[str], recorded: Any, options: dict[str, Any]) -> 
     from itertools import chain
 
     from cgid.identification.rows import in_unit, measure
-    from cgid.measure.features import supported
+    from cgid.measure.features.extraction import supported
 
     if recorded.kind == "window":
         raise InvalidValue(
@@ -473,7 +473,7 @@ def _point(text: str) -> tuple[float, float]:
 
 def _beam(sources: list[Scene | Dataset], options: dict[str, Any]) -> Any:
     """Return the beam shared by scenes and datasets, if the features, or the default, need it."""
-    from cgid.measure.features import any_through_beam, kind_for
+    from cgid.measure.features.extraction import any_through_beam, kind_for
     from cgid.scene import Scene
     from cgid.scene.through_beam import shared_beam
 

@@ -16,7 +16,7 @@ from cgid.identification.diagnosis import Cause, causes_of, with_frames
 from cgid.identification.events import Event, frames_alike
 from cgid.identification.model import Model
 from cgid.identification.prediction_settings import PredictionSettings, known_columns
-from cgid.measure.features import as_rows, measured, require_measurable
+from cgid.measure.features.extraction import as_rows, measured, require_measurable
 from cgid.measure.filters import Equalisation
 from cgid.measure.frames import DETECTION_LIMIT, MINIMUM_FRAME, Problem, ProblemKind, frames_of
 from cgid.recordings.chain import require_measured

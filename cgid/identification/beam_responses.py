@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from cgid._lib.validation import Floats
 from cgid.errors import BadData
-from cgid.measure.ar_noise import ORDER
-from cgid.measure.beam import GRID, Beam, Singles, filtered, gain, respond_on_average, sides_of
+from cgid.measure.fit.ar_noise import ORDER
+from cgid.measure.modal.beam import GRID, Beam, Singles, filtered, gain, respond_on_average, sides_of
 
 #: Minimum number of frequencies, and limits of the response to a force of 1 N, whose squares fit single precision.
 _MIN_BINS, _LOUDNESS = 17, (1e-12, 1e11)

@@ -14,13 +14,13 @@ from functools import cache, cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from cgid import family
 from cgid._lib.validation import Floats
 from cgid.identification.beam_responses import Rowwise
 from cgid.identification.inversion import ForceEstimate, Inversion
-from cgid.measure.beam import FINE, TOUCH, Beam, gain
-from cgid.measure.least_squares import least_squares
-from cgid.measure.template import relative_times
+from cgid.measure.fit import family
+from cgid.measure.fit.least_squares import least_squares
+from cgid.measure.fit.template import relative_times
+from cgid.measure.modal.beam import FINE, TOUCH, Beam, gain
 
 #: Nodes of the shape s = ln e (above 0: reversed pulses) in the table of spectra; points of a pulse to its width and of
 #: its transform.

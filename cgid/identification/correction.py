@@ -28,7 +28,7 @@ from cgid.identification.metrics import clustered_interval, evaluate
 from cgid.identification.model import Model
 from cgid.identification.model_file import STANDARDISER
 from cgid.identification.rows import Rows
-from cgid.measure.features import FEATURES
+from cgid.measure.features.extraction import FEATURES
 from cgid.units import quantity_of
 
 #: Minimum number of labelled impacts inside the training of the model; with fewer the interval of the accuracy is

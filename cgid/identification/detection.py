@@ -21,9 +21,9 @@ from cgid.identification.pulse_onsets import START_CHUNKS as PULSE_START
 from cgid.identification.pulse_onsets import THRESHOLD_OVER_NOISE, PulseOnsets
 from cgid.identification.vibration_onsets import RISE, RISE_OVER_NOISE, VibrationOnsets
 from cgid.identification.vibration_onsets import START_CHUNKS as VIBRATION_START
+from cgid.measure.features.table import ImpactKind
+from cgid.measure.features.vibration import MIN_EVENT
 from cgid.measure.frames import DETECTION_LIMIT, LARGEST
-from cgid.measure.table import ImpactKind
-from cgid.measure.vibration import MIN_EVENT
 from cgid.signals import Signal
 
 #: Later samples within this time belong to the same impact, because of its ring-down [s].

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from cgid._lib.validation import UNKNOWN, Floats
 from cgid.errors import CgidError
 from cgid.identification.events import EVENT_TIME
-from cgid.measure.features import FEATURES, extract_array
+from cgid.measure.features.extraction import FEATURES, extract_array
 from cgid.measure.frames import ProblemKind
 
 if TYPE_CHECKING:

@@ -16,12 +16,12 @@ from cgid._lib import validation
 from cgid._lib.validation import Floats, require_rate
 from cgid.errors import BadData, InvalidValue
 from cgid.identification.prior import Prior
+from cgid.measure.features.pulses import PulseBatch
 from cgid.measure.filters import low_pass_response
-from cgid.measure.fit import PulseFit, fit_pulses, without_impact
+from cgid.measure.fit.fit import PulseFit, fit_pulses, without_impact
+from cgid.measure.fit.template import parameters_of
 from cgid.measure.frames import LARGEST, frames_of
 from cgid.measure.likelihood import cramer_rao_bound, profile
-from cgid.measure.pulses import PulseBatch
-from cgid.measure.template import parameters_of
 
 __all__ = ["Estimates", "Posterior", "cramer_rao_bound", "estimate", "posterior"]
 

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from cgid._lib.validation import Floats
 from cgid.errors import InvalidValue
-from cgid.measure.table import LEAST_SAMPLES
-from cgid.measure.vibration import MIN_EVENT
+from cgid.measure.features.table import LEAST_SAMPLES
+from cgid.measure.features.vibration import MIN_EVENT
 from cgid.signals import Signal
 
 __all__ = ["Event"]

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from cgid._lib.validation import Floats
 from cgid.identification.beam_responses import ROWS, BeamResponses, Observations, ResponseTable, Rowwise, cut
 from cgid.identification.location_grid import LocationGrid, Start
-from cgid.measure.beam import TOUCH, Singles
+from cgid.measure.modal.beam import TOUCH, Singles
 
 __all__ = ["ForceEstimate", "Inversion", "Observations", "Start"]
 

@@ -32,8 +32,16 @@ from cgid.identification.same_beam import Rocks, agreeing, behind_each_sensor, g
 from cgid.identification.silence import Silence, silence_of
 from cgid.identification.through_beam import ThroughBeam
 from cgid.identification.windows import WINDOW_TIME, Grid, NoisyCopies, complete_windows, measure_windows, windows_of
-from cgid.measure.features import FEATURES, choose, extract_array, kind_for, kind_of, require_supported, supported
-from cgid.measure.table import LEAST_SAMPLES, LOW_WINDOW_TIME, MIN_BANDWIDTH, Kind
+from cgid.measure.features.extraction import (
+    FEATURES,
+    choose,
+    extract_array,
+    kind_for,
+    kind_of,
+    require_supported,
+    supported,
+)
+from cgid.measure.features.table import LEAST_SAMPLES, LOW_WINDOW_TIME, MIN_BANDWIDTH, Kind
 from cgid.recordings import MAX_STREAM, RecordingFile, open_recording
 from cgid.recordings.chain import Statement, require_measured
 from cgid.recordings.recording import clear_errors

@@ -22,7 +22,7 @@ from cgid.identification.beam_responses import (
     Rowwise,
     grid_numbers,
 )
-from cgid.measure.beam import GRID, TOUCH, Singles
+from cgid.measure.modal.beam import GRID, TOUCH, Singles
 
 #: Expected strengths of an impact over the noise, for samples of a typical location.
 _LEVELS = np.geomspace(2.0, 2e4, 12)

@@ -47,10 +47,10 @@ from cgid.identification.model_file import (
     with_floats,
 )
 from cgid.identification.reference import equalisations_of
-from cgid.measure.beam import Beam
-from cgid.measure.features import FEATURES, kind_of
+from cgid.measure.features.extraction import FEATURES, kind_of
+from cgid.measure.features.table import Kind
 from cgid.measure.filters import Equalisation
-from cgid.measure.table import Kind
+from cgid.measure.modal.beam import Beam
 from cgid.units import quantity_of
 
 if TYPE_CHECKING:

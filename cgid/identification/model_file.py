@@ -25,8 +25,8 @@ from cgid.identification.confusion import Confusion
 from cgid.identification.families import BY_NAME, MIN_DIVISOR, Boosting, Contrast, Linear, Network, Standardiser
 from cgid.identification.reference import equalisations_of
 from cgid.identification.windows import require_times
-from cgid.measure.beam import Beam
-from cgid.measure.features import any_through_beam, require_known
+from cgid.measure.features.extraction import any_through_beam, require_known
+from cgid.measure.modal.beam import Beam
 from cgid.measure.spectra import MEL_BANDS
 from cgid.signals import KNOWN
 from cgid.units import quantity_of

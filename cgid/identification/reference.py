@@ -15,9 +15,9 @@ from numpy.typing import ArrayLike, NDArray
 from cgid._lib import validation
 from cgid._lib.validation import Floats, require_rate
 from cgid.errors import BadData, InvalidValue
+from cgid.measure.features.windows import WindowBatch
 from cgid.measure.filters import Equalisation
 from cgid.measure.spectra import MEL_BANDS
-from cgid.measure.windows import WindowBatch
 
 #: Drift of a session that causes a warning [dB].
 MAX_DRIFT = 3.0

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from cgid._lib.validation import Floats
 from cgid.identification.beam_responses import BeamResponses
-from cgid.measure.beam import gain
+from cgid.measure.modal.beam import gain
 
 
 class RingDown:

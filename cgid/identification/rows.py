@@ -22,11 +22,19 @@ from cgid._lib.workers import SERIAL, Workers
 from cgid.errors import BadData, CgidError, InvalidValue
 from cgid.identification.through_beam import ThroughBeam
 from cgid.identification.windows import CLEAR, WINDOW_TIME, columns_of, require_times
-from cgid.measure.beam import Beam
-from cgid.measure.features import FEATURES, any_through_beam, choose, extract_array, kind_for, kind_of, supported
+from cgid.measure.features.extraction import (
+    FEATURES,
+    any_through_beam,
+    choose,
+    extract_array,
+    kind_for,
+    kind_of,
+    supported,
+)
+from cgid.measure.features.table import MIN_BANDWIDTH, Kind
+from cgid.measure.features.vibration import BEAM_PULSE, EARLY_BANDS
+from cgid.measure.modal.beam import Beam
 from cgid.measure.spectra import THIRD_OCTAVES
-from cgid.measure.table import MIN_BANDWIDTH, Kind
-from cgid.measure.vibration import BEAM_PULSE, EARLY_BANDS
 from cgid.signals import KNOWN, Batch
 from cgid.units import UNITS, quantity_of
 

@@ -22,8 +22,8 @@ from cgid.identification.events import Event
 from cgid.identification.families import softmax
 from cgid.identification.model import Model
 from cgid.identification.prediction_settings import PredictionSettings, known_columns
-from cgid.measure.features import FEATURES
-from cgid.measure.vibration import BEAM_PULSE
+from cgid.measure.features.extraction import FEATURES
+from cgid.measure.features.vibration import BEAM_PULSE
 
 #: Sound crosses a beam within this time [s].
 CROSSING = 4e-3

@@ -16,7 +16,7 @@ from cgid._lib.validation import Floats
 from cgid.identification.detection import ImpactDetector
 from cgid.identification.events import Event
 from cgid.identification.windows import WINDOW_TIME, windows_of
-from cgid.measure.table import ImpactKind
+from cgid.measure.features.table import ImpactKind
 from cgid.recordings import RecordingFile
 
 #: A window is silent if it contains no impact, and its power is below this fraction of that of windows with one (6 dB).

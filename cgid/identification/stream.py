@@ -25,9 +25,9 @@ from cgid.identification.prediction_settings import PredictionSettings
 from cgid.identification.reference import MeanSpectrum, drift
 from cgid.identification.same_beam import SameBeam, Together, pooled, rows_of
 from cgid.identification.windows import RunningVote, complete_windows, measure_windows, windows_of
-from cgid.measure.features import FEATURES, require_measurable
+from cgid.measure.features.extraction import FEATURES, require_measurable
+from cgid.measure.features.table import MIN_BANDWIDTH, ImpactKind
 from cgid.measure.filters import Equalisation
-from cgid.measure.table import MIN_BANDWIDTH, ImpactKind
 from cgid.signals import channel_name
 
 if TYPE_CHECKING:

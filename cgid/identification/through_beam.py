@@ -13,9 +13,9 @@ from cgid.identification.beam_responses import Observations
 from cgid.identification.contact import Contact, ContactFit
 from cgid.identification.inversion import ForceEstimate, Inversion
 from cgid.identification.ring_down import RingDown
-from cgid.measure.ar_noise import ARNoise, ar_noise_of
-from cgid.measure.beam import SPAN_TIME, TOUCH, Beam, gain
-from cgid.measure.vibration import VibrationBatch
+from cgid.measure.features.vibration import VibrationBatch
+from cgid.measure.fit.ar_noise import ARNoise, ar_noise_of
+from cgid.measure.modal.beam import SPAN_TIME, TOUCH, Beam, gain
 
 #: Maximum time of the onset before the first sample above the noise [s]: the travel time of waves.
 REACH = 1.2e-3

@@ -57,9 +57,9 @@ from cgid.identification.rows import (
     sets_for,
     shift,
 )
-from cgid.measure.beam import Beam
-from cgid.measure.features import any_through_beam, choose
-from cgid.measure.pulses import MAX_UNEXPLAINED
+from cgid.measure.features.extraction import any_through_beam, choose
+from cgid.measure.features.pulses import MAX_UNEXPLAINED
+from cgid.measure.modal.beam import Beam
 from cgid.signals import Batch
 from cgid.units import quantity_of
 

@@ -15,7 +15,7 @@ from cgid._lib import validation
 from cgid._lib.validation import Floats
 from cgid.errors import InvalidValue
 from cgid.identification.families import softmax
-from cgid.measure.features import extract_array
+from cgid.measure.features.extraction import extract_array
 from cgid.measure.filters import Equalisation
 from cgid.measure.frames import MINIMUM_FRAME
 

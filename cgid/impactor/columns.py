@@ -16,7 +16,7 @@ from cgid.impactor.measured import MeasuredPulses
 from cgid.impactor.population import population_of
 from cgid.impactor.posterior import QUANTITIES
 from cgid.impactor.recognition import forces, through_beam
-from cgid.measure.table import ImpactKind
+from cgid.measure.features.table import ImpactKind
 from cgid.scene import Scene, record
 from cgid.units import UNITS
 

@@ -12,9 +12,9 @@ from cgid._lib.validation import Floats
 from cgid.identification.contact import Contact
 from cgid.identification.estimation import FAMILY_LIMIT, Estimates
 from cgid.identification.inversion import ForceEstimate
-from cgid.measure.fit import PulseFit
-from cgid.measure.pulses import PulseBatch
-from cgid.measure.template import MAX_SHAPE, MIN_SHAPE, relative_times
+from cgid.measure.features.pulses import PulseBatch
+from cgid.measure.fit.fit import PulseFit
+from cgid.measure.fit.template import MAX_SHAPE, MIN_SHAPE, relative_times
 
 #: A pulse whose peak, over the clipping level, minus 1, exceeds this is a guess.
 OVERLOAD_LIMIT = 1.0

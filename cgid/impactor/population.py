@@ -15,8 +15,8 @@ from cgid.identification.estimation import estimate
 from cgid.identification.inversion import ForceEstimate
 from cgid.identification.through_beam import ThroughBeam
 from cgid.impactor.posterior import ImpactorPopulation
-from cgid.measure.beam import FINE, TOUCH, filtered, respond
-from cgid.measure.template import relative_times
+from cgid.measure.fit.template import relative_times
+from cgid.measure.modal.beam import FINE, TOUCH, filtered, respond
 from cgid.physics import Impact
 from cgid.physics.coupled import ModalImpact
 from cgid.scene import Scene

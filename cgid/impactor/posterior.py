@@ -24,7 +24,7 @@ from cgid._lib import validation
 from cgid._lib.validation import Floats
 from cgid.errors import InvalidValue
 from cgid.impactor.measured import MeasuredPulses
-from cgid.measure.template import dimensionless_logarithms
+from cgid.measure.fit.template import dimensionless_logarithms
 
 #: Estimated quantities of an impactor and their units.
 QUANTITIES = {"mass": "kg", "radius": "m", "speed": "m/s"}

@@ -19,11 +19,11 @@ from cgid.identification.through_beam import ThroughBeam
 from cgid.impactor.measured import MeasuredPulses
 from cgid.impactor.population import impact_beam, population_of, uses_beam
 from cgid.impactor.posterior import LEVELS, SPEED_POWER, TIME_POWER, ImpactorEstimates, ImpactorPopulation
-from cgid.measure.features import BEAM_LEAD
+from cgid.measure.features.extraction import BEAM_LEAD
+from cgid.measure.features.pulses import PulseBatch
+from cgid.measure.features.vibration import VibrationBatch
+from cgid.measure.fit.template import dimensionless_logarithms
 from cgid.measure.frames import DETECTION_LIMIT, frames_of
-from cgid.measure.pulses import PulseBatch
-from cgid.measure.template import dimensionless_logarithms
-from cgid.measure.vibration import VibrationBatch
 from cgid.physics import RIGID, HalfSpace, RigidWall
 from cgid.physics.materials import STEEL, Material
 from cgid.scene import Scene, load_scene

@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from types import ModuleType
 
-    from cgid.measure import features, filters, modes
+    from cgid.measure import features, filters, modal
 
-__all__ = ["features", "filters", "modes"]  # the modules with public names, loaded on first use
+#: The rooms and modules with public names, loaded on first use.
+__all__ = ["features", "filters", "modal"]
 
 
 if not TYPE_CHECKING:

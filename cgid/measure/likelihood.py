@@ -20,10 +20,10 @@ from cgid._lib import validation
 from cgid._lib.validation import Floats, rates
 from cgid.errors import InvalidValue
 from cgid.measure.filters import low_pass_response, mixing_matrix
-from cgid.measure.fit_samples import rows_of, windows
-from cgid.measure.least_squares import solve_scaled
-from cgid.measure.optimum import bounded, normal_equations
-from cgid.measure.template import (
+from cgid.measure.fit.fit_samples import rows_of, windows
+from cgid.measure.fit.least_squares import solve_scaled
+from cgid.measure.fit.optimum import bounded, normal_equations
+from cgid.measure.fit.template import (
     MAX_SHAPE,
     MIN_SHAPE,
     PARAMETERS,
@@ -214,7 +214,7 @@ class Profile:
 
 
 class Residual(Protocol):
-    """Samples and a curve to fit to them, as `cgid.measure.fit_samples.Window`."""
+    """Samples and a curve to fit to them, as `cgid.measure.fit.fit_samples.Window`."""
 
     @property
     def free(self) -> list[int]:

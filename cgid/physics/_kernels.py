@@ -1,4 +1,4 @@
-"""Numba kernels of the tabulated pulses and of those made of branches; `cgid.family` describes how a pulse is stored.
+"""Numba kernels of the tabulated pulses (`cgid.measure.fit.family`) and of those made of branches.
 
 No `fastmath`: compiled and interpreted they give the same bits,
 whether or not it fuses multiplication and addition.
@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid._lib.compiled import jit
-from cgid.family import CONTACT, CUT, INTERVALS, ORDERS, POWERS, SEGMENTS
+from cgid.measure.fit.family import CONTACT, CUT, INTERVALS, ORDERS, POWERS, SEGMENTS
 
 Array = NDArray[Any]
 

@@ -2,7 +2,7 @@
 
 Numbers of its law, lambda of a plate and gamma of a weight describe an impact, see `cgid.physics._contact`, which
 integrates it. A *plain* impact has only Hunt-Crossley damping: its peaks have closed forms, and its pulse comes from
-the shipped table (`cgid.family`) unless its restitution is below the table's range.
+the shipped table (`cgid.measure.fit.family`) unless its restitution is below the table's range.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self
 import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
 
-from cgid import family
 from cgid._lib.validation import Floats
 from cgid.errors import CgidError, InvalidValue
+from cgid.measure.fit import family
 from cgid.physics.closed_forms import damping_of, peak_displacement, peak_force
 
 if TYPE_CHECKING:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from cgid._lib.validation import Complex, Floats
 from cgid.errors import InvalidValue
-from cgid.measure.modes import phi
+from cgid.measure.modal.modes import phi
 
 #: Steps per contact for an error of 1 (see `steps_for`), minimum steps per contact, maximum steps per sample.
 _STEPS_FOR_ONE, _MIN_STEPS, _MAX_STRIDE = 4.0, 32, 1 << 16

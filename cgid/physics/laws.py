@@ -22,10 +22,10 @@ import numpy as np
 from numpy.polynomial.chebyshev import chebval
 from numpy.typing import ArrayLike
 
-from cgid import family
 from cgid._lib import validation
 from cgid._lib.validation import Floats
 from cgid.errors import InvalidValue
+from cgid.measure.fit import family
 from cgid.physics.bodies import sphere_share
 from cgid.physics.closed_forms import damping_number, delivered_restitution
 from cgid.physics.curves import Curves, Law, hunt_crossley_curves

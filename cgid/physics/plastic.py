@@ -30,8 +30,8 @@ import numpy as np
 from numpy.polynomial.polynomial import polyval
 from numpy.typing import DTypeLike, NDArray
 
-from cgid import family
 from cgid._lib.validation import Floats
+from cgid.measure.fit import family
 from cgid.physics.closed_forms import peak_displacement, peak_force
 from cgid.physics.curves import TOLERANCE, Curves, Law, Quantity, in_threads, kernel
 

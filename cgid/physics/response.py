@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from cgid._lib import validation
 from cgid._lib.validation import Complex, Floats
 from cgid.errors import InvalidValue
-from cgid.measure.modes import Modes, residues, resonator_poles
+from cgid.measure.modal.modes import Modes, residues, resonator_poles
 from cgid.physics.curves import in_parts
 from cgid.physics.driving import DrivenSample, Pulses, Windows, polynomials_for
 

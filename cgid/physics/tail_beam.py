@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from cgid._lib import validation
 from cgid._lib.validation import Floats
 from cgid.errors import InvalidValue
-from cgid.measure.modes import Modes
+from cgid.measure.modal.modes import Modes
 from cgid.physics.bodies import ThinPlate
 from cgid.physics.materials import Material
 from cgid.physics.plates import PanelShapes, PolynomialShapes, Rigidities, SineShapes, on_panel, ritz_modes

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from cgid._lib.validation import Floats, unchecked
 from cgid.errors import InvalidValue
-from cgid.measure.modes import Modes
+from cgid.measure.modal.modes import Modes
 from cgid.physics import HuntCrossley, Impact, Law, Sphere, laws
 from cgid.physics.coupled import ModalContacts, ModalImpact
 from cgid.physics.curves import is_builtin, own_code

@@ -12,9 +12,17 @@ import numpy as np
 
 from cgid._lib import validation
 from cgid.errors import InvalidValue
-from cgid.family import MIN_RESTITUTION
-from cgid.measure.features import FEATURES, allow_truncation, choose, kind_for, kind_of, require_supported, supported
-from cgid.measure.pulses import FAINT
+from cgid.measure.features.extraction import (
+    FEATURES,
+    allow_truncation,
+    choose,
+    kind_for,
+    kind_of,
+    require_supported,
+    supported,
+)
+from cgid.measure.features.pulses import FAINT
+from cgid.measure.fit.family import MIN_RESTITUTION
 from cgid.physics import HuntCrossley, ThinPlate
 from cgid.scene.draws import parameter_units
 from cgid.scene.gravity import largest_error, tolerance_of

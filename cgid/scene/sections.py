@@ -22,8 +22,8 @@ from pydantic_core import CoreSchema, core_schema
 
 from cgid._lib import validation
 from cgid._lib.validation import Floats, Rule, poisson_ratio
-from cgid.family import MAX_RESTITUTION, MIN_RESTITUTION
-from cgid.measure.modes import COLUMNS, LEARNED_COLUMNS, Modes, rows_of_table
+from cgid.measure.fit.family import MAX_RESTITUTION, MIN_RESTITUTION
+from cgid.measure.modal.modes import COLUMNS, LEARNED_COLUMNS, Modes, rows_of_table
 from cgid.physics import HUNT_CROSSLEY_LAWS, RIGID, HalfSpace, RigidWall, ThinPlate
 from cgid.physics.laws import LAWS, known, named
 from cgid.physics.materials import Material

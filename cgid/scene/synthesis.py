@@ -13,7 +13,7 @@ from numpy.typing import DTypeLike, NDArray
 from cgid._lib import validation
 from cgid._lib.validation import Floats
 from cgid.errors import InvalidValue
-from cgid.measure.features import extract_array, extract_truncated, samples_needed
+from cgid.measure.features.extraction import extract_array, extract_truncated, samples_needed
 from cgid.scene.draws import BLOCK, at_once, drawn_block, parameter_units, require_seed
 from cgid.scene.impacts import PulseBlock, contacts_of, pulses_of_block
 from cgid.scene.noise import MAX_NOISE, add_sensor_noise, background_of

@@ -12,8 +12,8 @@ from scipy.linalg import eigh
 
 from cgid._lib.validation import Floats
 from cgid.errors import InvalidValue
-from cgid.measure.beam import FINE, MAX_SENSORS, RATES, SPAN_TIME, TOUCH, Beam, bounded, filtered, points_of
-from cgid.measure.modes import Modes, NodeShapes, nodes
+from cgid.measure.modal.beam import FINE, MAX_SENSORS, RATES, SPAN_TIME, TOUCH, Beam, bounded, filtered, points_of
+from cgid.measure.modal.modes import Modes, NodeShapes, nodes
 from cgid.physics.response import DERIVATIVES
 from cgid.scene.draws import BLOCK, require_seed
 from cgid.scene.impacts import beam_modes, draw, pulses_of_block

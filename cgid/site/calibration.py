@@ -19,10 +19,10 @@ from cgid.errors import BadData, InvalidValue
 from cgid.identification.detection import ImpactDetector
 from cgid.identification.inversion import Inversion
 from cgid.identification.through_beam import REACH, clipped_samples
-from cgid.measure.ar_noise import ar_noise_of
-from cgid.measure.beam import Beam, corrected
-from cgid.measure.modes import Modes, text_of_table
-from cgid.measure.vibration import VibrationBatch
+from cgid.measure.features.vibration import VibrationBatch
+from cgid.measure.fit.ar_noise import ar_noise_of
+from cgid.measure.modal.beam import Beam, corrected
+from cgid.measure.modal.modes import Modes, text_of_table
 from cgid.scene.impacts import beam_modes
 from cgid.scene.schema import Scene, load_scene, parse_scene
 from cgid.scene.sections import rows_of

@@ -17,7 +17,7 @@ import numpy as np
 from cgid._lib.validation import Floats
 from cgid.errors import InvalidValue
 from cgid.identification.inversion import Inversion
-from cgid.measure.beam import Beam
+from cgid.measure.modal.beam import Beam
 from cgid.scene.schema import Scene, parse_scene
 from cgid.scene.through_beam import through_modes
 from cgid.site.learning import ImpactFrames, System, newton

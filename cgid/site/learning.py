@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 
 from cgid._lib.validation import Floats
 from cgid.identification.inversion import Inversion, Observations
-from cgid.measure.ar_noise import ARNoise
-from cgid.measure.beam import Beam, Singles, corrected, respond
-from cgid.measure.modes import CORRECTED
+from cgid.measure.fit.ar_noise import ARNoise
+from cgid.measure.modal.beam import Beam, Singles, corrected, respond
+from cgid.measure.modal.modes import CORRECTED
 
 #: Relative step of the difference quotients in a pole: at the end of a response, it turns the fastest mode by some
 #: thousandths of a radian.

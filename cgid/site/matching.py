@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from cgid._lib.validation import Floats
-from cgid.measure.modes import Modes
+from cgid.measure.modal.modes import Modes
 from cgid.site.tapping import TapTest
 
 #: A mode of a scene matches one of the taps within this many standard deviations; an unmatched one costs their square.

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid._lib.validation import Floats
-from cgid.measure.least_squares import least_squares
+from cgid.measure.fit.least_squares import least_squares
 
 Complexes = NDArray[np.complex128]
 

@@ -28,8 +28,8 @@ from cgid.identification.events import Event, frames_alike
 from cgid.identification.model import Model
 from cgid.identification.rows import BEAM_FEATURES, BEAM_GUARDS, Rows, through
 from cgid.identification.training import MIN_LIMITS, Training, train_on_specimens
-from cgid.measure.beam import Beam
-from cgid.measure.features import extract_array
+from cgid.measure.features.extraction import extract_array
+from cgid.measure.modal.beam import Beam
 from cgid.scene.schema import Scene, parse_scene
 from cgid.scene.sections import rows_of
 from cgid.scene.stream import record

@@ -22,7 +22,7 @@ from cgid._lib.validation import Floats
 from cgid.errors import BadData, InvalidValue
 from cgid.identification.detection import ImpactDetector
 from cgid.identification.events import Event
-from cgid.measure.modes import Modes, residues, text_of_table
+from cgid.measure.modal.modes import Modes, residues, text_of_table
 from cgid.physics.response import DERIVATIVES
 from cgid.site.poles import Complexes, Poles, poles_of
 from cgid.units import UNITS, quantity_of

@@ -14,6 +14,7 @@ from typing import Any
 
 from numpydoc.xref import DEFAULT_LINKS
 from sphinx.application import Sphinx
+from sphinx.pycode import ModuleAnalyzer
 
 #: Page -> title, and modules whose `__all__` is public.
 PAGES: dict[str, tuple[str, tuple[str, ...]]] = {
@@ -24,7 +25,6 @@ PAGES: dict[str, tuple[str, tuple[str, ...]]] = {
             "cgid.physics",
             "cgid.physics.materials",
             "cgid.physics.tail_beam",
-            "cgid.measure.modes",
             "cgid.physics.response",
             "cgid.physics.sampled",
         ),
@@ -41,7 +41,7 @@ PAGES: dict[str, tuple[str, tuple[str, ...]]] = {
         "Recordings: cgid.recordings",
         (
             "cgid.recordings",
-            "cgid.identification.events",
+            "cgid.public",
         ),
     ),
     "measure": (
@@ -49,18 +49,19 @@ PAGES: dict[str, tuple[str, tuple[str, ...]]] = {
         (
             "cgid.measure.features",
             "cgid.measure.filters",
-            "cgid.identification.estimation",
+            "cgid.measure.modal",
         ),
     ),
     "identification": (
         "Identifying and training: cgid.identification",
         (
+            "cgid.identification.events",
             "cgid.identification.prediction_settings",
             "cgid.identification.answers",
             "cgid.identification.share",
             "cgid.identification.rows",
-            "cgid.identification.training",
             "cgid.identification.card",
+            "cgid.identification.training",
             "cgid.export_c",
             "cgid.learn",
         ),
@@ -76,16 +77,13 @@ PAGES: dict[str, tuple[str, tuple[str, ...]]] = {
     ),
     "site": ("The beam of a site: cgid.site", ("cgid.site",)),
     "impactor": (
-        "What struck, and public recordings: cgid.impactor, cgid.public",
+        "What struck: cgid.impactor",
         (
             "cgid.impactor",
-            "cgid.public",
+            "cgid.identification.estimation",
         ),
     ),
-    "output": (
-        "Pictures: cgid.plots",
-        ("cgid.plots",),
-    ),
+    "output": ("Pictures: cgid.plots", ("cgid.plots",)),
 }
 
 
@@ -95,6 +93,14 @@ def names_of(module: str) -> list[str]:
     elsewhere = {id(getattr(top, name)) for name in top.__all__} if described is not top else set()
     names = [name for name in described.__all__ if not name.startswith("__")]
     return sorted((name for name in names if id(getattr(described, name)) not in elsewhere), key=str.lower)
+
+
+def comment_on(package: str, name: str) -> list[str]:
+    """Return the lines of the comment on a constant, from the module that defines it for its package."""
+    for module, names in getattr(import_module(package), "_NAMES", {}).items():
+        if name in names:
+            return ModuleAnalyzer.for_module(f"{package}.{module}").find_attr_docs().get(("", name), [])
+    return []
 
 
 def write_pages(app: Sphinx, _: Any) -> None:
@@ -107,7 +113,10 @@ def write_pages(app: Sphinx, _: Any) -> None:
             for name in names:
                 found, full = getattr(import_module(module), name), f"{module}.{name}"
                 kind = "class" if inspect.isclass(found) else "function" if callable(found) else "data"
-                described.append(f".. auto{kind}:: {full}")
+                comment = comment_on(module, name) if kind == "data" else []
+                described.append(f".. auto{kind}:: {full}" if not comment else f".. py:data:: {full}")
+                if comment:
+                    described += ["", *(f"   {line}" for line in comment)]
                 if kind == "class":
                     described.append("   :members:")
                     app.config.numpydoc_xref_aliases[name] = full

@@ -21,8 +21,8 @@ from cgid._lib.validation import Floats
 from cgid.errors import InvalidValue
 from cgid.identification.contact import HIGHEST, LOWEST, ContactFit
 from cgid.identification.inversion import Inversion
-from cgid.measure.beam import respond
-from cgid.measure.template import curve
+from cgid.measure.fit.template import curve
+from cgid.measure.modal.beam import respond
 from cgid.scene import Scene
 from cgid.scene.draws import BLOCK
 from cgid.scene.impacts import PulseBlock, draw

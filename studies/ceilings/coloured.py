@@ -24,11 +24,10 @@ from numpy.typing import NDArray
 from cgid._lib.validation import Floats
 from cgid.errors import InvalidValue
 from cgid.measure.filters import mixing_matrix
-from cgid.measure.fit_samples import by_length, tied
-from cgid.measure.least_squares import solve_scaled
-from cgid.measure.likelihood import Profile, profile
-from cgid.measure.optimum import MAX_STEPS, bounded, normal_equations
-from cgid.measure.template import (
+from cgid.measure.fit.fit_samples import by_length, tied
+from cgid.measure.fit.least_squares import solve_scaled
+from cgid.measure.fit.optimum import MAX_STEPS, bounded, normal_equations
+from cgid.measure.fit.template import (
     MAX_SHAPE,
     MIN_SHAPE,
     free_parameters,
@@ -36,6 +35,7 @@ from cgid.measure.template import (
     relative_times,
     shape_deviation,
 )
+from cgid.measure.likelihood import Profile, profile
 from cgid.scene import Scene
 from cgid.scene.draws import COLOURED
 from cgid.scene.noise import Coloured, ar_noise_of

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from cgid._lib.validation import Floats
 from cgid.identification.rows import BEAM_FEATURES
 from cgid.identification.through_beam import ThroughBeam
-from cgid.measure.features import extract_array
+from cgid.measure.features.extraction import extract_array
 from cgid.scene import Scene, synthesise
 from cgid.scene.draws import BLOCK
 from cgid.scene.impacts import draws

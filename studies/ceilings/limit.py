@@ -22,12 +22,12 @@ from cgid._lib import validation
 from cgid._lib.validation import Floats
 from cgid.errors import InvalidValue
 from cgid.identification.prior import Prior
-from cgid.measure.features import extract_array
+from cgid.measure.features.extraction import extract_array
+from cgid.measure.features.pulses import PULSE_FEATURES
+from cgid.measure.features.table import Feature
 from cgid.measure.filters import low_pass_response
+from cgid.measure.fit.template import parameters_of, relative_times
 from cgid.measure.likelihood import Profile, profile
-from cgid.measure.pulses import PULSE_FEATURES
-from cgid.measure.table import Feature
-from cgid.measure.template import parameters_of, relative_times
 from cgid.scene import Scene, load_scene, parse_scene, synthesise
 from cgid.scene.draws import BLOCK
 from cgid.scene.impacts import draws

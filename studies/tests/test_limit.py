@@ -8,7 +8,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from cgid.measure.template import dimensionless_logarithms
+from cgid.measure.fit.template import dimensionless_logarithms
 from cgid.scene import load_scene, parse_scene, synthesise, varied
 from cgid.scene.impacts import draw
 from studies.ceilings.__main__ import main

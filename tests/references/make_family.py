@@ -1,7 +1,7 @@
 """The exact dimensionless damped-Hertz pulse by quadrature, and the table of pulses made from it.
 
-`python tests/references/make_family.py` writes `cgid/family.npz`. Each entry is accurate to about 1e-14; the remaining
-error comes from interpolation. `tests/test_family.py` checks the shipped file against a fresh evaluation.
+`python tests/references/make_family.py` writes `cgid/measure/fit/family.npz`. Each entry is accurate to about 1e-14;
+the remaining error comes from interpolation. `tests/test_family.py` checks the shipped file against a fresh evaluation.
 
 With `p = ln(1 + D x')` the equation `x'' = -x^(3/2) (1 + D x')` reads `p' = -D x^(3/2)`. Its first integral
 (Hunt & Crossley 1975) gives x in closed form, `(2/5) D^2 x^(5/2) = phi(p_end) - phi(p)` with `phi(p) = e^p - 1 - p`. So
@@ -17,11 +17,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from cgid._lib.validation import Floats
-from cgid.family import INTERVALS, MIN_RESTITUTION, ORDERS, POWERS, SEGMENTS, TABLE_PATH, FamilyTable
+from cgid.measure.fit.family import INTERVALS, MIN_RESTITUTION, ORDERS, POWERS, SEGMENTS, TABLE_PATH, FamilyTable
 from cgid.physics.closed_forms import damping_number, exponential_rest, logarithms, peak_logarithm
 
-# Measured with the sizes of `cgid.family`: the force error over the peak is 3e-11 at e = .05, 1e-12 from .1 on,
-# 1e-13 from .2 on.
+# Measured with the sizes of `cgid.measure.fit.family`: the force error over the peak is 3e-11 at e = .05, 1e-12 from .1
+# on, 1e-13 from .2 on.
 N_TIME_ORDERS = 14  # the time of the peak force has a branch point just above e = 1 and converges slowly
 #: Exponent of the cut between the two halves: near the largest displacement for large e, late enough for the long tail
 #: for small e. 0.6 balances the errors of both halves.
@@ -195,7 +195,7 @@ def _columns(e: float) -> tuple[Floats, Floats]:
 
 
 def main() -> None:
-    """Write the table next to the module `cgid.family`."""
+    """Write the table next to the module `cgid.measure.fit.family`."""
     made = tabulate()
     np.savez(TABLE_PATH, force=made.force, displacement=made.displacement, times=made.times)
     print(f"{TABLE_PATH.name}: {TABLE_PATH.stat().st_size / 1e3:.0f} kB")

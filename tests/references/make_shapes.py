@@ -1,4 +1,4 @@
-"""Make the tables of the pulse fit, cgid/measure/template.npy and cgid/measure/shapes.npz.
+"""Make the tables of the pulse fit, cgid/measure/fit/template.npy and cgid/measure/fit/shapes.npz.
 
     python tests/references/make_shapes.py
 
@@ -7,17 +7,17 @@ other laws of loss differ from it. The pulses of the bank lie in common coordina
 elastic one.
 
 Pulses of Thornton, Walton and Braun, and Kuwabara and Kono of restitution .1 to .97 are fitted by the damped-Hertz
-family without noise. What is left, in the coordinates of `cgid.measure.search` and without what a change of the fitted
-parameters would explain, has few principal components (Jolliffe 2002, Principal component analysis).
+family without noise. What is left, in the coordinates of `cgid.measure.fit.search` and without what a change of the
+fitted parameters would explain, has few principal components (Jolliffe 2002, Principal component analysis).
 """
 
 import numpy as np
 
-from cgid.measure.fit import Start, fit_pulses
-from cgid.measure.residual import N_SHAPES as N_COMPONENTS
-from cgid.measure.residual import residual_bins
-from cgid.measure.search import BIN, MIDDLES, N_BINS, NODES, Samples, bank
-from cgid.measure.template import (
+from cgid.measure.fit.fit import Start, fit_pulses
+from cgid.measure.fit.residual import N_SHAPES as N_COMPONENTS
+from cgid.measure.fit.residual import residual_bins
+from cgid.measure.fit.search import BIN, MIDDLES, N_BINS, NODES, Samples, bank
+from cgid.measure.fit.template import (
     MIN_SHAPE,
     N_CELLS,
     N_SHAPES,
@@ -47,7 +47,7 @@ def in_shape(function, shapes):
 
 
 def template() -> np.ndarray:
-    """Return the table of `slopes_and_pulse`, as `cgid.measure.template.tables` describes it."""
+    """Return the table of `slopes_and_pulse`, as `cgid.measure.fit.template.tables` describes it."""
     shapes, x = np.linspace(MIN_SHAPE, 0.0, N_SHAPES), np.arange(N_CELLS + 1)
 
     def along(step):

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid._lib.validation import Floats
-from cgid.measure.fit_samples import Rows, Window, rows_of, tied
-from cgid.measure.least_squares import least_squares
-from cgid.measure.template import MAX_SHAPE, MIN_SHAPE
+from cgid.measure.fit.fit_samples import Rows, Window, rows_of, tied
+from cgid.measure.fit.least_squares import least_squares
+from cgid.measure.fit.template import MAX_SHAPE, MIN_SHAPE
 
 #: Largest steps of ln(width), of the peak time over the width, and of s.
 MAX_STEPS = (0.4, 0.5, 0.7)

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid._lib.validation import Floats
+from cgid.measure.features.table import LEAST_BANDWIDTH, MIN_BANDWIDTH, Bank, Feature, bank, described
 from cgid.measure.frames import Problem, ProblemKind
 from cgid.measure.spectra import (
     EVEN_BANDS,
@@ -29,7 +30,6 @@ from cgid.measure.spectra import (
     packet_energies,
     third_octave,
 )
-from cgid.measure.table import LEAST_BANDWIDTH, MIN_BANDWIDTH, Bank, Feature, bank, described
 
 #: Length of a frame [s], or [samples] if that is longer; frames overlap by half.
 FRAME_TIME, _FRAME_SAMPLES = 10e-3, 20

@@ -5,7 +5,8 @@ of 1/e (`tau -> -tau` changes the sign of the damping in `x'' = -x^(3/2) (1 + D 
 beyond e = 1, where estimates near 1 may fall.
 
 It is tabulated with its derivatives at `N_SHAPES` shapes and `N_CELLS` equal parts of the contact, and extrapolated
-from the nearest node to second order. `tests/references/make_shapes.py` makes the tables from `cgid.family`.
+from the nearest node to second order. `tests/references/make_shapes.py` makes the tables from
+`cgid.measure.fit.family`.
 
 The parameters of a fit, (peak, ln width, peak time, s, baseline) with width = impulse over peak, are
 nearly independent; contact duration and onset would be strongly correlated with s. `PARAMETERS` are reported.
@@ -19,9 +20,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from cgid import family
 from cgid._lib.validation import Floats
-from cgid.measure.least_squares import scaled
+from cgid.measure.fit import family
+from cgid.measure.fit.least_squares import scaled
 
 #: Bounds of the shape s = ln e.
 MIN_SHAPE, MAX_SHAPE = float(np.log(family.MIN_RESTITUTION)), -float(np.log(family.MIN_RESTITUTION))

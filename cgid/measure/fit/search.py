@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid._lib.validation import Floats
-from cgid.measure.template import MAX_SHAPE, MIN_SHAPE, SHAPES_PATH
+from cgid.measure.fit.template import MAX_SHAPE, MIN_SHAPE, SHAPES_PATH
 
 #: Shapes of the bank: most of them where materials are, some mirrored.
 NODES = np.concatenate([np.linspace(MIN_SHAPE, 0.8, 20), [1.2, 1.8, MAX_SHAPE]])

@@ -1,6 +1,6 @@
 """The residual of a fitted damped-Hertz pulse: principal components of other laws of loss, and the unexplained part.
 
-`tests/references/make_shapes.py` makes the components, in the bins of `cgid.measure.search`.
+`tests/references/make_shapes.py` makes the components, in the bins of `cgid.measure.fit.search`.
 """
 
 from __future__ import annotations
@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid._lib.validation import Floats
-from cgid.measure.search import BIN, N_BINS, NODES, Bins, Samples, bank
-from cgid.measure.template import SHAPES_PATH, relative_times
+from cgid.measure.fit.search import BIN, N_BINS, NODES, Bins, Samples, bank
+from cgid.measure.fit.template import SHAPES_PATH, relative_times
 
 #: Root mean square that the components leave unexplained in pulses of other laws, over the peak.
 SHAPE_ERROR = 0.01

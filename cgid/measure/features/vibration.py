@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid._lib.validation import Floats
+from cgid.measure.features.table import LEAST_BANDWIDTH, MIN_BANDWIDTH, Bank, Feature, bank, described
 from cgid.measure.frames import Frames, Problem, ProblemKind, constant_signal, no_impact
 from cgid.measure.spectra import (
     MEL_BANDS,
@@ -27,7 +28,6 @@ from cgid.measure.spectra import (
     passage,
     third_octave,
 )
-from cgid.measure.table import LEAST_BANDWIDTH, MIN_BANDWIDTH, Bank, Feature, bank, described
 
 #: Time constant of the exponential window [s]. It widens a line by 1 / (pi WINDOW_TIME) = 21 Hz.
 WINDOW_TIME = 15e-3

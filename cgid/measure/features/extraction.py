@@ -1,6 +1,6 @@
 """Features of impacts and windows: names, requirements and values.
 
-`FEATURES` is the table of all features by name; `cgid.measure.table` explains how to add one.
+`FEATURES` is the table of all features by name; `cgid.measure.features.table` explains how to add one.
 """
 
 from __future__ import annotations
@@ -14,12 +14,12 @@ from numpy.typing import ArrayLike, NDArray
 from cgid._lib import validation
 from cgid._lib.validation import Floats, require_rate
 from cgid.errors import BadData, InvalidValue
+from cgid.measure.features.pulses import FAINT, PULSE_FEATURES, PulseBatch
+from cgid.measure.features.table import Feature, ImpactKind, Kind, Table
+from cgid.measure.features.vibration import VIBRATION_FEATURES, Beam, VibrationBatch
+from cgid.measure.features.windows import WINDOW_FEATURES, WindowBatch
 from cgid.measure.filters import Equalisation
 from cgid.measure.frames import DETECTION_LIMIT, Problem, frames_of
-from cgid.measure.pulses import FAINT, PULSE_FEATURES, PulseBatch
-from cgid.measure.table import Feature, ImpactKind, Kind, Table
-from cgid.measure.vibration import VIBRATION_FEATURES, Beam, VibrationBatch
-from cgid.measure.windows import WINDOW_FEATURES, WindowBatch
 
 if TYPE_CHECKING:
     import pandas

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from cgid._lib import validation
 from cgid._lib.validation import Floats
 from cgid.errors import BadData
-from cgid.measure.modes import CORRECTED, Modes, NodeShapes, lagrange, phi, residues
+from cgid.measure.modal.modes import CORRECTED, Modes, NodeShapes, lagrange, phi, residues
 
 #: Quadrature nodes of an average over the error of a frequency.
 _DRAWS = 5

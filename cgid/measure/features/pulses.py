@@ -12,13 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid._lib.validation import Floats
-from cgid.measure.fit import MODEL_ERROR, PulseFit, Start, fit_pulses, without_impact
-from cgid.measure.fit_samples import strongest_run
+from cgid.measure.features.table import Bank, Feature, bank, described
+from cgid.measure.fit.fit import MODEL_ERROR, PulseFit, Start, fit_pulses, without_impact
+from cgid.measure.fit.fit_samples import strongest_run
+from cgid.measure.fit.residual import N_SHAPES, Residual, fit_residual
+from cgid.measure.fit.search import around
 from cgid.measure.frames import Frames, Problem, ProblemKind, constant_signal, no_impact
-from cgid.measure.residual import N_SHAPES, Residual, fit_residual
-from cgid.measure.search import around
 from cgid.measure.spectra import PulseSpectrum
-from cgid.measure.table import Bank, Feature, bank, described
 
 #: Minimum number of samples between the 10 % crossings of a measurable width.
 MINIMUM_SAMPLES = 4

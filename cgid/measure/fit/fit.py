@@ -1,7 +1,7 @@
 """The damped-Hertz pulse fitted to samples by maximum likelihood, batched over signals.
 
-Coloured noise is whitened first. A search of all shapes (`cgid.measure.search`) precedes the fit to all samples
-(`cgid.measure.optimum`); `cgid.measure.profile` gives standard deviations where the likelihood is no parabola.
+Coloured noise is whitened first. A search of all shapes (`cgid.measure.fit.search`) precedes the fit to all samples
+(`cgid.measure.fit.optimum`); `cgid.measure.fit.profile` gives standard deviations where the likelihood is no parabola.
 """
 
 from __future__ import annotations
@@ -12,13 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid._lib.validation import Floats
-from cgid.measure.ar_noise import ORDER, ar_noise_of
-from cgid.measure.fit_samples import Rows, rows_of, windows
+from cgid.measure.fit.ar_noise import ORDER, ar_noise_of
+from cgid.measure.fit.fit_samples import Rows, rows_of, windows
+from cgid.measure.fit.optimum import Optimum, Problems, search_nearby
+from cgid.measure.fit.profile import PARABOLIC, Profiled, binned, exact, gaussian_restitution, parabolic
+from cgid.measure.fit.search import SearchResult, around, last_bin, search
+from cgid.measure.fit.template import relative_times
 from cgid.measure.frames import Problem, constant_signal, no_impact
-from cgid.measure.optimum import Optimum, Problems, search_nearby
-from cgid.measure.profile import PARABOLIC, Profiled, binned, exact, gaussian_restitution, parabolic
-from cgid.measure.search import SearchResult, around, last_bin, search
-from cgid.measure.template import relative_times
 
 #: Rows fitted at once.
 _ROWS = 2048
@@ -68,7 +68,7 @@ class PulseFit:
     width: Floats  # impulse over peak
     shape: Floats  # s = ln e, above 0 for a pulse that rises more slowly than it falls
     baseline: Floats  # 0 unless fitted
-    covariance: Floats  # (n, 5, 5), of `cgid.measure.template.PARAMETERS`; zero for given parameters
+    covariance: Floats  # (n, 5, 5), of `cgid.measure.fit.template.PARAMETERS`; zero for given parameters
     restitution_deviation: Floats  # of exp(s)
     expected_restitution: Floats  # mean after the fit, if it was `WIDE_RESTITUTION` before
     expected_deviation: Floats

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid._lib.validation import Floats
-from cgid.measure.ar_noise import ARNoise
 from cgid.measure.filters import mixing_matrix
-from cgid.measure.template import free_parameters, relative_times, slopes_and_pulse
+from cgid.measure.fit.ar_noise import ARNoise
+from cgid.measure.fit.template import free_parameters, relative_times, slopes_and_pulse
 
 #: Margin of a window around the contact found by the search, and its largest extent after the peak, in widths: less
 #: than 0.2 % of the peak is left there at any restitution.

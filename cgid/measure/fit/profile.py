@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid._lib.validation import Floats
-from cgid.measure.least_squares import solve_scaled
-from cgid.measure.optimum import Optimum, Problems, bounded
-from cgid.measure.search import BIN, NODES, SearchResult
-from cgid.measure.template import covariance_of, relative_times
+from cgid.measure.fit.least_squares import solve_scaled
+from cgid.measure.fit.optimum import Optimum, Problems, bounded
+from cgid.measure.fit.search import BIN, NODES, SearchResult
+from cgid.measure.fit.template import covariance_of, relative_times
 
 #: Shapes at which the likelihood is profiled (every other one of the search).
 _EVERY = slice(0, 20, 2)
