@@ -24,8 +24,7 @@ from scipy.sparse import linalg
 from threadpoolctl import threadpool_limits
 
 from cgid.measure.filters import fft_filter
-from cgid.physics import HertzRangeWarning, Sphere
-from cgid.physics.materials import STEEL, YANG2018_SPHERES
+from cgid.physics import STEEL, YANG2018_SPHERES, HertzRangeWarning, Sphere
 from studies.finite_element import ElasticPlate, FiniteElementImpact, History
 from studies.finite_element.assembly import Body
 

@@ -21,9 +21,8 @@ from cgid.identification.metrics import evaluate
 from cgid.identification.model import Model
 from cgid.identification.rows import measure
 from cgid.measure.fit.template import curve
-from cgid.physics import Elastic, HalfSpace, HuntCrossley, Impact, Sphere, Viscoelastic
-from cgid.physics.materials import Material
-from cgid.physics.sampled import SampledPulses, shares_of_contact
+from cgid.physics import Elastic, HalfSpace, HuntCrossley, Impact, Material, Sphere, Viscoelastic
+from cgid.physics.contact.sampled import SampledPulses, shares_of_contact
 from cgid.scene import Scene, load_scene, varied
 from cgid.scene.given_pulses import SolvedImpacts
 from studies.paper.sensitivity import dissipative_constant

@@ -34,8 +34,7 @@ from cgid.impactor.population import impact_beam
 from cgid.impactor.posterior import QUANTITIES
 from cgid.impactor.recognition import of_material, through_beam
 from cgid.measure.fit.template import relative_times
-from cgid.physics import HalfSpace, HuntCrossley, Impact, Sphere
-from cgid.physics.materials import STEEL, Material
+from cgid.physics import STEEL, HalfSpace, HuntCrossley, Impact, Material, Sphere
 from cgid.scene import Scene, load_scene, parse_scene, record, synthesise
 from cgid.scene.draws import BLOCK
 from cgid.scene.impacts import pulses_of_block

@@ -310,9 +310,8 @@ _BANDS = (0.0, 500.0, 1000.0, 2000.0, 4000.0, 8000.0, 16_600.0)
 
 def beside(variant: Variant) -> None:
     """Print our modes beside those of the package's beam, in bands."""
-    from cgid.physics.materials import STEEL
-    from cgid.physics.tail_beam import Ribs as SmearedRibs
-    from cgid.physics.tail_beam import TailBeam
+    from cgid.physics import STEEL, TailBeam
+    from cgid.physics import Ribs as SmearedRibs
 
     ours = modes_for(variant)
     sizes = ours.beam

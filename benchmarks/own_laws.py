@@ -22,8 +22,7 @@ from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
 from cgid.errors import InvalidValue
-from cgid.physics import HalfSpace, Impact, Law, ModalImpact, Sphere, ThinPlate
-from cgid.physics.materials import STEEL, YANG2018_SPHERES
+from cgid.physics import STEEL, YANG2018_SPHERES, HalfSpace, Impact, Law, ModalImpact, Sphere, ThinPlate
 
 Floats = NDArray[np.float64]
 #: The plate [m], the pull [m/s^2], and modes: frequency [Hz], damping ratio, compliance [1/kg].

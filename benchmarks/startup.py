@@ -22,7 +22,7 @@ COMMANDS = {
 START = """
 import numpy as np
 from cgid.physics import *
-from cgid.physics.materials import STEEL, YANG2018_SPHERES
+from cgid.physics import STEEL, YANG2018_SPHERES
 def impact(loss, n):
     ball = Sphere(material=YANG2018_SPHERES[1], radius=0.025)
     speed = np.linspace(1, 5, n)

@@ -23,16 +23,16 @@ from cgid.physics import (
     HertzRangeWarning,
     HuntCrossley,
     Impact,
+    Material,
     Sphere,
     ThinPlate,
     Viscoelastic,
     damping_number,
     delivered_restitution,
 )
-from cgid.physics.bodies import impedance_of_unit_thickness
-from cgid.physics.closed_forms import peak_displacement, peak_force
-from cgid.physics.impact import HERTZ_LIMIT
-from cgid.physics.materials import Material
+from cgid.physics.contact.bodies import impedance_of_unit_thickness
+from cgid.physics.contact.closed_forms import peak_displacement, peak_force
+from cgid.physics.contact.impact import HERTZ_LIMIT
 
 BATCH = 2000
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(20)

@@ -45,10 +45,12 @@ from scipy.integrate import odeint, solve_ivp
 from cgid import shipped
 from cgid._lib.files import write_whole
 from cgid.physics import (
+    STEEL,
     HalfSpace,
     HuntCrossley,
     Impact,
     Law,
+    Material,
     ModalImpact,
     Sphere,
     ThinPlate,
@@ -56,8 +58,7 @@ from cgid.physics import (
     Viscoelastic,
     WaltonBraun,
 )
-from cgid.physics.curves import TOLERANCE, HuntCrossleyCurves
-from cgid.physics.materials import STEEL, Material
+from cgid.physics.contact.curves import TOLERANCE, HuntCrossleyCurves
 from cgid.plots.figure import png, require_matplotlib
 from cgid.scene import load_scene
 from cgid.scene.impacts import draw

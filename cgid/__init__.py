@@ -36,15 +36,15 @@ if TYPE_CHECKING:
     from cgid.learn import stream as stream
     from cgid.measure.features.extraction import extract as extract
     from cgid.measure.filters import fft_filter as fft_filter
-    from cgid.physics import RIGID as RIGID
-    from cgid.physics import Elastic as Elastic
-    from cgid.physics import HalfSpace as HalfSpace
-    from cgid.physics import HuntCrossley as HuntCrossley
-    from cgid.physics import Impact as Impact
-    from cgid.physics import Sphere as Sphere
-    from cgid.physics import ThinPlate as ThinPlate
-    from cgid.physics import Viscoelastic as Viscoelastic
-    from cgid.physics.materials import Material as Material
+    from cgid.physics.contact.bodies import RIGID as RIGID
+    from cgid.physics.contact.bodies import HalfSpace as HalfSpace
+    from cgid.physics.contact.bodies import Sphere as Sphere
+    from cgid.physics.contact.bodies import ThinPlate as ThinPlate
+    from cgid.physics.contact.impact import Impact as Impact
+    from cgid.physics.contact.laws import Elastic as Elastic
+    from cgid.physics.contact.laws import HuntCrossley as HuntCrossley
+    from cgid.physics.contact.laws import Viscoelastic as Viscoelastic
+    from cgid.physics.contact.materials import Material as Material
     from cgid.recordings import open_recording as open_recording
     from cgid.recordings import read_recording as read_recording
     from cgid.scene import Scene as Scene
@@ -60,21 +60,21 @@ __version__ = "0.2.0"
 _HOMES = {
     "Batch": "cgid.signals",
     "Dataset": "cgid.store",
-    "Elastic": "cgid.physics",
-    "HalfSpace": "cgid.physics",
-    "HuntCrossley": "cgid.physics",
-    "Impact": "cgid.physics",
+    "Elastic": "cgid.physics.contact.laws",
+    "HalfSpace": "cgid.physics.contact.bodies",
+    "HuntCrossley": "cgid.physics.contact.laws",
+    "Impact": "cgid.physics.contact.impact",
     "ImpactClassifier": "cgid.identification.classifier",
     "ImpactFeatures": "cgid.learn",
     "ImpactDetector": "cgid.identification.detection",
-    "Material": "cgid.physics.materials",
+    "Material": "cgid.physics.contact.materials",
     "Model": "cgid.identification.model",
-    "RIGID": "cgid.physics",
+    "RIGID": "cgid.physics.contact.bodies",
     "Scene": "cgid.scene",
     "Signal": "cgid.signals",
-    "Sphere": "cgid.physics",
-    "ThinPlate": "cgid.physics",
-    "Viscoelastic": "cgid.physics",
+    "Sphere": "cgid.physics.contact.bodies",
+    "ThinPlate": "cgid.physics.contact.bodies",
+    "Viscoelastic": "cgid.physics.contact.laws",
     "estimate_impactors": "cgid.impactor",
     "extract": "cgid.measure.features.extraction",
     "fft_filter": "cgid.measure.filters",

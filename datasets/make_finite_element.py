@@ -28,10 +28,9 @@ from cgid._lib import validation
 from cgid._lib.files import write_whole
 from cgid._lib.workers import workers
 from cgid.errors import BadData, CgidError
-from cgid.physics import Elastic, HalfSpace, HertzRangeWarning, Impact, Sphere
-from cgid.physics.bodies import sphere_share
-from cgid.physics.materials import STEEL, Material
-from cgid.physics.sampled import SampledPulses, shares_of_contact, smoothed
+from cgid.physics import STEEL, Elastic, HalfSpace, HertzRangeWarning, Impact, Material, Sphere
+from cgid.physics.contact.bodies import sphere_share
+from cgid.physics.contact.sampled import SampledPulses, shares_of_contact, smoothed
 from cgid.scene import load_scene
 from cgid.scene.given_pulses import MAKING, PARAMETERS, SolvedImpacts
 from cgid.scene.impacts import draw

@@ -5,8 +5,7 @@ import pytest
 from scipy import signal
 
 from cgid.errors import BadData, CgidError, InvalidValue
-from cgid.physics import HalfSpace, HuntCrossley, Impact, Sphere, free_fall_velocity
-from cgid.physics.materials import STEEL, YANG2018_SPHERES
+from cgid.physics import STEEL, YANG2018_SPHERES, HalfSpace, HuntCrossley, Impact, Sphere, free_fall_velocity
 from cgid.scene import calibrated, parse_scene, synthesise, varied
 from cgid.signals import Signal
 from cgid.units import STANDARD_GRAVITY

@@ -282,7 +282,7 @@ def test_all_files_with_kernels_and_what_they_import_are_among_the_sources():
     assert len(needed) >= 7
     while more := {other for path in needed for other in imported(path)} - needed:
         needed |= more
-    needed.add(PACKAGE / "physics" / "laws.py")  # its functions are handed to the kernel of a contact
+    needed.add(PACKAGE / "physics" / "contact" / "laws.py")  # its functions are handed to the kernel of a contact
     assert {path.relative_to(PACKAGE).as_posix() for path in needed} == set(compiled.SOURCES)
 
 

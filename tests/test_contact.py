@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 from scipy.special import beta
 
-from cgid.physics import Elastic, Thornton, Viscoelastic, WaltonBraun, _contact
-from cgid.physics.closed_forms import damping_number, peak_displacement, peak_force
-from cgid.physics.curves import TOLERANCE, Curves
+from cgid.physics import Elastic, Thornton, Viscoelastic, WaltonBraun
+from cgid.physics.contact import _contact
+from cgid.physics.contact.closed_forms import damping_number, peak_displacement, peak_force
+from cgid.physics.contact.curves import TOLERANCE, Curves
 from tests import naive
 from tests.references import make_step
 from tests.references.make_family import reference_pulse, time_of_peak

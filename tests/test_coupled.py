@@ -7,6 +7,8 @@ from scipy.optimize import brentq
 
 from cgid.errors import InvalidValue
 from cgid.physics import (
+    STEEL,
+    YANG2018_SPHERES,
     Elastic,
     HalfSpace,
     HuntCrossley,
@@ -17,7 +19,6 @@ from cgid.physics import (
     Thornton,
     WaltonBraun,
 )
-from cgid.physics.materials import STEEL, YANG2018_SPHERES
 from tests import few, naive
 
 COAL = YANG2018_SPHERES[1]

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from cgid.measure.fit import family
-from cgid.physics.closed_forms import damping_number
+from cgid.physics import damping_number
 from tests import few
 from tests.references.make_family import reference_pulse, time_of_peak
 

@@ -16,8 +16,7 @@ from cgid.measure.features import FEATURES as ALL_FEATURES
 from cgid.measure.features.extraction import choose, extract, extract_array
 from cgid.measure.features.pulses import MAX_RINGING, MAX_UNEXPLAINED, PulseBatch
 from cgid.measure.fit import family
-from cgid.physics import Elastic, HalfSpace, HuntCrossley, Impact, Sphere
-from cgid.physics.materials import STEEL, YANG2018_SPHERES
+from cgid.physics import STEEL, YANG2018_SPHERES, Elastic, HalfSpace, HuntCrossley, Impact, Sphere
 from cgid.recordings import read_recording
 from tests import few, naive
 from tests.beside import SHARED

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from cgid.errors import InvalidValue
-from cgid.physics import Elastic, HalfSpace, HuntCrossley, Impact, Sphere, Viscoelastic
-from cgid.physics.materials import STEEL, YANG2018_SPHERES
-from cgid.physics.sampled import SampledPulses, shares_of_contact
+from cgid.physics import STEEL, YANG2018_SPHERES, Elastic, HalfSpace, HuntCrossley, Impact, Sphere, Viscoelastic
+from cgid.physics.contact.sampled import SampledPulses, shares_of_contact
 from cgid.scene import load_scene, synthesise, synthesise_given, varied
 from cgid.scene.impacts import draw
 from studies.paper.sensitivity import dissipative_constant

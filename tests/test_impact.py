@@ -24,13 +24,11 @@ from cgid.physics import (
     Sphere,
     ThinPlate,
     Viscoelastic,
-    _contact,
-    _kernels,
-    curves,
 )
-from cgid.physics.closed_forms import damping_number, peak_displacement, peak_force
-from cgid.physics.curves import in_threads
-from cgid.physics.materials import STEEL, YANG2018_RADIUS, YANG2018_SPHERES, Material
+from cgid.physics.contact import _contact, _kernels, curves
+from cgid.physics.contact.closed_forms import damping_number, peak_displacement, peak_force
+from cgid.physics.contact.curves import in_threads
+from cgid.physics.contact.materials import STEEL, YANG2018_RADIUS, YANG2018_SPHERES, Material
 from tests.references.make_family import reference_pulse
 
 

@@ -16,8 +16,7 @@ from cgid.impactor.columns import match_times
 from cgid.impactor.population import fit_through_beam, impact_beam
 from cgid.impactor.posterior import LEVELS, QUANTITIES
 from cgid.impactor.recognition import forces, of_material, through_beam
-from cgid.physics import RIGID, HalfSpace, HuntCrossley, Impact, Sphere
-from cgid.physics.materials import STEEL, Material
+from cgid.physics import RIGID, STEEL, HalfSpace, HuntCrossley, Impact, Material, Sphere
 from cgid.scene import load_scene, parse_scene, synthesise, varied
 from cgid.scene.impacts import pulses_of_block
 from cgid.scene.plan import Plan

@@ -15,10 +15,19 @@ from scipy import linalg, signal, sparse, stats
 from scipy.sparse.linalg import splu
 
 from cgid.measure.modal import Modes as MeasuredModes
-from cgid.physics import HalfSpace, HuntCrossley, ModalImpact, Sphere
-from cgid.physics.materials import STEEL, Material
-from cgid.physics.response import LowPass, Resonance, Response
-from cgid.physics.tail_beam import Ribs, TailBeam
+from cgid.physics import (
+    STEEL,
+    HalfSpace,
+    HuntCrossley,
+    LowPass,
+    Material,
+    ModalImpact,
+    Resonance,
+    Response,
+    Ribs,
+    Sphere,
+    TailBeam,
+)
 from cgid.scene import load_scene
 from cgid.scene.draws import drawn_block
 

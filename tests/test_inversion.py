@@ -28,7 +28,7 @@ from cgid.measure.fit import family
 from cgid.measure.fit.ar_noise import ORDER, ARNoise, ar_noise_of
 from cgid.measure.modal.beam import FINE, TOUCH, Beam, filtered, gain, points_of, respond, respond_on_average
 from cgid.measure.modal.modes import LEARNED_COLUMNS, lagrange, nodes
-from cgid.physics.response import Response
+from cgid.physics import Response
 from cgid.scene import load_scene, parse_scene, synthesise, varied
 from cgid.scene.impacts import beam_modes
 from cgid.scene.through_beam import beam_of, has_beam

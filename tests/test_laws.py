@@ -12,17 +12,19 @@ from cgid.errors import InvalidValue
 from cgid.physics import (
     HUNT_CROSSLEY_LAWS,
     RIGID,
+    STEEL,
+    YANG2018_SPHERES,
     Elastic,
     HalfSpace,
     HertzRangeWarning,
     HuntCrossley,
     Impact,
+    Material,
     Sphere,
     ThinPlate,
     ThinPlateWarning,
     Viscoelastic,
 )
-from cgid.physics.materials import STEEL, YANG2018_SPHERES, Material
 from studies.paper.sensitivity import dissipative_constant, plate_thickness
 from tests import naive
 from tests.test_impact import impulse_by_quadrature

@@ -15,10 +15,22 @@ from scipy.integrate import solve_ivp
 from benchmarks import own_laws as referee
 from cgid.cli.main import run
 from cgid.errors import BadData, CannotCreate, InvalidValue
-from cgid.physics import Elastic, HalfSpace, HuntCrossley, Impact, Law, ModalImpact, Sphere, ThinPlate, own_laws
-from cgid.physics.curves import MAX_WEIGHT
-from cgid.physics.laws import Thornton
-from cgid.physics.materials import STEEL, YANG2018_SPHERES, Material
+from cgid.physics import (
+    STEEL,
+    YANG2018_SPHERES,
+    Elastic,
+    HalfSpace,
+    HuntCrossley,
+    Impact,
+    Law,
+    Material,
+    ModalImpact,
+    Sphere,
+    ThinPlate,
+    Thornton,
+)
+from cgid.physics.contact import own_laws
+from cgid.physics.contact.curves import MAX_WEIGHT
 from cgid.recordings import open_recording
 from cgid.recordings.formats import outside_formats
 from cgid.scene import synthesise

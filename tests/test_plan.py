@@ -13,10 +13,11 @@ import pytest
 from cgid.cli.main import run
 from cgid.errors import BadData, InvalidValue
 from cgid.measure.features.extraction import FEATURES, extract_array, extract_truncated
-from cgid.physics import _contact, _kernels, coupled, curves
-from cgid.physics.coupled import ModalCurves
-from cgid.physics.curves import Curves
-from cgid.physics.response import Response
+from cgid.physics import Response
+from cgid.physics.contact import _contact, _kernels, curves
+from cgid.physics.contact.curves import Curves
+from cgid.physics.structure import coupled
+from cgid.physics.structure.coupled import ModalCurves
 from cgid.scene import Scene, impacts, synthesis, synthesise
 from cgid.scene.generation import tabulate
 from cgid.scene.impacts import Recorder, TapPulses, draw

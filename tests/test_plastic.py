@@ -7,17 +7,19 @@ import pytest
 
 from cgid.errors import InvalidValue
 from cgid.physics import (
+    STEEL,
+    YANG2018_SPHERES,
     Elastic,
     HalfSpace,
     HertzRangeWarning,
     HuntCrossley,
     Impact,
+    Material,
     Sphere,
     ThinPlate,
     Thornton,
     WaltonBraun,
 )
-from cgid.physics.materials import STEEL, YANG2018_SPHERES, Material
 from cgid.scene import parse_scene, synthesise
 from cgid.scene.distributions import LIMITS
 from cgid.scene.plan import plan

@@ -10,9 +10,8 @@ from scipy.integrate import quad
 from scipy.optimize import brentq
 
 from cgid.errors import BadData
-from cgid.physics import HuntCrossley, Impact, ModalImpact, Sphere, Thornton, WaltonBraun
-from cgid.physics.curves import TOLERANCE
-from cgid.physics.materials import Material
+from cgid.physics import HuntCrossley, Impact, Material, ModalImpact, Sphere, Thornton, WaltonBraun
+from cgid.physics.contact.curves import TOLERANCE
 from cgid.scene import parse_scene, synthesise
 from cgid.scene.impacts import draw
 from cgid.scene.plan import plan

@@ -186,7 +186,7 @@ def test_noise_around_a_pulse_of_the_family_leaves_nothing_unexplained():
         assert np.sqrt(np.mean(found[:, :-1] ** 2)) < 0.02
 
 
-@pytest.mark.filterwarnings("ignore::cgid.physics.impact.HertzRangeWarning")
+@pytest.mark.filterwarnings("ignore::cgid.physics.HertzRangeWarning")
 def test_components_tell_other_laws_from_the_family():
     """Pulses of other laws leave what the components explain; some law is far from the family."""
     clean = make_shapes.pulses()
@@ -212,7 +212,7 @@ def test_tables_are_what_their_maker_makes():
 
 
 @pytest.mark.long
-@pytest.mark.filterwarnings("ignore::cgid.physics.impact.HertzRangeWarning")
+@pytest.mark.filterwarnings("ignore::cgid.physics.HertzRangeWarning")
 def test_components_are_those_of_the_pulses_of_other_laws(tmp_path, monkeypatch):
     with np.load(SHAPES_PATH) as stored:
         held = dict(stored)

@@ -13,6 +13,8 @@ import pytest
 
 from cgid.physics import (
     HUNT_CROSSLEY_LAWS,
+    STEEL,
+    YANG2018_SPHERES,
     Elastic,
     HalfSpace,
     HuntCrossley,
@@ -22,7 +24,6 @@ from cgid.physics import (
     ThinPlateWarning,
     Viscoelastic,
 )
-from cgid.physics.materials import STEEL, YANG2018_SPHERES
 
 TABLE = Path(__file__).parent / "references" / "impacts.csv"
 RADIUS, VELOCITY = 0.025, 2.0

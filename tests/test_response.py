@@ -9,10 +9,8 @@ from scipy.linalg import expm
 
 from cgid.errors import InvalidValue
 from cgid.measure.modal import Modes
-from cgid.physics import Elastic, HalfSpace, HuntCrossley, Impact, Sphere
-from cgid.physics.driving import steps_for
-from cgid.physics.materials import STEEL, Material
-from cgid.physics.response import LowPass, Resonance, Response
+from cgid.physics import STEEL, Elastic, HalfSpace, HuntCrossley, Impact, LowPass, Material, Resonance, Response, Sphere
+from cgid.physics.structure.driving import steps_for
 from cgid.scene.impacts import TapPulses
 from cgid.scene.sections import SHAPES
 from tests import few

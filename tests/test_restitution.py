@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from cgid.errors import InvalidValue
-from cgid.physics.closed_forms import damping_number, delivered_restitution
+from cgid.physics import damping_number, delivered_restitution
 
 RESTITUTIONS = [
     1e-6, 1e-4, 1e-3, 0.02, 0.05, 0.1, 0.2, 0.35, 0.5, 0.65, 0.75, 0.82, 0.83, 0.9, 0.97, 0.99, 1 - 1e-6, 1 - 1e-12,

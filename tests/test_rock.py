@@ -11,18 +11,20 @@ from scipy.special import gamma
 from cgid.errors import BadData
 from cgid.physics import (
     RIGID,
+    STEEL,
+    YANG2018_SPHERES,
     Elastic,
     HalfSpace,
     HuntCrossley,
     Impact,
+    Material,
     Sphere,
     ThinPlate,
     Thornton,
     Viscoelastic,
     WaltonBraun,
 )
-from cgid.physics.laws import MIN_VISCOELASTIC, viscoelastic_number
-from cgid.physics.materials import STEEL, YANG2018_SPHERES, Material
+from cgid.physics.contact.laws import MIN_VISCOELASTIC, viscoelastic_number
 from cgid.scene import parse_scene, synthesise
 from cgid.scene.draws import SPHERE_SHAPE
 from cgid.scene.plan import plan

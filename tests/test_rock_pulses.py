@@ -15,8 +15,7 @@ from scipy.integrate import quad, solve_ivp
 
 from cgid import shipped
 from cgid.identification.model import Model
-from cgid.physics import HalfSpace, HuntCrossley, Impact, Sphere, Thornton, Viscoelastic, WaltonBraun
-from cgid.physics.materials import STEEL, Material
+from cgid.physics import STEEL, HalfSpace, HuntCrossley, Impact, Material, Sphere, Thornton, Viscoelastic, WaltonBraun
 
 BENCHMARKS = Path(__file__).parents[1] / "benchmarks"
 if str(BENCHMARKS) not in sys.path:

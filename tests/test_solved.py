@@ -12,9 +12,8 @@ from cgid.errors import BadData, InvalidValue
 from cgid.identification.estimation import estimate
 from cgid.identification.model import Model
 from cgid.identification.rows import measure
-from cgid.physics import Elastic, HalfSpace, HertzRangeWarning, Impact, Sphere, Viscoelastic
-from cgid.physics.materials import STEEL, Material
-from cgid.physics.sampled import SampledPulses, shares_of_contact, smoothed
+from cgid.physics import STEEL, Elastic, HalfSpace, HertzRangeWarning, Impact, Material, Sphere, Viscoelastic
+from cgid.physics.contact.sampled import SampledPulses, shares_of_contact, smoothed
 from cgid.scene.given_pulses import MAKING, PARAMETERS, SolvedImpacts, radii
 from cgid.scene.impacts import draw
 from studies.finite_element import ElasticPlate, FiniteElementImpact

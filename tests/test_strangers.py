@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from cgid.physics import Elastic, HuntCrossley, Impact, Sphere, ThinPlate
-from cgid.physics.materials import Material
+from cgid.physics import Elastic, HuntCrossley, Impact, Material, Sphere, ThinPlate
 from cgid.scene import load_scene, parse_scene, synthesise, varied
 from cgid.scene.distributions import Constant, Uniform
 from cgid.scene.draws import BLOCK, PARAMETER_UNITS

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from scipy import integrate, stats
 
-from cgid.physics import HalfSpace, HuntCrossley, Impact, Sphere
-from cgid.physics.materials import Material
+from cgid.physics import HalfSpace, HuntCrossley, Impact, Material, Sphere
 from cgid.scene import parse_scene, varied
 from cgid.scene.impacts import impact_of, impacts_by_coupling, recorder_of
 from cgid.scene.plan import plan

@@ -7,8 +7,7 @@ import pytest
 from scipy import stats
 
 from cgid.errors import BadData, InvalidValue
-from cgid.physics import HUNT_CROSSLEY_LAWS, RIGID, Elastic, HalfSpace, HuntCrossley, Impact, Sphere
-from cgid.physics.materials import Material
+from cgid.physics import HUNT_CROSSLEY_LAWS, RIGID, Elastic, HalfSpace, HuntCrossley, Impact, Material, Sphere
 from cgid.scene import parse_scene, synthesise
 from cgid.scene.draws import BLOCK
 

@@ -12,10 +12,8 @@ from threadpoolctl import threadpool_limits
 
 from cgid.errors import BadData, InvalidValue
 from cgid.measure.modal import read_modes
-from cgid.physics import ThinPlate
-from cgid.physics.materials import STEEL, Material
-from cgid.physics.response import Response
-from cgid.physics.tail_beam import Ribs, TailBeam, modes_of
+from cgid.physics import STEEL, Material, Response, ThinPlate
+from cgid.physics.structure.tail_beam import Ribs, TailBeam, modes_of
 
 PLATES = Path(__file__).parent / "references" / "plates.csv"
 RIBS = Ribs(number=6, depth=0.18, thickness=0.016)

@@ -26,8 +26,8 @@ def test_a_user_of_physics() -> None:
     coal = cgid.Material(density=1400.0, youngs_modulus=3e9, poisson_ratio=0.3)
     ball = cgid.Sphere(material=coal, radius=0.02)
     law: cgid.HuntCrossley = cgid.HuntCrossley(restitution=0.5, law="lee-wang")
-    plate = cgid.ThinPlate(material=cgid.physics.materials.STEEL, thickness=0.03)
-    for target in (cgid.RIGID, cgid.HalfSpace(material=cgid.physics.materials.STEEL), plate):
+    plate = cgid.ThinPlate(material=cgid.physics.STEEL, thickness=0.03)
+    for target in (cgid.RIGID, cgid.HalfSpace(material=cgid.physics.STEEL), plate):
         impact = cgid.Impact(sphere=ball, target=target, velocity=2.0, stiffness="hertz", dissipation=law)
         assert_type(impact, cgid.Impact)
         assert_type(impact.restitution, NDArray[np.float64])

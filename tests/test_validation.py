@@ -17,8 +17,7 @@ from cgid.identification.prior import Prior
 from cgid.identification.reference import MeanSpectrum
 from cgid.measure.likelihood import cramer_rao_bound
 from cgid.measure.overview import OverviewStream
-from cgid.physics import RIGID, Elastic, HuntCrossley, ThinPlate
-from cgid.physics.materials import STEEL, Material
+from cgid.physics import RIGID, STEEL, Elastic, HuntCrossley, Material, ThinPlate
 from cgid.recordings import open_recording
 
 RATE = 2e5

@@ -136,7 +136,7 @@ def _shares(draws: list[Any], values: dict[str, Any], sampling_rate: Any, scene:
     import numpy as np
 
     from cgid.measure.features.pulses import RECOMMENDED_SAMPLES
-    from cgid.physics.impact import BEYOND_THIN_PLATE, HERTZ_LIMIT, INELASTICITY_LIMIT
+    from cgid.physics.contact.impact import BEYOND_THIN_PLATE, HERTZ_LIMIT, INELASTICITY_LIMIT
 
     strain = np.concatenate([d.strain for d in draws])
     inelasticity = np.concatenate([d.inelasticity for d in draws])

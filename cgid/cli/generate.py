@@ -204,7 +204,7 @@ def _write_dataset(synthesis_plan: Any, options: dict[str, Any]) -> None:
 def _warn_of_plate(scene: Any, seed: int) -> None:
     """Warn once if rocks of the first block exceed the range of the thin plate; blocks do not warn."""
     from cgid.physics import ThinPlate
-    from cgid.physics.impact import BEYOND_THIN_PLATE, INELASTICITY_LIMIT
+    from cgid.physics.contact.impact import BEYOND_THIN_PLATE, INELASTICITY_LIMIT
     from cgid.scene.draws import require_seed
     from cgid.scene.impacts import draw
 

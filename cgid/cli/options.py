@@ -269,7 +269,7 @@ def _is_file(name: str, path: str) -> bool:
 
 def _add_laws(_context: click.Context, _option: click.Parameter, modules: tuple[str, ...]) -> tuple[str, ...]:
     if modules:
-        from cgid.physics.own_laws import add_laws
+        from cgid.physics.contact.own_laws import add_laws
 
         for module in modules:
             add_laws(module)

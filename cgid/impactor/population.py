@@ -17,8 +17,8 @@ from cgid.identification.through_beam import ThroughBeam
 from cgid.impactor.posterior import ImpactorPopulation
 from cgid.measure.fit.template import relative_times
 from cgid.measure.modal.beam import FINE, TOUCH, filtered, respond
-from cgid.physics import Impact
-from cgid.physics.coupled import ModalImpact
+from cgid.physics.contact.impact import Impact
+from cgid.physics.structure.coupled import ModalImpact
 from cgid.scene import Scene
 from cgid.scene.impacts import contacts_of, draws
 from cgid.scene.plan import Plan

@@ -24,8 +24,8 @@ from cgid.measure.features.pulses import PulseBatch
 from cgid.measure.features.vibration import VibrationBatch
 from cgid.measure.fit.template import dimensionless_logarithms
 from cgid.measure.frames import DETECTION_LIMIT, frames_of
-from cgid.physics import RIGID, HalfSpace, RigidWall
-from cgid.physics.materials import STEEL, Material
+from cgid.physics.contact.bodies import RIGID, HalfSpace, RigidWall
+from cgid.physics.contact.materials import STEEL, Material
 from cgid.scene import Scene, load_scene
 
 #: Vibrations processed at once.

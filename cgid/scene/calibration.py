@@ -12,8 +12,8 @@ from threadpoolctl import threadpool_limits
 from cgid._lib import validation
 from cgid._lib.validation import Floats
 from cgid.errors import BadData, InvalidValue
-from cgid.physics import Impact
-from cgid.physics.response import Resonance, Response
+from cgid.physics.contact.impact import Impact
+from cgid.physics.structure.response import Resonance, Response
 from cgid.scene.impacts import beam_modes
 from cgid.scene.schema import Scene, load_scene, varied
 from cgid.signals import Signal

@@ -18,8 +18,8 @@ from scipy.special import ndtri
 
 from cgid._lib import validation
 from cgid._lib.validation import Floats
-from cgid.physics.laws import speed_of_fall
-from cgid.physics.materials import YIELD_OVER_STRENGTH
+from cgid.physics.contact.laws import speed_of_fall
+from cgid.physics.contact.materials import YIELD_OVER_STRENGTH
 from cgid.scene.background import BackgroundSection, HumLine
 from cgid.scene.distributions import Section, quantity_of
 from cgid.scene.schema import HUM_FREQUENCY, Scene

@@ -16,7 +16,7 @@ from cgid._lib import validation
 from cgid._lib.files import read_regular
 from cgid._lib.validation import Floats
 from cgid.errors import BadData, InvalidValue
-from cgid.physics.sampled import SampledPulses
+from cgid.physics.contact.sampled import SampledPulses
 from cgid.scene.draws import (
     BLOCK,
     FALL,

@@ -16,12 +16,11 @@ import numpy as np
 
 from cgid._lib.validation import Floats, unchecked
 from cgid.errors import InvalidValue
-from cgid.physics import Elastic, HuntCrossley, Impact, Law, Sphere, ThinPlate
-from cgid.physics.bodies import Target, reduced_modulus, reduced_radius
-from cgid.physics.curves import is_builtin, own_code
-from cgid.physics.impact import Contacts
-from cgid.physics.laws import STIFFNESS_THEORIES, named, speed_of_fall, stiffness_of
-from cgid.physics.materials import YIELD_OVER_STRENGTH, Material
+from cgid.physics.contact.bodies import Sphere, Target, ThinPlate, reduced_modulus, reduced_radius
+from cgid.physics.contact.curves import Law, is_builtin, own_code
+from cgid.physics.contact.impact import Contacts, Impact
+from cgid.physics.contact.laws import STIFFNESS_THEORIES, Elastic, HuntCrossley, named, speed_of_fall, stiffness_of
+from cgid.physics.contact.materials import YIELD_OVER_STRENGTH, Material
 from cgid.scene.sections import ImpactSection, Population
 
 #: Default maximum relative error of neglecting gravity.

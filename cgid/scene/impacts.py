@@ -14,15 +14,17 @@ from numpy.typing import NDArray
 from cgid._lib.validation import Floats, unchecked
 from cgid.errors import InvalidValue
 from cgid.measure.modal.modes import Modes
-from cgid.physics import HuntCrossley, Impact, Law, Sphere, laws
-from cgid.physics.coupled import ModalContacts, ModalImpact
-from cgid.physics.curves import is_builtin, own_code
-from cgid.physics.impact import Contacts
-from cgid.physics.materials import Material
-from cgid.physics.plates import PanelShapes
-from cgid.physics.response import Response
-from cgid.physics.sampled import SampledPulses
-from cgid.physics.tail_beam import TailBeam
+from cgid.physics.contact import laws
+from cgid.physics.contact.bodies import Sphere
+from cgid.physics.contact.curves import Law, is_builtin, own_code
+from cgid.physics.contact.impact import Contacts, Impact
+from cgid.physics.contact.laws import HuntCrossley
+from cgid.physics.contact.materials import Material
+from cgid.physics.contact.sampled import SampledPulses
+from cgid.physics.structure.coupled import ModalContacts, ModalImpact
+from cgid.physics.structure.plates import PanelShapes
+from cgid.physics.structure.response import Response
+from cgid.physics.structure.tail_beam import TailBeam
 from cgid.scene.draws import PARTICLE, SPHERE_SHAPE, at_once, drawn_block
 from cgid.scene.gravity import weighed
 from cgid.scene.plan import NEGLIGIBLE_ECHO, RESPONSE_TOLERANCE, STORED, Plan, highest_frequency

@@ -23,7 +23,8 @@ from cgid.measure.features.extraction import (
 )
 from cgid.measure.features.pulses import FAINT
 from cgid.measure.fit.family import MIN_RESTITUTION
-from cgid.physics import HuntCrossley, ThinPlate
+from cgid.physics.contact.bodies import ThinPlate
+from cgid.physics.contact.laws import HuntCrossley
 from cgid.scene.draws import parameter_units
 from cgid.scene.gravity import largest_error, tolerance_of
 from cgid.scene.schema import Scene, load_scene, samples_of

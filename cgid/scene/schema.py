@@ -15,10 +15,10 @@ from pydantic import BaseModel, Field, PrivateAttr, ValidationError, model_valid
 from cgid._lib.files import parse_toml, read_regular
 from cgid._lib.validation import cut, shown, suggestion
 from cgid.errors import BadData, InvalidValue
-from cgid.physics.bodies import Target
-from cgid.physics.laws import named
-from cgid.physics.own_laws import add_laws, own_law, sources
-from cgid.physics.tail_beam import TailBeam
+from cgid.physics.contact.bodies import Target
+from cgid.physics.contact.laws import named
+from cgid.physics.contact.own_laws import add_laws, own_law, sources
+from cgid.physics.structure.tail_beam import TailBeam
 from cgid.scene.background import BackgroundSection, with_spectrum
 from cgid.scene.distributions import DISTRIBUTION_NAMES, Section, quantity_of
 from cgid.scene.gravity import problem_of_law, problem_of_weight, problem_on_plate

@@ -24,10 +24,10 @@ from cgid._lib import validation
 from cgid._lib.validation import Floats, Rule, poisson_ratio
 from cgid.measure.fit.family import MAX_RESTITUTION, MIN_RESTITUTION
 from cgid.measure.modal.modes import COLUMNS, LEARNED_COLUMNS, Modes, rows_of_table
-from cgid.physics import HUNT_CROSSLEY_LAWS, RIGID, HalfSpace, RigidWall, ThinPlate
-from cgid.physics.laws import LAWS, known, named
-from cgid.physics.materials import Material
-from cgid.physics.tail_beam import Ribs, TailBeam
+from cgid.physics.contact.bodies import RIGID, HalfSpace, RigidWall, ThinPlate
+from cgid.physics.contact.laws import HUNT_CROSSLEY_LAWS, LAWS, known, named
+from cgid.physics.contact.materials import Material
+from cgid.physics.structure.tail_beam import Ribs, TailBeam
 from cgid.scene.distributions import (
     LIMITS,
     Acceleration,

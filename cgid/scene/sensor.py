@@ -13,7 +13,7 @@ from pydantic import field_validator, model_validator
 
 from cgid._lib.validation import Floats, Rule
 from cgid.measure.filters import SENSOR_TAPER, fft_filter
-from cgid.physics.response import LowPass, Resonance
+from cgid.physics.structure.response import LowPass, Resonance
 from cgid.scene.background import QUANTITIES, ColouredNoise
 from cgid.scene.distributions import (
     LIMITS,

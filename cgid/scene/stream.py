@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from cgid._lib import validation
 from cgid._lib.validation import Floats
 from cgid.errors import InvalidValue
-from cgid.physics import Impact
-from cgid.physics.coupled import ModalImpact
+from cgid.physics.contact.impact import Impact
+from cgid.physics.structure.coupled import ModalImpact
 from cgid.scene.draws import PARAMETER_UNITS, POINT_UNITS, SPHERE_SHAPE, require_seed
 from cgid.scene.impacts import Recorder, contacts_of, recorder_of
 from cgid.scene.noise import Background, add_noise, ar_noise_of, background_of

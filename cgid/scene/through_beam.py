@@ -14,7 +14,7 @@ from cgid._lib.validation import Floats
 from cgid.errors import InvalidValue
 from cgid.measure.modal.beam import FINE, MAX_SENSORS, RATES, SPAN_TIME, TOUCH, Beam, bounded, filtered, points_of
 from cgid.measure.modal.modes import Modes, NodeShapes, nodes
-from cgid.physics.response import DERIVATIVES
+from cgid.physics.structure.response import DERIVATIVES
 from cgid.scene.draws import BLOCK, require_seed
 from cgid.scene.impacts import beam_modes, draw, pulses_of_block
 from cgid.scene.plan import highest_frequency, plan

@@ -23,7 +23,7 @@ from cgid.errors import BadData, InvalidValue
 from cgid.identification.detection import ImpactDetector
 from cgid.identification.events import Event
 from cgid.measure.modal.modes import Modes, residues, text_of_table
-from cgid.physics.response import DERIVATIVES
+from cgid.physics.structure.response import DERIVATIVES
 from cgid.site.poles import Complexes, Poles, poles_of
 from cgid.units import UNITS, quantity_of
 

@@ -19,16 +19,7 @@ from sphinx.pycode import ModuleAnalyzer
 #: Page -> title, and modules whose `__all__` is public.
 PAGES: dict[str, tuple[str, tuple[str, ...]]] = {
     "cgid": ("Everyday names: cgid", ("cgid",)),
-    "physics": (
-        "Physics of an impact: cgid.physics",
-        (
-            "cgid.physics",
-            "cgid.physics.materials",
-            "cgid.physics.tail_beam",
-            "cgid.physics.response",
-            "cgid.physics.sampled",
-        ),
-    ),
+    "physics": ("Physics of an impact: cgid.physics", ("cgid.physics",)),
     "scene": (
         "Scenes and synthetic signals: cgid.scene",
         (

@@ -11,8 +11,7 @@ import numpy as np
 from matplotlib import pyplot as plt
 
 from cgid import HalfSpace, HuntCrossley, Impact, Sphere
-from cgid.physics import HUNT_CROSSLEY_LAWS, free_fall_velocity
-from cgid.physics.materials import STEEL, Material
+from cgid.physics import HUNT_CROSSLEY_LAWS, STEEL, Material, free_fall_velocity
 
 coal = Material(density=1400, youngs_modulus=3.1e9, poisson_ratio=0.3)
 

@@ -13,8 +13,7 @@ from matplotlib import pyplot as plt
 from scipy.integrate import solve_ivp
 
 from cgid import HalfSpace, HuntCrossley, Impact, Sphere
-from cgid.physics import damping_number
-from cgid.physics.materials import STEEL, YANG2018_SPHERES
+from cgid.physics import STEEL, YANG2018_SPHERES, damping_number
 
 impact = Impact(
     sphere=Sphere(material=YANG2018_SPHERES[1], radius=0.025),

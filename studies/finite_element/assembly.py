@@ -18,7 +18,7 @@ from scipy import sparse
 from cgid._lib import validation
 from cgid._lib.validation import Floats
 from cgid.errors import InvalidValue
-from cgid.physics.materials import Material
+from cgid.physics import Material
 from studies.finite_element.mesh import Integers, Mesh
 
 Flags = NDArray[np.bool_]

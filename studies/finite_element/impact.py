@@ -12,9 +12,9 @@ import numpy as np
 from cgid._lib import validation
 from cgid._lib.validation import Floats
 from cgid.errors import InvalidValue
-from cgid.physics.bodies import HalfSpace, Sphere, sphere_share
-from cgid.physics.impact import HERTZ_LIMIT, HertzRangeWarning, Impact
-from cgid.physics.laws import Elastic
+from cgid.physics import Elastic
+from cgid.physics.contact.bodies import HalfSpace, Sphere, sphere_share
+from cgid.physics.contact.impact import HERTZ_LIMIT, HertzRangeWarning, Impact
 from cgid.signals import Signal
 from studies.finite_element.assembly import Pair, body, require_elements_fit
 from studies.finite_element.mesh import (
@@ -88,7 +88,7 @@ class FiniteElementImpact:
     Examples
     --------
     >>> from cgid.physics import Sphere
-    >>> from cgid.physics.materials import STEEL, YANG2018_SPHERES
+    >>> from cgid.physics import STEEL, YANG2018_SPHERES
     >>> impact = FiniteElementImpact(
     ...     sphere=Sphere(material=YANG2018_SPHERES[1], radius=0.025),
     ...     plate=ElasticPlate(material=STEEL, thickness=0.008, radius=0.2, lower_face="fixed"),

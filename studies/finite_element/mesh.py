@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 from cgid._lib import validation
 from cgid._lib.validation import Floats
 from cgid.errors import InvalidValue
-from cgid.physics.materials import Material
+from cgid.physics import Material
 
 LOWER_FACES = ("fixed", "free")
 #: Both bodies are meshed evenly out to this many contact radii; only there may the surfaces touch.

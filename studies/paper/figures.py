@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from cgid._lib.validation import Floats
-from cgid.physics import Impact, free_fall_velocity
-from cgid.physics.materials import YANG2018_SPHERES
+from cgid.physics import YANG2018_SPHERES, Impact, free_fall_velocity
 from studies.paper import printed
 from studies.paper.drawing import Drawn, Figures, Lines, Surface, frame, joined
 from studies.paper.printed import (

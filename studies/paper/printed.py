@@ -1,6 +1,6 @@
 """The printed tables of Yang, Zeng & Wan (2018), Shock and Vibration, and the impacts that they belong to.
 
-The inputs of Tables 1 and 2 are in `cgid.physics.materials`.
+The inputs of Tables 1 and 2 are in `cgid.physics.contact.materials`.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from cgid._lib.validation import Floats
 from cgid.physics import Elastic, HalfSpace, HuntCrossley, Impact, Sphere
-from cgid.physics.materials import STEEL, YANG2018_RADIUS, YANG2018_SPHERES, Material
+from cgid.physics.contact.materials import STEEL, YANG2018_RADIUS, YANG2018_SPHERES, Material
 
 #: Impact speeds of the simulations [m/s], section 3.1.
 VELOCITIES = (2.0, 4.0, 6.0, 8.0, 10.0)

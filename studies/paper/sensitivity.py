@@ -5,7 +5,7 @@ There are two measures of sensitivity. The local one, `d ln P / d ln X`, is the 
 section 4, varies one parameter over a range and fixes the others: it depends as much on the range as on the impact.
 
 Where restitution is a result (viscoelastic sphere, thin plate), `dissipative_constant` and `plate_thickness` invert it.
-For Hunt-Crossley damping the inverse has a closed form, `cgid.physics.closed_forms.damping_number`.
+For Hunt-Crossley damping the inverse has a closed form, `cgid.physics.damping_number`.
 """
 
 from __future__ import annotations
@@ -19,12 +19,10 @@ from numpy.typing import ArrayLike, NDArray
 from cgid._lib import validation
 from cgid._lib.validation import Floats
 from cgid.errors import InvalidValue
-from cgid.physics.bodies import HalfSpace, RigidWall, ThinPlate, impedance_of_unit_thickness
-from cgid.physics.curves import Curves
-from cgid.physics.impact import Impact
-from cgid.physics.laws import Elastic, HuntCrossley, Thornton, Viscoelastic
-from cgid.physics.materials import Material
-from cgid.physics.plastic import thornton_curves
+from cgid.physics import Elastic, HuntCrossley, Impact, Material, Thornton, Viscoelastic
+from cgid.physics.contact.bodies import HalfSpace, RigidWall, ThinPlate, impedance_of_unit_thickness
+from cgid.physics.contact.curves import Curves
+from cgid.physics.contact.plastic import thornton_curves
 
 #: Parameters of the sphere and of the half space, with their units.
 PARAMETERS = {
@@ -82,7 +80,7 @@ def local_sensitivity(impact: Impact) -> Sensitivity:
     Examples
     --------
     >>> from cgid.physics import Elastic, HalfSpace, Impact, Sphere
-    >>> from cgid.physics.materials import STEEL, YANG2018_SPHERES
+    >>> from cgid.physics import STEEL, YANG2018_SPHERES
     >>> impact = Impact(
     ...     sphere=Sphere(material=YANG2018_SPHERES[1], radius=0.025), target=HalfSpace(material=STEEL),
     ...     velocity=2.0, stiffness="hertz", dissipation=Elastic(),
@@ -141,7 +139,7 @@ def range_influence(impact: Impact, ranges: Mapping[str, ArrayLike]) -> Sensitiv
     Examples
     --------
     >>> from cgid.physics import Elastic, HalfSpace, Impact, Sphere
-    >>> from cgid.physics.materials import STEEL, YANG2018_SPHERES
+    >>> from cgid.physics import STEEL, YANG2018_SPHERES
     >>> impact = Impact(
     ...     sphere=Sphere(material=YANG2018_SPHERES[1], radius=0.025), target=HalfSpace(material=STEEL),
     ...     velocity=2.0, stiffness="hertz", dissipation=Elastic(),
@@ -187,7 +185,7 @@ def response_grid(impact: Impact, parameters: Mapping[str, ArrayLike]) -> Impact
     Examples
     --------
     >>> from cgid.physics import RIGID, Elastic, Impact, Sphere
-    >>> from cgid.physics.materials import YANG2018_SPHERES
+    >>> from cgid.physics import YANG2018_SPHERES
     >>> impact = Impact(
     ...     sphere=Sphere(material=YANG2018_SPHERES[1], radius=0.025), target=RIGID,
     ...     velocity=2.0, stiffness="hertz", dissipation=Elastic(),
@@ -274,7 +272,7 @@ def dissipative_constant(restitution: ArrayLike, impact: Impact) -> Floats:
     Examples
     --------
     >>> from cgid.physics import Elastic, HalfSpace, Sphere, Viscoelastic
-    >>> from cgid.physics.materials import STEEL, YANG2018_SPHERES
+    >>> from cgid.physics import STEEL, YANG2018_SPHERES
     >>> impact = Impact(
     ...     sphere=Sphere(material=YANG2018_SPHERES[1], radius=0.025),
     ...     target=HalfSpace(material=STEEL), velocity=2.0, stiffness="hertz", dissipation=Elastic(),
@@ -350,7 +348,7 @@ def yield_pressure(restitution: ArrayLike, impact: Impact) -> Floats:
     Examples
     --------
     >>> from cgid.physics import Elastic, HalfSpace, Sphere
-    >>> from cgid.physics.materials import STEEL, YANG2018_SPHERES
+    >>> from cgid.physics import STEEL, YANG2018_SPHERES
     >>> impact = Impact(
     ...     sphere=Sphere(material=YANG2018_SPHERES[1], radius=0.025),
     ...     target=HalfSpace(material=STEEL), velocity=2.0, stiffness="hertz", dissipation=Elastic(),

@@ -8,7 +8,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from cgid.physics.materials import YANG2018_SPHERES
+from cgid.physics import YANG2018_SPHERES
 from studies.paper import printed
 from studies.paper.drawing import Drawn, Figures, Lines, frame, joined
 from studies.paper.printed import SECTION_5_VELOCITY, THEORY_NAMES, paper_impact

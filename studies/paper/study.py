@@ -19,8 +19,8 @@ import numpy as np
 from cgid._lib.validation import Floats
 from cgid._lib.workers import workers
 from cgid.measure.filters import fft_filter
-from cgid.physics.bodies import sphere_share
-from cgid.physics.materials import STEEL, YANG2018_RADIUS, YANG2018_SPHERES
+from cgid.physics.contact.bodies import sphere_share
+from cgid.physics.contact.materials import STEEL, YANG2018_RADIUS, YANG2018_SPHERES
 from studies.paper import printed
 from studies.paper.printed import paper_impact
 from studies.paper.sensitivity import dissipative_constant

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from cgid.physics import Impact
-from cgid.physics.materials import STEEL, YANG2018_RADIUS, YANG2018_SPHERES, Material
+from cgid.physics.contact.materials import STEEL, YANG2018_RADIUS, YANG2018_SPHERES, Material
 from studies.paper import printed
 from studies.paper.drawing import QUANTITIES, SYMBOLS
 from studies.paper.printed import SECTION_4_VELOCITY, paper_impact, table_4_impact, table_5_impact

@@ -17,7 +17,7 @@ import numpy as np
 
 from cgid._lib.validation import Floats
 from cgid.physics import STIFFNESS_THEORIES
-from cgid.physics.bodies import sphere_share
+from cgid.physics.contact.bodies import sphere_share
 from studies.paper.printed import THEORY_LABELS, paper_impact
 from studies.paper.study import UNDAMPED, Study
 

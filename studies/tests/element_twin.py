@@ -11,7 +11,7 @@ import itertools
 
 import numpy as np
 
-from cgid.physics.materials import Material
+from cgid.physics import Material
 
 #: Corners of the reference square.
 _PLACE = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])

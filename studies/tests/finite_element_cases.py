@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from cgid.physics import Sphere
-from cgid.physics.materials import STEEL, YANG2018_RADIUS, YANG2018_SPHERES, Material
+from cgid.physics.contact.materials import STEEL, YANG2018_RADIUS, YANG2018_SPHERES, Material
 from studies.finite_element import ElasticPlate, FiniteElementImpact
 
 RADIUS = YANG2018_RADIUS

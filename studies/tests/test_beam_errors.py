@@ -12,7 +12,7 @@ import scipy.optimize
 from cgid import shipped
 from cgid.errors import InvalidValue
 from cgid.measure.fit.template import curve, relative_times
-from cgid.physics.sampled import SampledPulses, shares_of_contact
+from cgid.physics.contact.sampled import SampledPulses, shares_of_contact
 from cgid.scene import Scene, load_scene
 from cgid.scene.impacts import recorder_of
 from cgid.scene.plan import Plan

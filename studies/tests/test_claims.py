@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from cgid.measure.filters import fft_filter
-from cgid.physics import RIGID, STIFFNESS_THEORIES, Impact, contact_stiffness
-from cgid.physics.materials import STEEL, YANG2018_SPHERES, Material
+from cgid.physics import RIGID, STEEL, STIFFNESS_THEORIES, YANG2018_SPHERES, Impact, Material, contact_stiffness
 from studies.paper import printed
 from studies.paper.figures import FIGURES
 from studies.paper.printed import THEORY_LABELS, VELOCITIES, paper_impact, table_4_impact, table_5_impact

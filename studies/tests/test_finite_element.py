@@ -8,8 +8,7 @@ import pytest
 from scipy import sparse
 from scipy.sparse import linalg
 
-from cgid.physics import Sphere
-from cgid.physics.materials import STEEL, YANG2018_SPHERES
+from cgid.physics import STEEL, YANG2018_SPHERES, Sphere
 from studies.finite_element import FiniteElementImpact, History
 from studies.finite_element.assembly import element_matrices
 from studies.tests.element_twin import ElementTwin, lame, solid_of_revolution

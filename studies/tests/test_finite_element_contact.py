@@ -6,8 +6,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from cgid.physics import Sphere, ThinPlate
-from cgid.physics.materials import STEEL, YANG2018_SPHERES
+from cgid.physics import STEEL, YANG2018_SPHERES, Sphere, ThinPlate
 from studies.finite_element import ElasticPlate, PenaltyContact
 from studies.finite_element.mesh import bulk_modulus
 from studies.tests.finite_element_cases import RADIUS, VOLUME, impact, plate, velocity_for

@@ -9,9 +9,17 @@ import numpy as np
 import pytest
 
 from cgid.errors import CgidError, InvalidValue
-from cgid.physics import HertzRangeWarning, HuntCrossley, Sphere, Viscoelastic, damping_number, delivered_restitution
-from cgid.physics.bodies import sphere_share
-from cgid.physics.materials import STEEL, Material
+from cgid.physics import (
+    STEEL,
+    HertzRangeWarning,
+    HuntCrossley,
+    Material,
+    Sphere,
+    Viscoelastic,
+    damping_number,
+    delivered_restitution,
+)
+from cgid.physics.contact.bodies import sphere_share
 from studies.finite_element import ElasticPlate, FiniteElementImpact, PenaltyContact
 from studies.tests.finite_element_cases import RADIUS, impact, plate, sphere, velocity_for
 from tests import few

@@ -6,7 +6,7 @@ from functools import cache
 import pytest
 
 from cgid.measure.filters import fft_filter
-from cgid.physics.bodies import sphere_share
+from cgid.physics.contact.bodies import sphere_share
 from studies.tests.finite_element_cases import impact, sphere
 from tests import few
 from tests.free_sphere import frequencies

@@ -4,8 +4,7 @@ import mpmath
 import numpy as np
 import pytest
 
-from cgid.physics import RIGID, Elastic, HalfSpace, HuntCrossley, Impact, Sphere
-from cgid.physics.materials import STEEL, YANG2018_SPHERES, Material
+from cgid.physics import RIGID, STEEL, YANG2018_SPHERES, Elastic, HalfSpace, HuntCrossley, Impact, Material, Sphere
 from studies.paper.sensitivity import (
     PARAMETERS,
     local_sensitivity,

@@ -18,7 +18,7 @@ import numpy as np
 
 from cgid._lib.validation import Floats
 from cgid.measure.fit.family import INTERVALS, MIN_RESTITUTION, ORDERS, POWERS, SEGMENTS, TABLE_PATH, FamilyTable
-from cgid.physics.closed_forms import damping_number, exponential_rest, logarithms, peak_logarithm
+from cgid.physics.contact.closed_forms import damping_number, exponential_rest, logarithms, peak_logarithm
 
 # Measured with the sizes of `cgid.measure.fit.family`: the force error over the peak is 3e-11 at e = .05, 1e-12 from .1
 # on, 1e-13 from .2 on.

@@ -27,8 +27,7 @@ from cgid.measure.fit.template import (
     dimensionless,
     tables,
 )
-from cgid.physics import HalfSpace, Impact, Sphere, Thornton, Viscoelastic, WaltonBraun
-from cgid.physics.materials import STEEL, YANG2018_SPHERES
+from cgid.physics import STEEL, YANG2018_SPHERES, HalfSpace, Impact, Sphere, Thornton, Viscoelastic, WaltonBraun
 
 SAMPLES = 400  # of contact, so that sampling does not matter
 

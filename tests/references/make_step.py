@@ -1,15 +1,15 @@
 """The source of the step of DOP853, unrolled into scalars.
 
-`python tests/references/make_step.py` writes `cgid/physics/_step.py`; `tests/test_contact.py` compares the two.
+`python tests/references/make_step.py` writes `cgid/physics/contact/_step.py`; `tests/test_contact.py` compares the two.
 """
 
 from __future__ import annotations
 
 from pathlib import Path
 
-from cgid.physics._dop853 import DENSE, END, HISTORY, LAST, STAGES, TAU, W, Y
+from cgid.physics.contact._dop853 import DENSE, END, HISTORY, LAST, STAGES, TAU, W, Y
 
-PATH = Path(__file__).parents[2] / "cgid" / "physics" / "_step.py"
+PATH = Path(__file__).parents[2] / "cgid" / "physics" / "contact" / "_step.py"
 #: Weights of the stages in the two error estimates.
 ERROR_5 = {0: 0.01312004499419488, 5: -1.2251564463762044, 6: -0.4957589496572502, 7: 1.6643771824549864, 8:
     -0.35032884874997366, 9: 0.3341791187130175, 10: 0.08192320648511571, 11: -0.022355307863886294}  # fmt: skip
@@ -66,7 +66,7 @@ from typing import Any
 from numpy.typing import NDArray
 
 from cgid._lib.compiled import bare_jit
-from cgid.physics._modes import IMPULSE, RATE, STAGE, velocity
+from cgid.physics.contact._modes import IMPULSE, RATE, STAGE, velocity
 
 Array = NDArray[Any]
 

@@ -1,7 +1,7 @@
 """The dimensionless damped-Hertz pulse, a one-parameter family: tables and their evaluation in numpy.
 
 `x'' = -x^(3/2) (1 + D x')`, `x(0) = 0`, `x'(0) = 1`: every damped impact is this curve, scaled. The parameter here is
-the restitution e, which determines D (`cgid.physics.closed_forms`).
+the restitution e, which determines D (`cgid.physics.contact.closed_forms`).
 
 The contact is cut at `tau_s`, between its largest displacement and its middle. With `sigma = sqrt(tau / tau_s)` from
 onset, and `sigma = sqrt((tau_c - tau) / (tau_c - tau_s))` back from separation, force / sigma^3 and displacement /

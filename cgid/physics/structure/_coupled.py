@@ -13,9 +13,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid._lib.compiled import inner_jit, jit
-from cgid.physics import _contact, _dop853
-from cgid.physics._contact import OUT_OF_REACH, SEPARATED, find_peak, integrate
-from cgid.physics._modes import CELLS, Structure, advance, aloft, energy, rise, settle, structure, tabulate, width_of
+from cgid.physics.contact import _contact, _dop853
+from cgid.physics.contact._contact import OUT_OF_REACH, SEPARATED, find_peak, integrate
+from cgid.physics.contact._modes import (
+    CELLS,
+    Structure,
+    advance,
+    aloft,
+    energy,
+    rise,
+    settle,
+    structure,
+    tabulate,
+    width_of,
+)
 
 Array = NDArray[Any]
 

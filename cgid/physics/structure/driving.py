@@ -1,4 +1,4 @@
-"""Contact forces on fine grids, and their effect on a pole over one sample; see `cgid.physics._response`."""
+"""Contact forces on fine grids, and their effect on a pole over one sample; see `cgid.physics.structure._response`."""
 
 from __future__ import annotations
 

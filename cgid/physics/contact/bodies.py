@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from cgid._lib import validation
 from cgid._lib.validation import Floats
-from cgid.physics.materials import Material
+from cgid.physics.contact.materials import Material
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,7 +36,7 @@ class Sphere:
     --------
     A rock that hits with a corner of 5 mm, as far off its centre as its radius of gyration:
 
-    >>> from cgid.physics.materials import YANG2018_SPHERES
+    >>> from cgid.physics import YANG2018_SPHERES
     >>> rock = Sphere(material=YANG2018_SPHERES[1], radius=0.025, curvature=0.2, effective_mass=0.5)
     >>> round(float(rock.contact_radius), 9), float(rock.impact_mass / rock.mass)
     (0.005, 0.5)
@@ -113,7 +113,7 @@ class ThinPlate:
 
         Examples
         --------
-        >>> from cgid.physics.materials import STEEL
+        >>> from cgid.physics import STEEL
         >>> round(float(ThinPlate(material=STEEL, thickness=0.008).impedance))
         6291
         """

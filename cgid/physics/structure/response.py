@@ -2,8 +2,8 @@
 
 The chain is linear, so it is one sum over poles: those of the beam's modes, and those of the sensor (mounting
 resonance, anti-alias filter). Each pole is a resonator driven by the force. During contact the resonators run on a grid
-fine enough for the force (`cgid.physics.driving`). After it each decays as one exponential, computed only at the
-recorder's samples. There is no internal sampling rate, hence no filtering and decimation.
+fine enough for the force (`cgid.physics.structure.driving`). After it each decays as one exponential, computed only at
+the recorder's samples. There is no internal sampling rate, hence no filtering and decimation.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ from cgid._lib import validation
 from cgid._lib.validation import Complex, Floats
 from cgid.errors import InvalidValue
 from cgid.measure.modal.modes import Modes, residues, resonator_poles
-from cgid.physics.curves import in_parts
-from cgid.physics.driving import DrivenSample, Pulses, Windows, polynomials_for
+from cgid.physics.contact.curves import in_parts
+from cgid.physics.structure.driving import DrivenSample, Pulses, Windows, polynomials_for
 
 __all__ = ["LowPass", "Resonance", "Response"]
 
@@ -254,7 +254,7 @@ class Response:
         default one per pulse; a frame may have several pulses) and a factor `ratio` of its force. The threads share the
         frames.
         """
-        from cgid.physics import _response
+        from cgid.physics.structure import _response
 
         n = len(onset)
         rows = np.arange(n) if rows is None else rows
@@ -290,7 +290,7 @@ class Response:
         selected: NDArray[np.intp],
         threads: int,
     ) -> None:
-        from cgid.physics import _response
+        from cgid.physics.structure import _response
 
         order = np.lexsort((start, rows))
         begin = np.searchsorted(rows[order], np.arange(len(frames) + 1))

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid._lib.compiled import bare_jit, inner_jit, jit
-from cgid.physics._dop853 import END, LAST, STAGES, within
+from cgid.physics.contact._dop853 import END, LAST, STAGES, within
 
 Array = NDArray[Any]
 

@@ -26,14 +26,14 @@ from cgid._lib import validation
 from cgid._lib.validation import Floats
 from cgid.errors import InvalidValue
 from cgid.measure.fit import family
-from cgid.physics.bodies import sphere_share
-from cgid.physics.closed_forms import damping_number, delivered_restitution
-from cgid.physics.curves import Curves, Law, hunt_crossley_curves
-from cgid.physics.plastic import EQUIVALENT_STIFFNESS, thornton_curves, walton_braun_curves
+from cgid.physics.contact.bodies import sphere_share
+from cgid.physics.contact.closed_forms import damping_number, delivered_restitution
+from cgid.physics.contact.curves import Curves, Law, hunt_crossley_curves
+from cgid.physics.contact.plastic import EQUIVALENT_STIFFNESS, thornton_curves, walton_braun_curves
 from cgid.units import STANDARD_GRAVITY
 
 if TYPE_CHECKING:
-    from cgid.physics.impact import Impact
+    from cgid.physics.contact.impact import Impact
 
 #: K over Hertz's `K1 = 4/3 sqrt(R) E`; Yang, Zeng & Wan (2018), Eq. 5-6, 7-8 and 9-13.
 STIFFNESS_THEORIES = {
@@ -266,7 +266,7 @@ class Viscoelastic(Law):
     Examples
     --------
     >>> from cgid.physics import RIGID, Impact, Sphere
-    >>> from cgid.physics.materials import YANG2018_SPHERES
+    >>> from cgid.physics import YANG2018_SPHERES
     >>> impact = Impact(
     ...     sphere=Sphere(material=YANG2018_SPHERES[1], radius=0.025), target=RIGID, velocity=[1.0, 5.0],
     ...     stiffness="hertz", dissipation=Viscoelastic(restitution=0.4),
@@ -339,7 +339,7 @@ class Thornton(Law):
     Restitution and force of a coal sphere of 25 mm that crushes at 41 MPa, at 2 m/s on steel:
 
     >>> from cgid.physics import HalfSpace, Impact, Sphere
-    >>> from cgid.physics.materials import STEEL, YANG2018_SPHERES
+    >>> from cgid.physics import STEEL, YANG2018_SPHERES
     >>> impact = Impact(
     ...     sphere=Sphere(material=YANG2018_SPHERES[1], radius=0.025), target=HalfSpace(material=STEEL),
     ...     velocity=2.0, stiffness="hertz", dissipation=Thornton(yield_pressure=41e6),
@@ -444,7 +444,7 @@ class WaltonBraun(Law):
     Examples
     --------
     >>> from cgid.physics import RIGID, Impact, Sphere
-    >>> from cgid.physics.materials import YANG2018_SPHERES
+    >>> from cgid.physics import YANG2018_SPHERES
     >>> impact = Impact(
     ...     sphere=Sphere(material=YANG2018_SPHERES[1], radius=0.025), target=RIGID, velocity=2.0, stiffness="hertz",
     ...     dissipation=WaltonBraun(restitution=0.5, loading_stiffness=1e6),
@@ -530,7 +530,7 @@ def known(name: str) -> type[Law] | None:
     """Return the built-in or custom contact law of this name; None for an unknown one."""
     if name in LAWS:
         return LAWS[name]
-    from cgid.physics.own_laws import own_law
+    from cgid.physics.contact.own_laws import own_law
 
     values = own_law(name)
     return None if values is None else values.law

@@ -2,7 +2,7 @@
 
 Such a pulse has three branches: Hertzian loading, loading at a constant slope, and unloading. Each is a piece of the
 elastic curve or of a sine, so that all results have closed forms and no pulse is integrated. Units are L, T0 and
-`K L^(3/2)`, as in `cgid.physics.curves`.
+`K L^(3/2)`, as in `cgid.physics.contact.curves`.
 
 **Thornton** (1997, J. Appl. Mech. 64, 383). One number describes an impact: the displacement y at which the contact
 yields. Loading is `f = x^(3/2)` up to y; from there on the slope stays at `k = 3/2 y^(1/2)`, which in SI units is
@@ -32,8 +32,8 @@ from numpy.typing import DTypeLike, NDArray
 
 from cgid._lib.validation import Floats
 from cgid.measure.fit import family
-from cgid.physics.closed_forms import peak_displacement, peak_force
-from cgid.physics.curves import TOLERANCE, Curves, Law, Quantity, in_threads, kernel
+from cgid.physics.contact.closed_forms import peak_displacement, peak_force
+from cgid.physics.contact.curves import TOLERANCE, Curves, Law, Quantity, in_threads, kernel
 
 _N_TERMS = 50  # of the two series, whose arguments are at most 1/2
 _ANGLE_STEPS = 3  # the initial value is within .005, and each step cubes the error
@@ -123,7 +123,7 @@ class PlasticCurves(Curves):
         self, times: Floats, time_scale: Floats, amplitude: Floats, quantity: Quantity, dtype: DTypeLike, threads: int
     ) -> NDArray[Any]:
         """Return force or displacement at times (n, k) [s], shape (n, k); 0 outside contact."""
-        from cgid.physics import _kernels
+        from cgid.physics.contact import _kernels
 
         out = np.empty(times.shape, dtype)
         shape, columns = (self._branches(quantity), self.linear), getattr(family.table(), quantity)
@@ -135,7 +135,7 @@ class PlasticCurves(Curves):
         self, frames: NDArray[Any], onset: Floats, step: Floats, amplitude: Floats, threads: int, tolerance: float = 0.0
     ) -> None:
         """Add a force pulse to each of the frames in place; see `Curves.add_to_frames`. Every pulse is exact."""
-        from cgid.physics import _kernels
+        from cgid.physics.contact import _kernels
 
         numbers = (frames, onset, step, self._branches("force"), self.linear, amplitude, family.table().force)
         in_threads(kernel(_kernels, "add_branches_to_frames", *frames.shape), numbers, np.arange(len(frames)), threads)

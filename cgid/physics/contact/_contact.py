@@ -27,8 +27,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid._lib.compiled import bare_jit, inner_jit, jit
-from cgid.physics._dop853 import COLUMNS, HISTORY, LAST, TAU, W, Y
-from cgid.physics._modes import (
+from cgid.physics.contact._dop853 import COLUMNS, HISTORY, LAST, TAU, W, Y
+from cgid.physics.contact._modes import (
     IMPULSE,
     LONGEST,
     RATE,
@@ -43,7 +43,7 @@ from cgid.physics._modes import (
     velocity,
     width_of,
 )
-from cgid.physics._step import step
+from cgid.physics.contact._step import step
 
 Array = NDArray[Any]
 

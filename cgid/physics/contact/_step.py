@@ -13,7 +13,7 @@ from typing import Any
 from numpy.typing import NDArray
 
 from cgid._lib.compiled import bare_jit
-from cgid.physics._modes import IMPULSE, RATE, STAGE, velocity
+from cgid.physics.contact._modes import IMPULSE, RATE, STAGE, velocity
 
 Array = NDArray[Any]
 

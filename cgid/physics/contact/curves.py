@@ -1,8 +1,8 @@
 """Dimensionless curves of a batch of impacts, each by the cheapest method; kernels and threads that compute them.
 
-Numbers of its law, lambda of a plate and gamma of a weight describe an impact, see `cgid.physics._contact`, which
-integrates it. A *plain* impact has only Hunt-Crossley damping: its peaks have closed forms, and its pulse comes from
-the shipped table (`cgid.measure.fit.family`) unless its restitution is below the table's range.
+Numbers of its law, lambda of a plate and gamma of a weight describe an impact, see `cgid.physics.contact._contact`,
+which integrates it. A *plain* impact has only Hunt-Crossley damping: its peaks have closed forms, and its pulse comes
+from the shipped table (`cgid.measure.fit.family`) unless its restitution is below the table's range.
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ from numpy.typing import ArrayLike, DTypeLike, NDArray
 from cgid._lib.validation import Floats
 from cgid.errors import CgidError, InvalidValue
 from cgid.measure.fit import family
-from cgid.physics.closed_forms import damping_of, peak_displacement, peak_force
+from cgid.physics.contact.closed_forms import damping_of, peak_displacement, peak_force
 
 if TYPE_CHECKING:
-    from cgid.physics.impact import Impact
+    from cgid.physics.contact.impact import Impact
 
 Quantity = Literal["force", "displacement"]
 #: Error of an integrated pulse over its peak, and the bounds that may be requested.
@@ -190,7 +190,7 @@ class Curves:
     @cached_property
     def _summary(self) -> dict[str, Floats]:
         """Integrated results for the rows outside the table; nan elsewhere."""
-        from cgid.physics import _contact
+        from cgid.physics.contact import _contact
 
         rows = np.flatnonzero(~self.tabulated)
         results = np.full((self.inelasticity.size, len(_contact.RESULTS)), np.nan)
@@ -202,7 +202,7 @@ class Curves:
         self, name: str, n_impacts: int, n_samples: int = 0, module: ModuleType | None = None
     ) -> Callable[..., None]:
         """Return a kernel of `_contact`, or of another module, with this law."""
-        from cgid.physics import _contact
+        from cgid.physics.contact import _contact
 
         run, flags = kernel(module or _contact, name, n_impacts, n_samples), _contact.flags_of(self.law)
         if not hasattr(run, "py_func"):
@@ -238,7 +238,7 @@ class Curves:
         """Raise `InvalidValue`, with its name, if a custom law has done in an impact what no contact does."""
         if is_builtin(self.law):
             return
-        from cgid.physics import _contact
+        from cgid.physics.contact import _contact
 
         found = self._summary
         status, separated = found["status"], found["status"] == _contact.SEPARATED
@@ -295,7 +295,7 @@ class Curves:
         return f" at index {row}" if self.inelasticity.size > 1 else ""
 
     def _require_separation(self, rows: NDArray[np.intp], status: Floats) -> None:
-        from cgid.physics import _contact
+        from cgid.physics.contact import _contact
 
         if (status == _contact.SEPARATED).all():
             return
@@ -328,7 +328,7 @@ class Curves:
         out: Floats,
         threads: int,
     ) -> None:
-        from cgid.physics import _contact
+        from cgid.physics.contact import _contact
 
         row = _contact.FORCE if quantity == "force" else _contact.DISPLACEMENT
         numbers = (*self._problem(rows, 0.0), *self._solved, times, time_scale, amplitude, row, out)
@@ -479,7 +479,7 @@ class HuntCrossleyCurves(Curves):
                 tau = times[rows] / time_scale[rows, None]
             out[rows] = amplitude[rows, None] * getattr(family, quantity)(tau, restitution)
         else:
-            from cgid.physics import _kernels
+            from cgid.physics.contact import _kernels
 
             columns, where = getattr(family.table(), quantity), family.coordinate(self.material_restitution)
             cubic = quantity == "force"
@@ -500,7 +500,7 @@ class HuntCrossleyCurves(Curves):
     ) -> None:
         tabulated, others = np.flatnonzero(self.tabulated), np.flatnonzero(~self.tabulated)
         if tabulated.size:
-            from cgid.physics import _kernels
+            from cgid.physics.contact import _kernels
 
             where, columns = family.coordinate(self.material_restitution), family.table().force
             run = kernel(_kernels, "add_to_frames", *frames.shape)
@@ -519,7 +519,7 @@ def _compiled_builtin(function: Callable[..., Any]) -> Any:
 
 def is_builtin(law: Law | type[Law]) -> bool:
     """Return whether a law is built in."""
-    return (law if isinstance(law, type) else type(law)).__module__ == "cgid.physics.laws"
+    return (law if isinstance(law, type) else type(law)).__module__ == "cgid.physics.contact.laws"
 
 
 def name_of(law: Law | type[Law]) -> str:
@@ -594,7 +594,7 @@ def require_equal(law: Law, closed: Any, exact: Curves) -> None:
 
 def verbs_of(law: Law | type[Law], *, compiled: bool) -> tuple[Any, ...]:
     """Return force, corner and turn of a law: compiled, or as plain Python functions."""
-    from cgid.physics import _contact
+    from cgid.physics.contact import _contact
 
     verbs = law.force, law.corner or _contact.no_corner, law.turn or _contact.no_turn
     if not compiled:

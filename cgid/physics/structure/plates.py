@@ -26,7 +26,7 @@ from threadpoolctl import threadpool_limits
 from cgid._lib import validation
 from cgid._lib.validation import Floats
 from cgid.errors import InvalidValue
-from cgid.physics import _modes
+from cgid.physics.contact import _modes
 
 Indices = NDArray[np.intp]
 

@@ -12,10 +12,10 @@ from numpy.typing import ArrayLike, NDArray
 from cgid._lib import validation
 from cgid._lib.validation import Floats
 from cgid.errors import InvalidValue
-from cgid.physics.bodies import HalfSpace
-from cgid.physics.curves import FEW_SAMPLES, TOLERANCE, Curves, is_builtin
-from cgid.physics.impact import Impact, Unchecked
-from cgid.physics.laws import Elastic, HuntCrossley
+from cgid.physics.contact.bodies import HalfSpace
+from cgid.physics.contact.curves import FEW_SAMPLES, TOLERANCE, Curves, is_builtin
+from cgid.physics.contact.impact import Impact, Unchecked
+from cgid.physics.contact.laws import Elastic, HuntCrossley
 
 #: Phase of the fastest mode [rad] in a cell of time for a tolerance of 1, and the widest cell [T0].
 _PHASE, _WIDEST = 2.66, 0.0625
@@ -85,7 +85,7 @@ class ModalImpact(Impact):
     A mode of 20 kg at 50 Hz hardly moves in a third of a millisecond, so sphere and mode are two free masses:
 
     >>> from cgid.physics import Elastic, HalfSpace, ModalImpact, Sphere
-    >>> from cgid.physics.materials import STEEL, YANG2018_SPHERES
+    >>> from cgid.physics import STEEL, YANG2018_SPHERES
     >>> impact = ModalImpact(
     ...     sphere=Sphere(material=YANG2018_SPHERES[1], radius=0.025),
     ...     target=HalfSpace(material=STEEL),
@@ -261,7 +261,7 @@ class ModalCurves(Curves):
 
     @cached_property
     def _summary(self) -> dict[str, Floats]:
-        from cgid.physics import _coupled
+        from cgid.physics.structure import _coupled
 
         return dict(zip(_coupled.RESULTS, self.results.T, strict=True))
 
@@ -282,7 +282,7 @@ def solve(
     rigid: Curves, modes: tuple[Floats, Floats, Floats, Floats], parameters: Floats, tolerance: float
 ) -> ModalCurves:
     """Return the curves of impacts solved with the modes; arguments as in `_coupled.follow`."""
-    from cgid.physics import _coupled
+    from cgid.physics.structure import _coupled
 
     n, numbers = len(parameters), rigid._parameters
     results = np.empty((n, len(_coupled.RESULTS)))

@@ -14,9 +14,9 @@ from numpy.typing import ArrayLike, DTypeLike, NDArray
 from cgid._lib import validation
 from cgid._lib.validation import Floats
 from cgid.errors import InvalidValue
-from cgid.physics import bodies
-from cgid.physics.bodies import Sphere, Target, ThinPlate
-from cgid.physics.curves import (
+from cgid.physics.contact import bodies
+from cgid.physics.contact.bodies import Sphere, Target, ThinPlate
+from cgid.physics.contact.curves import (
     TOLERANCE,
     TOLERANCES,
     Curves,
@@ -27,7 +27,7 @@ from cgid.physics.curves import (
     require_equal,
     require_numbers,
 )
-from cgid.physics.laws import STIFFNESS_THEORIES, Plastic, stiffness_of
+from cgid.physics.contact.laws import STIFFNESS_THEORIES, Plastic, stiffness_of
 
 #: Largest displacement over radius for Hertz's small-strain theory.
 HERTZ_LIMIT = 0.1
@@ -89,7 +89,7 @@ class Impact:
     The constants under Eq. 18 of Yang, Zeng & Wan (2018) belong to 2 m/s:
 
     >>> from cgid.physics import Elastic, HalfSpace, Impact, Sphere
-    >>> from cgid.physics.materials import STEEL, YANG2018_SPHERES
+    >>> from cgid.physics import STEEL, YANG2018_SPHERES
     >>> impact = Impact(
     ...     sphere=Sphere(material=YANG2018_SPHERES[1], radius=0.025),
     ...     target=HalfSpace(material=STEEL),
@@ -115,7 +115,7 @@ class Impact:
         validation.instance("target", self.target, *get_args(Target))
         validation.instance("dissipation", self.dissipation, Law)
         if not is_builtin(self.dissipation):
-            from cgid.physics.own_laws import require_sound
+            from cgid.physics.contact.own_laws import require_sound
 
             require_sound(type(self.dissipation))
         validation.choice("stiffness", self.stiffness, STIFFNESS_THEORIES)

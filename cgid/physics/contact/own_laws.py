@@ -13,7 +13,7 @@ from types import ModuleType
 from typing import Any, NamedTuple
 
 from cgid.errors import InvalidValue
-from cgid.physics.curves import Law
+from cgid.physics.contact.curves import Law
 
 #: Entry points of laws of other packages; each is a module.
 GROUP = "cgid.laws"
@@ -111,7 +111,7 @@ def require_sound(law: type[Law]) -> None:
     from numba.core.errors import NumbaError
 
     from cgid._lib.compiled import VERBS
-    from cgid.physics.laws import LAWS
+    from cgid.physics.contact.laws import LAWS
 
     if law.name in LAWS:
         raise InvalidValue(f"law {law.name}: must have another name than a built-in law, got {law.name!r}; rename it")

@@ -13,9 +13,9 @@ from cgid._lib import validation
 from cgid._lib.validation import Floats
 from cgid.errors import InvalidValue
 from cgid.measure.modal.modes import Modes
-from cgid.physics.bodies import ThinPlate
-from cgid.physics.materials import Material
-from cgid.physics.plates import PanelShapes, PolynomialShapes, Rigidities, SineShapes, on_panel, ritz_modes
+from cgid.physics.contact.bodies import ThinPlate
+from cgid.physics.contact.materials import Material
+from cgid.physics.structure.plates import PanelShapes, PolynomialShapes, Rigidities, SineShapes, on_panel, ritz_modes
 
 __all__ = ["Ribs", "TailBeam"]
 
@@ -114,7 +114,7 @@ class TailBeam:
     --------
     The plate of Yang, Zeng & Wan (2018), simply supported:
 
-    >>> from cgid.physics.materials import STEEL
+    >>> from cgid.physics import STEEL
     >>> plate = TailBeam(
     ...     material=STEEL,
     ...     length=0.4584,
@@ -240,9 +240,9 @@ class TailBeam:
     def modes(self, highest_frequency: float) -> Modes:
         """Return all modes up to a frequency [Hz], cached.
 
-        Simply supported panels have a closed form. Clamped and cantilever ones use `cgid.physics.plates`: every
-        frequency is above the exact one, by at most 3e-5 of it. Two hundred modes take a second, four hundred about
-        four, a thousand of a cantilever about forty. More than 20,000 (1,000 unless simply supported) raise
+        Simply supported panels have a closed form. Clamped and cantilever ones use `cgid.physics.structure.plates`:
+        every frequency is above the exact one, by at most 3e-5 of it. Two hundred modes take a second, four hundred
+        about four, a thousand of a cantilever about forty. More than 20,000 (1,000 unless simply supported) raise
         `InvalidValue`.
         """
         highest = validation.number("highest_frequency", highest_frequency, "Hz", validation.positive)

@@ -1,0 +1,1 @@
+"""The contact of two bodies: materials, laws, pulses and their kernels."""

@@ -1,0 +1,1 @@
+"""What is struck: plates, beams, their modes, and their response."""
