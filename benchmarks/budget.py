@@ -27,12 +27,11 @@ from cgid.identification.rows import DEFAULT_FEATURES
 from cgid.measure.features.extraction import FEATURES, choose, extract_array
 from cgid.measure.filters import fft_filter
 from cgid.physics import HertzRangeWarning
-from cgid.scene import generate, load_scene
-from cgid.scene.draws import BLOCK, at_once
-from cgid.scene.impacts import pulses_of_block
-from cgid.scene.noise import add_noise
-from cgid.scene.plan import plan
-from cgid.scene.synthesis import TOGETHER, columns_of, make_frames, synthesise
+from cgid.scene import generate, load_scene, plan
+from cgid.scene.synthesis.draws import BLOCK, at_once
+from cgid.scene.synthesis.impacts import pulses_of_block
+from cgid.scene.synthesis.noise import add_noise
+from cgid.scene.synthesis.synthesis import TOGETHER, columns_of, make_frames, synthesise
 
 ROUNDS = 7
 

@@ -35,9 +35,9 @@ from cgid.identification.training import train_on_specimens
 from cgid.measure.modal.beam import Beam, corrected, gain
 from cgid.measure.modal.modes import Modes, NodeShapes, nodes
 from cgid.scene import Scene, load_scene, parse_scene, synthesise
-from cgid.scene.impacts import beam_modes
-from cgid.scene.sections import rows_of
-from cgid.scene.through_beam import beam_of
+from cgid.scene.file.sections import rows_of
+from cgid.scene.synthesis.impacts import beam_modes
+from cgid.scene.synthesis.through_beam import beam_of
 from cgid.site import calibrate
 from cgid.site.calibration import mean_evidence, prepare_impacts, uncertain
 from cgid.site.learning import learn

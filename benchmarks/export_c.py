@@ -17,8 +17,8 @@ import numpy as np
 from cgid import load_model, load_scene
 from cgid.export_c import c_source
 from cgid.identification.model import Model
-from cgid.scene.plan import plan
-from cgid.scene.synthesis import columns_of
+from cgid.scene import plan
+from cgid.scene.synthesis.synthesis import columns_of
 
 #: Values that no measurement gives.
 ODD = np.array([np.nan, np.inf, -np.inf, 0.0, -0.0, 5e-324, -1e-310, 1e-30, -1.0, 1e30, -1e30, 1e154, 1e300, -1.7e308])

@@ -23,8 +23,7 @@ from cgid.identification.rows import measure
 from cgid.measure.fit.template import curve
 from cgid.physics import Elastic, HalfSpace, HuntCrossley, Impact, Material, Sphere, Viscoelastic
 from cgid.physics.contact.sampled import SampledPulses, shares_of_contact
-from cgid.scene import Scene, load_scene, varied
-from cgid.scene.given_pulses import SolvedImpacts
+from cgid.scene import Scene, SolvedImpacts, load_scene, varied
 from studies.paper.sensitivity import dissipative_constant
 
 FINITE_ELEMENTS, VISCOELASTIC, FAMILY = "finite elements", "Kuwabara-Kono", "Hunt-Crossley (the family)"

@@ -46,7 +46,7 @@ from cgid.identification.through_beam import ThroughBeam
 from cgid.measure.features import extraction as known
 from cgid.measure.features.extraction import extract_array
 from cgid.scene import load_scene, synthesise
-from cgid.scene.through_beam import beam_of
+from cgid.scene.synthesis.through_beam import beam_of
 
 HERE, SEED = Path(__file__).parent, 0
 #: First of the test signals; 256 signals share random numbers.

@@ -35,12 +35,11 @@ from cgid.impactor.posterior import QUANTITIES
 from cgid.impactor.recognition import of_material, through_beam
 from cgid.measure.fit.template import relative_times
 from cgid.physics import STEEL, HalfSpace, HuntCrossley, Impact, Material, Sphere
-from cgid.scene import Scene, load_scene, parse_scene, record, synthesise
-from cgid.scene.draws import BLOCK
-from cgid.scene.impacts import pulses_of_block
-from cgid.scene.plan import Plan
-from cgid.scene.sections import DISSIPATIONS
-from cgid.scene.through_beam import beam_of
+from cgid.scene import Plan, Scene, load_scene, parse_scene, record, synthesise
+from cgid.scene.file.sections import DISSIPATIONS
+from cgid.scene.synthesis.draws import BLOCK
+from cgid.scene.synthesis.impacts import pulses_of_block
+from cgid.scene.synthesis.through_beam import beam_of
 from studies.ceilings.beam import BeamErrors
 
 #: No population or training draws from this seed, nor any that is given in its place.

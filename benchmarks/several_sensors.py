@@ -27,7 +27,7 @@ from cgid.identification.share import Share
 from cgid.identification.stream import answering_channels, identify_blocks
 from cgid.identification.support import CavingWatch
 from cgid.scene import load_scene
-from cgid.scene.through_beam import full_beam
+from cgid.scene.synthesis.through_beam import full_beam
 
 Floats = NDArray[np.float64]
 PLACES = ((0.5, 0.45), (1.1, 1.0), (0.8, 0.3))

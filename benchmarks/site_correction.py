@@ -21,8 +21,7 @@ from cgid import shipped
 from cgid.identification.correction import correct
 from cgid.identification.model import Model
 from cgid.identification.rows import Rows, measure
-from cgid.scene import synthesise
-from cgid.scene.schema import parse_scene
+from cgid.scene import parse_scene, synthesise
 from cgid.signals import Batch
 
 #: Name -> stiffness and restitution of coal and gangue over those of tail_beam, and gain of the sensor.

@@ -29,7 +29,7 @@ import numpy as np
 
 from cgid import shipped
 from cgid.scene import generate, load_scene, synthesise
-from cgid.scene.draws import parameter_units
+from cgid.scene.synthesis.draws import parameter_units
 from cgid.store.description import COMPRESSIONS
 from cgid.store.hdf5 import ShardBuilder, ShardPlan, keywords
 

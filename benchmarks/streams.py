@@ -27,8 +27,7 @@ from cgid.identification.prediction_settings import PredictionSettings
 from cgid.identification.share import Share, Switch
 from cgid.identification.stream import identify_blocks
 from cgid.identification.support import CavingWatch, Report
-from cgid.scene import Scene, load_scene, parse_scene
-from cgid.scene.stream import record
+from cgid.scene import Scene, load_scene, parse_scene, record
 
 #: First seeds of constant shares, and of those of another seam; the seed of the rising share.
 SEEDS = 900, 950, 910_000

@@ -29,7 +29,7 @@ from cgid.measure.features.vibration import VibrationBatch
 from cgid.measure.modal.beam import Beam, corrected
 from cgid.measure.modal.modes import Modes, NodeShapes, nodes
 from cgid.scene import Scene, load_scene, parse_scene, synthesise
-from cgid.scene.through_beam import beam_of, moved
+from cgid.scene.synthesis.through_beam import beam_of, moved
 from cgid.signals import Batch
 
 SEED = 777_000_003

@@ -61,7 +61,7 @@ from cgid.physics import (
 from cgid.physics.contact.curves import TOLERANCE, HuntCrossleyCurves
 from cgid.plots.figure import png, require_matplotlib
 from cgid.scene import load_scene
-from cgid.scene.impacts import draw
+from cgid.scene.synthesis.impacts import draw
 from studies.paper.sensitivity import yield_pressure
 
 sys.path.insert(0, str(Path(__file__).parents[1]))

@@ -46,7 +46,7 @@ from cgid.identification.prediction_settings import PredictionSettings
 from cgid.identification.rows import Rows, measure
 from cgid.measure.features import FEATURES
 from cgid.scene import load_scene, synthesise
-from cgid.scene.through_beam import beam_of
+from cgid.scene.synthesis.through_beam import beam_of
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "models"))
 from train import acceleration_scenes, on_rigs, shipped_scene, streams

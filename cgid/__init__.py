@@ -47,9 +47,9 @@ if TYPE_CHECKING:
     from cgid.physics.contact.materials import Material as Material
     from cgid.recordings import open_recording as open_recording
     from cgid.recordings import read_recording as read_recording
-    from cgid.scene import Scene as Scene
-    from cgid.scene import load_scene as load_scene
-    from cgid.scene import synthesise as synthesise
+    from cgid.scene.file.schema import Scene as Scene
+    from cgid.scene.file.schema import load_scene as load_scene
+    from cgid.scene.synthesis.synthesis import synthesise as synthesise
     from cgid.signals import Batch as Batch
     from cgid.signals import Signal as Signal
     from cgid.store import Dataset as Dataset
@@ -70,7 +70,7 @@ _HOMES = {
     "Material": "cgid.physics.contact.materials",
     "Model": "cgid.identification.model",
     "RIGID": "cgid.physics.contact.bodies",
-    "Scene": "cgid.scene",
+    "Scene": "cgid.scene.file.schema",
     "Signal": "cgid.signals",
     "Sphere": "cgid.physics.contact.bodies",
     "ThinPlate": "cgid.physics.contact.bodies",
@@ -81,12 +81,12 @@ _HOMES = {
     "find_impacts": "cgid.identification.detection",
     "identify_recording": "cgid.identification.pipeline",
     "load_model": "cgid.identification.prediction",
-    "load_scene": "cgid.scene",
+    "load_scene": "cgid.scene.file.schema",
     "open_recording": "cgid.recordings",
     "predict": "cgid.identification.prediction",
     "read_recording": "cgid.recordings",
     "stream": "cgid.learn",
-    "synthesise": "cgid.scene",
+    "synthesise": "cgid.scene.synthesis.synthesis",
     "train_on_groups": "cgid.identification.training",
     "train_on_specimens": "cgid.identification.training",
 }

@@ -24,10 +24,10 @@ from cgid.identification.rows import BEAM_FEATURES
 from cgid.identification.through_beam import ThroughBeam
 from cgid.measure.features.extraction import choose, extract_array
 from cgid.measure.frames import DETECTION_LIMIT, MINIMUM_FRAME
-from cgid.scene import Scene, load_scene, synthesise
-from cgid.scene.draws import require_seed
-from cgid.scene.synthesis import require_count, require_frames
-from cgid.scene.through_beam import shared_beam
+from cgid.scene.file.schema import Scene, load_scene
+from cgid.scene.synthesis.draws import require_seed
+from cgid.scene.synthesis.synthesis import require_count, require_frames, synthesise
+from cgid.scene.synthesis.through_beam import shared_beam
 from cgid.store import Dataset
 
 __all__ = ["TrainingStream"]

@@ -10,8 +10,7 @@ import tempfile
 from pathlib import Path
 
 from cgid.plots import recording_picture
-from cgid.scene import load_scene
-from cgid.scene.recordings import generate_recordings
+from cgid.scene import generate_recordings, load_scene
 from cgid.store.reading import Recording
 
 FOLDER = Path(__file__).parent

@@ -32,8 +32,8 @@ from cgid.physics import STEEL, Elastic, HalfSpace, HertzRangeWarning, Impact, M
 from cgid.physics.contact.bodies import sphere_share
 from cgid.physics.contact.sampled import SampledPulses, shares_of_contact, smoothed
 from cgid.scene import load_scene
-from cgid.scene.given_pulses import MAKING, PARAMETERS, SolvedImpacts
-from cgid.scene.impacts import draw
+from cgid.scene.synthesis.given_pulses import MAKING, PARAMETERS, SolvedImpacts
+from cgid.scene.synthesis.impacts import draw
 from studies.finite_element import ElasticPlate, FiniteElementImpact, History
 from studies.paper.sensitivity import dissipative_constant
 

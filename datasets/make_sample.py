@@ -13,8 +13,8 @@ import numpy as np
 
 from cgid.physics import Impact
 from cgid.scene import load_scene, synthesise
-from cgid.scene.draws import BLOCK
-from cgid.scene.impacts import draw
+from cgid.scene.synthesis.draws import BLOCK
+from cgid.scene.synthesis.impacts import draw
 
 SEED, SAMPLING_RATE, SPACING = 20180917, 200e3, 0.020
 NOISE = 25.0  # N, the sensor's own

@@ -41,7 +41,7 @@ from cgid.identification.rows import BEAM_FEATURES, BEAM_GUARDS, DEFAULT_FEATURE
 from cgid.identification.training import train_on_specimens
 from cgid.measure.modal.beam import Beam
 from cgid.scene import Scene, load_scene, parse_scene, synthesise
-from cgid.scene.through_beam import beam_of
+from cgid.scene.synthesis.through_beam import beam_of
 from cgid.site.streams import StreamRows, finished, rows_of_streams, variations
 
 HERE = Path(__file__).parent

@@ -23,9 +23,8 @@ from cgid import shipped
 from cgid.identification.model import Model
 from cgid.identification.training import train_on_specimens
 from cgid.measure.modal.modes import LEARNED_COLUMNS
-from cgid.scene import generate, load_scene, parse_scene, synthesise
-from cgid.scene.generation import tabulate
-from cgid.scene.plan import plan
+from cgid.scene import generate, load_scene, parse_scene, plan, synthesise
+from cgid.scene.output.generation import tabulate
 from tests.bad_recordings import RECORDING_CASES, make_recordings
 from tests.hostile_models import beam_arrays, wide_model, with_beam, written
 

@@ -6,10 +6,9 @@ import json
 from dataclasses import dataclass, field
 from typing import Any
 
-from cgid.scene import Scene, parse_scene, synthesise
-from cgid.scene.draws import BLOCK
-from cgid.scene.plan import Plan, plan
-from cgid.scene.synthesis import columns_of
+from cgid.scene import Plan, Scene, parse_scene, plan, synthesise
+from cgid.scene.synthesis.draws import BLOCK
+from cgid.scene.synthesis.synthesis import columns_of
 
 STEEL = {"density": 7850, "youngs_modulus": "210 GPa", "poisson_ratio": 0.3}
 FIT = ("fitted_peak", "fitted_width", "shrunken_restitution", "shrunken_restitution_deviation")

@@ -20,7 +20,7 @@ TIME_TOLERANCE = 1e-12
 
 def signals() -> dict[str, NDArray[Any]]:
     """Return samples, labels and specimens of some impacts of each scene, and of a stretch of `caving`."""
-    from cgid.scene.stream import record
+    from cgid.scene import record
 
     found: dict[str, NDArray[Any]] = {}
     for name in SCENES:

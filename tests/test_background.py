@@ -10,11 +10,10 @@ from scipy import integrate, signal
 from scipy.io import wavfile
 
 from cgid.errors import BadData, NoInput
-from cgid.scene import load_scene, parse_scene, synthesise
-from cgid.scene.draws import BLOCK
-from cgid.scene.noise import background_of, reference_peak
-from cgid.scene.sensor import CHUNK
-from cgid.scene.stream import record
+from cgid.scene import load_scene, parse_scene, record, synthesise
+from cgid.scene.file.sensor import CHUNK
+from cgid.scene.synthesis.draws import BLOCK
+from cgid.scene.synthesis.noise import background_of, reference_peak
 from tests.plan_scenes import PANEL, beam_of
 from tests.test_stream import RATE, population
 from tests.test_stream import content as stream_content

@@ -16,9 +16,9 @@ from cgid.identification.training import train_on_specimens
 from cgid.measure.modal.beam import corrected
 from cgid.measure.modal.modes import LEARNED_COLUMNS, Modes, read_modes
 from cgid.scene import generate, load_scene, parse_scene, record, synthesise
-from cgid.scene.impacts import beam_modes
-from cgid.scene.sections import rows_of
-from cgid.scene.through_beam import beam_of, through_modes
+from cgid.scene.file.sections import rows_of
+from cgid.scene.synthesis.impacts import beam_modes
+from cgid.scene.synthesis.through_beam import beam_of, through_modes
 from cgid.site import calibrate
 from cgid.site.calibration import check_scene, count_crossings, prepare_impacts, table_beside, uncertain, usable_impacts
 from cgid.site.dimensions import dimension_errors, learn_dimensions, with_dimensions

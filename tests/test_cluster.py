@@ -28,7 +28,7 @@ from cgid.errors import CannotCreate, ClusterFailed, InvalidValue
 from cgid.identification.grouped import Candidate, TrainingSet, choose_candidate, cross_validate, final
 from cgid.identification.rows import Rows
 from cgid.scene import Scene, generate
-from cgid.scene import generation as shards
+from cgid.scene.output import generation as shards
 from cgid.store import Dataset
 from tests.mortal import fatal
 

@@ -33,7 +33,7 @@ from cgid.identification.stream import identify_blocks
 from cgid.identification.training import train_on_specimens
 from cgid.measure.features.extraction import supported
 from cgid.scene import Scene, load_scene, parse_scene, synthesise, varied
-from cgid.scene.recordings import parts_of_recording
+from cgid.scene.output.recordings import parts_of_recording
 from cgid.site import SiteCalibration
 from cgid.site.calibration import FEWEST, uncertain
 from tests import few

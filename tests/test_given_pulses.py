@@ -9,7 +9,7 @@ from cgid.errors import InvalidValue
 from cgid.physics import STEEL, YANG2018_SPHERES, Elastic, HalfSpace, HuntCrossley, Impact, Sphere, Viscoelastic
 from cgid.physics.contact.sampled import SampledPulses, shares_of_contact
 from cgid.scene import load_scene, synthesise, synthesise_given, varied
-from cgid.scene.impacts import draw
+from cgid.scene.synthesis.impacts import draw
 from studies.paper.sensitivity import dissipative_constant
 
 DATASETS = Path(__file__).parents[1] / "datasets"

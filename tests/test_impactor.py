@@ -17,9 +17,8 @@ from cgid.impactor.population import fit_through_beam, impact_beam
 from cgid.impactor.posterior import LEVELS, QUANTITIES
 from cgid.impactor.recognition import forces, of_material, through_beam
 from cgid.physics import RIGID, STEEL, HalfSpace, HuntCrossley, Impact, Material, Sphere
-from cgid.scene import load_scene, parse_scene, synthesise, varied
-from cgid.scene.impacts import pulses_of_block
-from cgid.scene.plan import Plan
+from cgid.scene import Plan, load_scene, parse_scene, synthesise, varied
+from cgid.scene.synthesis.impacts import pulses_of_block
 from cgid.units import column_title
 from tests import few
 from tests.bad_input import pulse

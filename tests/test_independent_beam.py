@@ -29,7 +29,7 @@ from cgid.physics import (
     TailBeam,
 )
 from cgid.scene import load_scene
-from cgid.scene.draws import drawn_block
+from cgid.scene.synthesis.draws import drawn_block
 
 BENCHMARKS = Path(__file__).parents[1] / "benchmarks"
 if str(BENCHMARKS) not in sys.path:

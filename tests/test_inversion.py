@@ -30,8 +30,8 @@ from cgid.measure.modal.beam import FINE, TOUCH, Beam, filtered, gain, points_of
 from cgid.measure.modal.modes import LEARNED_COLUMNS, lagrange, nodes
 from cgid.physics import Response
 from cgid.scene import load_scene, parse_scene, synthesise, varied
-from cgid.scene.impacts import beam_modes
-from cgid.scene.through_beam import beam_of, has_beam
+from cgid.scene.synthesis.impacts import beam_modes
+from cgid.scene.synthesis.through_beam import beam_of, has_beam
 from cgid.signals import Batch
 from tests import few
 from tests.hostile_models import beam_arrays

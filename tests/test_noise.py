@@ -13,13 +13,11 @@ from hypothesis import strategies as st
 from scipy import signal, stats
 
 from cgid.errors import InvalidValue
-from cgid.scene import load_scene, parse_scene, synthesise
-from cgid.scene._noise import LANES, TILE, random_words, to_normal
-from cgid.scene.draws import BLOCK, NOISE, TAPS
-from cgid.scene.noise import MAX_SAMPLES, add_noise
-from cgid.scene.schema import Scene
-from cgid.scene.sensor import CHUNK
-from cgid.scene.stream import record
+from cgid.scene import Scene, load_scene, parse_scene, record, synthesise
+from cgid.scene.file.sensor import CHUNK
+from cgid.scene.synthesis._noise import LANES, TILE, random_words, to_normal
+from cgid.scene.synthesis.draws import BLOCK, NOISE, TAPS
+from cgid.scene.synthesis.noise import MAX_SAMPLES, add_noise
 from tests.plan_scenes import scene_of
 from tests.test_stream import RATE as STREAM_RATE
 from tests.test_stream import content as stream_content

@@ -27,8 +27,7 @@ from benchmarks.open.judge import (
     judged_streams,
 )
 from cgid.errors import BadData
-from cgid.scene import generate
-from cgid.scene.recordings import generate_recordings
+from cgid.scene import generate, generate_recordings
 from cgid.store import Dataset
 from cgid.store.reading import Recording
 

@@ -5,7 +5,7 @@ import time
 
 import pytest
 
-from cgid.scene.generation import ahead
+from cgid.scene.output.generation import ahead
 
 
 @pytest.mark.parametrize("most", [1, 5])

@@ -33,10 +33,7 @@ from cgid.physics.contact import own_laws
 from cgid.physics.contact.curves import MAX_WEIGHT
 from cgid.recordings import open_recording
 from cgid.recordings.formats import outside_formats
-from cgid.scene import synthesise
-from cgid.scene.changes import changed
-from cgid.scene.generation import generate
-from cgid.scene.recordings import generate_recordings
+from cgid.scene import changed, generate, generate_recordings, synthesise
 from cgid.store.verification import verify
 from tests.plan_scenes import scene_of
 

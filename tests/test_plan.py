@@ -18,12 +18,12 @@ from cgid.physics.contact import _contact, _kernels, curves
 from cgid.physics.contact.curves import Curves
 from cgid.physics.structure import coupled
 from cgid.physics.structure.coupled import ModalCurves
-from cgid.scene import Scene, impacts, synthesis, synthesise
-from cgid.scene.generation import tabulate
-from cgid.scene.impacts import Recorder, TapPulses, draw
-from cgid.scene.plan import QUANTITIES, STAGES, plan
-from cgid.scene.sensor import Sensor
-from cgid.scene.synthesis import columns_of
+from cgid.scene import Scene, Sensor, synthesise
+from cgid.scene.output.generation import tabulate
+from cgid.scene.synthesis import impacts, synthesis
+from cgid.scene.synthesis.impacts import Recorder, TapPulses, draw
+from cgid.scene.synthesis.plan import QUANTITIES, STAGES, plan
+from cgid.scene.synthesis.synthesis import columns_of
 from cgid.store import read_table
 from cgid.store.table import Rows, is_table
 from tests.plan_scenes import (

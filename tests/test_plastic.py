@@ -20,11 +20,9 @@ from cgid.physics import (
     Thornton,
     WaltonBraun,
 )
-from cgid.scene import parse_scene, synthesise
-from cgid.scene.distributions import LIMITS
-from cgid.scene.plan import plan
-from cgid.scene.stream import record
-from cgid.scene.synthesis import columns_of
+from cgid.scene import parse_scene, plan, record, synthesise
+from cgid.scene.file.distributions import LIMITS
+from cgid.scene.synthesis.synthesis import columns_of
 from studies.paper.sensitivity import yield_pressure
 from tests import naive
 from tests.plan_scenes import POPULATION, scene_of, uniform

@@ -12,12 +12,9 @@ from scipy.optimize import brentq
 from cgid.errors import BadData
 from cgid.physics import HuntCrossley, Impact, Material, ModalImpact, Sphere, Thornton, WaltonBraun
 from cgid.physics.contact.curves import TOLERANCE
-from cgid.scene import parse_scene, synthesise
-from cgid.scene.impacts import draw
-from cgid.scene.plan import plan
-from cgid.scene.schema import varied
-from cgid.scene.stream import record
-from cgid.scene.synthesis import columns_of
+from cgid.scene import parse_scene, plan, record, synthesise, varied
+from cgid.scene.synthesis.impacts import draw
+from cgid.scene.synthesis.synthesis import columns_of
 from cgid.shipped import scene_path
 from tests import naive
 from tests.plan_scenes import POPULATION, scene_of, uniform

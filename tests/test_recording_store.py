@@ -13,9 +13,8 @@ from cgid.cli.main import run
 from cgid.errors import BadData, CannotCreate, InvalidValue
 from cgid.measure.features.extraction import extract_array
 from cgid.recordings import is_dataset, read_recording
-from cgid.scene import parse_scene
-from cgid.scene.recordings import generate_recordings
-from cgid.scene.stream import impact_units, record
+from cgid.scene import generate_recordings, parse_scene
+from cgid.scene.synthesis.stream import impact_units, record
 from cgid.store import Dataset
 from cgid.store.hdf5 import RecordingPlan, writing
 from cgid.store.reading import Recording, is_recording
@@ -76,7 +75,7 @@ def test_twice_the_same_bytes_in_another_process(made, tmp_path):
     (tmp_path / "scene.json").write_text(SCENE.text)
     program = (
         "import json, sys; from cgid.scene import parse_scene\n"
-        "from cgid.scene.recordings import generate_recordings\n"
+        "from cgid.scene import generate_recordings\n"
         "generate_recordings(parse_scene(json.load(open(sys.argv[1]))), sys.argv[2], seed=3)"
     )
     subprocess.run([sys.executable, "-c", program, tmp_path / "scene.json", tmp_path / "again.h5"], check=True)

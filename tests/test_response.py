@@ -11,8 +11,8 @@ from cgid.errors import InvalidValue
 from cgid.measure.modal import Modes
 from cgid.physics import STEEL, Elastic, HalfSpace, HuntCrossley, Impact, LowPass, Material, Resonance, Response, Sphere
 from cgid.physics.structure.driving import steps_for
-from cgid.scene.impacts import TapPulses
-from cgid.scene.sections import SHAPES
+from cgid.scene.file.sections import SHAPES
+from cgid.scene.synthesis.impacts import TapPulses
 from tests import few
 
 RATE = 25_600.0

@@ -25,11 +25,9 @@ from cgid.physics import (
     WaltonBraun,
 )
 from cgid.physics.contact.laws import MIN_VISCOELASTIC, viscoelastic_number
-from cgid.scene import parse_scene, synthesise
-from cgid.scene.draws import SPHERE_SHAPE
-from cgid.scene.plan import plan
-from cgid.scene.stream import record
-from cgid.scene.synthesis import columns_of
+from cgid.scene import parse_scene, plan, record, synthesise
+from cgid.scene.synthesis.draws import SPHERE_SHAPE
+from cgid.scene.synthesis.synthesis import columns_of
 from tests.plan_scenes import STEEL as STEEL_TARGET
 from tests.plan_scenes import scene_of, uniform
 

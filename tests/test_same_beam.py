@@ -35,7 +35,7 @@ from cgid.identification.same_beam import (
 from cgid.identification.stream import answering_channels, identify_blocks
 from cgid.measure.features.vibration import BEAM_PULSE
 from cgid.scene import load_scene
-from cgid.scene.through_beam import beam_of, moved, recorded_together
+from cgid.scene.synthesis.through_beam import beam_of, moved, recorded_together
 from tests.streams_of_pulses import RATE as PULSE_RATE
 from tests.streams_of_pulses import stream, window_model
 

@@ -16,12 +16,11 @@ from scipy import stats
 import cgid
 from cgid import shipped, site
 from cgid.errors import BadData, CgidError, InvalidValue, NoInput
-from cgid.scene import Scene, load_scene, parse_scene, synthesise
-from cgid.scene.distributions import LIMITS, MAX_UNIFORM, MIN_UNIFORM, Distribution, Quantity, quantity_of
-from cgid.scene.impacts import SHAPES, draw, draws
-from cgid.scene.recordings import require_capacity
-from cgid.scene.schema import samples_of
-from cgid.scene.stream import record
+from cgid.scene import Scene, load_scene, parse_scene, record, synthesise
+from cgid.scene.file.distributions import LIMITS, MAX_UNIFORM, MIN_UNIFORM, Distribution, Quantity, quantity_of
+from cgid.scene.file.schema import samples_of
+from cgid.scene.output.recordings import require_capacity
+from cgid.scene.synthesis.impacts import SHAPES, draw, draws
 from cgid.units import parse
 from tests import few
 

@@ -15,9 +15,8 @@ from cgid.identification.prediction_settings import PredictionSettings
 from cgid.identification.rows import BEAM_FEATURES, BEAM_GUARDS, Rows
 from cgid.identification.stream import identify_blocks
 from cgid.identification.support import CavingWatch
-from cgid.scene import Scene, load_scene, parse_scene
-from cgid.scene.impacts import beam_modes
-from cgid.scene.stream import record
+from cgid.scene import Scene, load_scene, parse_scene, record
+from cgid.scene.synthesis.impacts import beam_modes
 from cgid.site import streams
 from cgid.site.calibration import uncertain
 from cgid.site.streams import (

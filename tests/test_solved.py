@@ -14,8 +14,8 @@ from cgid.identification.model import Model
 from cgid.identification.rows import measure
 from cgid.physics import STEEL, Elastic, HalfSpace, HertzRangeWarning, Impact, Material, Sphere, Viscoelastic
 from cgid.physics.contact.sampled import SampledPulses, shares_of_contact, smoothed
-from cgid.scene.given_pulses import MAKING, PARAMETERS, SolvedImpacts, radii
-from cgid.scene.impacts import draw
+from cgid.scene.synthesis.given_pulses import MAKING, PARAMETERS, SolvedImpacts, radii
+from cgid.scene.synthesis.impacts import draw
 from studies.finite_element import ElasticPlate, FiniteElementImpact
 from studies.paper.sensitivity import dissipative_constant
 

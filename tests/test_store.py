@@ -15,7 +15,7 @@ import pytest
 
 from cgid.errors import BadData, CannotCreate, InvalidValue, WriteFailed
 from cgid.scene import generate, parse_scene, synthesise
-from cgid.scene.draws import PARAMETER_UNITS
+from cgid.scene.synthesis.draws import PARAMETER_UNITS
 from cgid.store import Dataset
 from cgid.store.dataset import export
 from cgid.store.verification import verify
@@ -443,7 +443,7 @@ def test_a_file_above_2_gib_is_refused_with_the_cure(tmp_path):
 
 def test_memory_does_not_grow_with_the_number_of_signals(tmp_path, monkeypatch):
     # How many blocks there are at once is a matter of chance up to the most, which tests/test_overlap.py holds.
-    monkeypatch.setattr("cgid.scene.generation._AHEAD_BLOCKS", 1)
+    monkeypatch.setattr("cgid.scene.output.generation._AHEAD_BLOCKS", 1)
 
     def peak(n_signals):
         tracemalloc.reset_peak()

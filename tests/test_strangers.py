@@ -9,10 +9,10 @@ from scipy import stats
 
 from cgid.physics import Elastic, HuntCrossley, Impact, Material, Sphere, ThinPlate
 from cgid.scene import load_scene, parse_scene, synthesise, varied
-from cgid.scene.distributions import Constant, Uniform
-from cgid.scene.draws import BLOCK, PARAMETER_UNITS
-from cgid.scene.impacts import draw
-from cgid.scene.sensor import clip
+from cgid.scene.file.distributions import Constant, Uniform
+from cgid.scene.file.sensor import clip
+from cgid.scene.synthesis.draws import BLOCK, PARAMETER_UNITS
+from cgid.scene.synthesis.impacts import draw
 from cgid.shipped import scene_path
 
 RATE = 200e3

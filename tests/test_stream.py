@@ -7,13 +7,11 @@ import pytest
 from scipy import integrate, stats
 
 from cgid.physics import HalfSpace, HuntCrossley, Impact, Material, Sphere
-from cgid.scene import parse_scene, varied
-from cgid.scene.impacts import impact_of, impacts_by_coupling, recorder_of
-from cgid.scene.plan import plan
-from cgid.scene.rocks import PoissonTimes, arrivals_of
-from cgid.scene.schema import samples_of
-from cgid.scene.stream import record
-from cgid.scene.stream_section import RateTable
+from cgid.scene import parse_scene, plan, record, varied
+from cgid.scene.file.schema import samples_of
+from cgid.scene.file.stream_section import RateTable
+from cgid.scene.synthesis.impacts import impact_of, impacts_by_coupling, recorder_of
+from cgid.scene.synthesis.rocks import PoissonTimes, arrivals_of
 
 GRAVITY = 9.80665
 RATE = 25_600.0

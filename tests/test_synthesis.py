@@ -9,7 +9,7 @@ from scipy import stats
 from cgid.errors import BadData, InvalidValue
 from cgid.physics import HUNT_CROSSLEY_LAWS, RIGID, Elastic, HalfSpace, HuntCrossley, Impact, Material, Sphere
 from cgid.scene import parse_scene, synthesise
-from cgid.scene.draws import BLOCK
+from cgid.scene.synthesis.draws import BLOCK
 
 DATASETS = Path(__file__).parents[1] / "datasets"
 STEEL = {"density": 7850, "youngs_modulus": "210 GPa", "poisson_ratio": 0.3}

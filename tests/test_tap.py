@@ -11,7 +11,7 @@ from cgid.cli.main import run
 from cgid.errors import BadData
 from cgid.measure.modal.modes import LEARNED_COLUMNS, read_modes
 from cgid.scene import load_scene
-from cgid.scene.impacts import beam_modes
+from cgid.scene.synthesis.impacts import beam_modes
 from cgid.shipped import scene_path
 from cgid.site import Flaw, tap_test
 from cgid.site.matching import matched

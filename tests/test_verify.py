@@ -16,10 +16,8 @@ import pytest
 from benchmarks.bit_flips import flipped, judge, small_scene, some, subjects
 from cgid.cli.main import run
 from cgid.errors import BadData, CannotCreate, NoInput
-from cgid.scene import generate, parse_scene
-from cgid.scene.generation import tabulate
-from cgid.scene.plan import plan
-from cgid.scene.recordings import generate_recordings
+from cgid.scene import generate, generate_recordings, parse_scene, plan
+from cgid.scene.output.generation import tabulate
 from cgid.store import Dataset, read_table
 from cgid.store.dataset import export
 from cgid.store.verification import remedy, verify

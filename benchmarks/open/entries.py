@@ -27,7 +27,7 @@ from cgid.identification.stream import identify_blocks
 from cgid.identification.support import CavingWatch
 from cgid.identification.training import train_on_specimens
 from cgid.scene import synthesise
-from cgid.scene.through_beam import full_beam
+from cgid.scene.synthesis.through_beam import full_beam
 from cgid.signals import Batch
 from cgid.site.streams import finished, rows_of_streams
 from studies.ceilings.limit import ceiling

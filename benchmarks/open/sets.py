@@ -23,9 +23,8 @@ from numpy.typing import NDArray
 from cgid import shipped
 from cgid._lib.files import read_regular, whole_file, write_whole
 from cgid.errors import BadData, CannotCreate, InvalidValue
-from cgid.scene import Scene, load_scene, parse_scene, synthesise
-from cgid.scene.draws import generator
-from cgid.scene.stream import record
+from cgid.scene import Scene, load_scene, parse_scene, record, synthesise
+from cgid.scene.synthesis.draws import generator
 from cgid.store.folder import SUMS, sha256_of, sums_text
 
 HERE = Path(__file__).parent

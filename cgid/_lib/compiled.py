@@ -47,7 +47,7 @@ SOURCES = (
     "physics/contact/laws.py",
     "physics/structure/_coupled.py",
     "physics/structure/_response.py",
-    "scene/_noise.py",
+    "scene/synthesis/_noise.py",
     "store/_packing.py",
 )
 _PACKAGE = Path(__file__).parents[1]

@@ -33,9 +33,8 @@ def check(scene: str | None, as_list: bool, seed: int, as_json: bool) -> None:
         return
     if scene is None:
         raise click.UsageError("give a SCENE, or --list for the shipped ones")
-    from cgid.scene import load_scene
-    from cgid.scene.noise import background_of
-    from cgid.scene.plan import plan
+    from cgid.scene import load_scene, plan
+    from cgid.scene.synthesis.noise import background_of
 
     loaded = load_scene(scene)
     background_of(loaded)  # raises if its recording cannot be read
@@ -75,8 +74,8 @@ def check(scene: str | None, as_list: bool, seed: int, as_json: bool) -> None:
 def _preview(scene: Any, seed: int, name: str) -> dict[str, Any]:
     import numpy as np
 
-    from cgid.scene.draws import BLOCK, parameter_units, require_seed
-    from cgid.scene.impacts import draw
+    from cgid.scene.synthesis.draws import BLOCK, parameter_units, require_seed
+    from cgid.scene.synthesis.impacts import draw
 
     draws = [draw(scene, require_seed(seed), block) for block in range(_BLOCKS)]
     units = parameter_units(scene)
@@ -107,7 +106,7 @@ def _preview(scene: Any, seed: int, name: str) -> dict[str, Any]:
 
 def _tail_beam(scene: Any) -> dict[str, float]:
     """Return the facts about a scene's tail beam; empty without one."""
-    from cgid.scene.impacts import beam_modes
+    from cgid.scene.synthesis.impacts import beam_modes
 
     if scene.tail_beam is None:
         return {}
@@ -125,7 +124,7 @@ def _randomised(scene: Any) -> dict[str, tuple[float, float]]:
     """Return the smallest and largest value of each quantity sampled per block."""
     if scene.randomise is None:
         return {}
-    from cgid.scene.draws import RANDOMISED_UNITS
+    from cgid.scene.synthesis.draws import RANDOMISED_UNITS
 
     units = {"sampling_rate": "Hz"} | RANDOMISED_UNITS
     return {f"{name} [{units[name]}]": law.extremes for name, law in scene.randomise.laws.items()}
@@ -166,10 +165,10 @@ def _stream(scene: Any) -> dict[str, Any]:
     """Return the contents of a scene with a stream, and its label fractions over the recording."""
     import numpy as np
 
-    from cgid.scene.noise import background_of
-    from cgid.scene.recordings import require_capacity
-    from cgid.scene.rocks import arrivals_of, population_shares
-    from cgid.scene.schema import samples_of
+    from cgid.scene.file.schema import samples_of
+    from cgid.scene.output.recordings import require_capacity
+    from cgid.scene.synthesis.noise import background_of
+    from cgid.scene.synthesis.rocks import arrivals_of, population_shares
 
     require_capacity(scene, "float32")
     background, duration = background_of(scene), scene.stream.duration

@@ -153,7 +153,7 @@ class _Rows:
         through = None
         if any_through_beam(self.names or ()) or (self.names is None and kind == "vibration"):
             from cgid.identification.through_beam import ThroughBeam
-            from cgid.scene.through_beam import shared_beam
+            from cgid.scene.synthesis.through_beam import shared_beam
 
             beam, why = shared_beam([dataset])
             more = () if beam is None or self.names else tuple(name for name in FEATURES if FEATURES[name].beam)

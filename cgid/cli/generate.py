@@ -96,8 +96,7 @@ def generate(context: click.Context, /, scene: str, **options: Any) -> None:
     with a stream makes recordings, each with the truth of its impacts.
     """
     output = _checked_output(context)
-    from cgid.scene import load_scene
-    from cgid.scene.plan import plan
+    from cgid.scene import load_scene, plan
 
     loaded = load_scene(scene)
     if loaded.stream is not None:
@@ -179,7 +178,7 @@ def _features_of_model(scene: Any) -> tuple[str, ...]:
     """Return the default features of a model for signals of this scene."""
     from cgid.identification.rows import DEFAULT_FEATURES, DEFAULT_VIBRATION_FEATURES
     from cgid.measure.features.extraction import kind_for
-    from cgid.scene.plan import supported_by
+    from cgid.scene.synthesis.plan import supported_by
 
     pulses = kind_for(scene.sensor.quantity) == "pulse"
     return supported_by(scene, DEFAULT_FEATURES if pulses else DEFAULT_VIBRATION_FEATURES)
@@ -205,8 +204,8 @@ def _warn_of_plate(scene: Any, seed: int) -> None:
     """Warn once if rocks of the first block exceed the range of the thin plate; blocks do not warn."""
     from cgid.physics import ThinPlate
     from cgid.physics.contact.impact import BEYOND_THIN_PLATE, INELASTICITY_LIMIT
-    from cgid.scene.draws import require_seed
-    from cgid.scene.impacts import draw
+    from cgid.scene.synthesis.draws import require_seed
+    from cgid.scene.synthesis.impacts import draw
 
     if not isinstance(scene.body, ThinPlate):
         return
@@ -219,7 +218,7 @@ def _warn_of_plate(scene: Any, seed: int) -> None:
 
 
 def _write_table(synthesis_plan: Any, options: dict[str, Any]) -> None:
-    from cgid.scene.generation import tabulate
+    from cgid.scene.output.generation import tabulate
 
     n_signals, start = options["n_signals"], time.perf_counter()
     taken = ("output", "n_signals", "seed", "overwrite")
@@ -274,8 +273,8 @@ def _require_recordings(scene: Any, options: dict[str, Any]) -> None:
 
 
 def _make_recordings(scene: Any, output: str, n_signals: int, **options: Any) -> None:
-    from cgid.scene.recordings import generate_recordings
-    from cgid.scene.schema import samples_of
+    from cgid.scene import generate_recordings
+    from cgid.scene.file.schema import samples_of
 
     seconds = scene.stream.duration * n_signals
     start = time.perf_counter()

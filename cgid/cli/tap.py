@@ -138,7 +138,7 @@ def _modes_of(name: str) -> tuple[Floats, Floats]:
     import numpy as np
 
     from cgid.scene import load_scene
-    from cgid.scene.impacts import beam_modes
+    from cgid.scene.synthesis.impacts import beam_modes
 
     scene = load_scene(name)
     if scene.tail_beam is None:

@@ -295,7 +295,7 @@ def _from_signals(data: list[str], options: dict[str, Any]) -> tuple[Any, list[A
     scene = sources[0] if len(sources) == 1 and isinstance(sources[0], Scene) else None
     points = _points_of_one_beam(scene, options)
     if points and scene is not None:
-        from cgid.scene.through_beam import moved
+        from cgid.scene.synthesis.through_beam import moved
 
         scene = moved(scene, points[0])
         sources, options = [scene], {**options, "sensors": []}
@@ -339,7 +339,7 @@ def _behind(training: Any, scene: Scene | None, points: list[tuple[float, float]
     """Return a training on the first of some sensors of a beam, with a model that knows the places of all."""
     from dataclasses import replace
 
-    from cgid.scene.through_beam import beam_of, full_beam
+    from cgid.scene.synthesis.through_beam import beam_of, full_beam
 
     if not points or scene is None:
         return training
@@ -475,7 +475,7 @@ def _beam(sources: list[Scene | Dataset], options: dict[str, Any]) -> Any:
     """Return the beam shared by scenes and datasets, if the features, or the default, need it."""
     from cgid.measure.features.extraction import any_through_beam, kind_for
     from cgid.scene import Scene
-    from cgid.scene.through_beam import shared_beam
+    from cgid.scene.synthesis.through_beam import shared_beam
 
     features, sensors = options["features"], options["sensors"]
     beam, why = None, "the requested features need no beam"
@@ -519,7 +519,7 @@ def _sources(data: list[str], start_error: float | None = None) -> list[Any]:
 
 def _batches(sources: list[Scene | Dataset], options: dict[str, Any]) -> Iterator[Batch]:
     from cgid.scene import Scene, synthesise
-    from cgid.scene.generation import MAX_SIGNALS
+    from cgid.scene.output.generation import MAX_SIGNALS
 
     n, seed = options["n_signals"], options["seed"]
     for source in sources:
@@ -528,7 +528,7 @@ def _batches(sources: list[Scene | Dataset], options: dict[str, Any]) -> Iterato
             continue
         validation.whole("signals", n, 1, MAX_SIGNALS)
         if options["sensors"]:
-            from cgid.scene.through_beam import recorded_together
+            from cgid.scene.synthesis.through_beam import recorded_together
 
             yield from recorded_together(source, options["sensors"], n, seed)
         else:

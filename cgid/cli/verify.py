@@ -175,7 +175,7 @@ def _verify_data(path: str, scene: Any, laws: bool, as_json: bool) -> None:
     report = find(path)
     findings, left = report.findings, report.damage
     if laws and not left:
-        from cgid.scene.changes import changed
+        from cgid.scene import changed
 
         with progress_bar(None, "files", "making again") as progress:
             left = changed(report, scene, progress)

@@ -157,8 +157,8 @@ def train_on_specimens(  # noqa: PLR0913
         Impacts of anything else, with the features and guards of the model; their labels do not matter. The model
         learns to distinguish them, which sharpens its novelty.
     beam : Beam, optional
-        The beam whose vibrations the signals are, as from `cgid.scene.through_beam.beam_of`; its modes lead to the
-        contact force. Rows have their own.
+        The beam whose vibrations the signals are, as from `cgid.scene.synthesis.through_beam.beam_of`; its modes lead
+        to the contact force. Rows have their own.
     class_weights : dict or "balanced", optional
         Weights of the labels, as in `cgid.identification.classifier.ImpactClassifier`.
     seed : int

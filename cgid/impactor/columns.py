@@ -17,7 +17,8 @@ from cgid.impactor.population import population_of
 from cgid.impactor.posterior import QUANTITIES
 from cgid.impactor.recognition import forces, through_beam
 from cgid.measure.features.table import ImpactKind
-from cgid.scene import Scene, record
+from cgid.scene.file.schema import Scene
+from cgid.scene.synthesis.stream import record
 from cgid.units import UNITS
 
 #: Probability of the intervals.

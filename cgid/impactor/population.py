@@ -19,11 +19,11 @@ from cgid.measure.fit.template import relative_times
 from cgid.measure.modal.beam import FINE, TOUCH, filtered, respond
 from cgid.physics.contact.impact import Impact
 from cgid.physics.structure.coupled import ModalImpact
-from cgid.scene import Scene
-from cgid.scene.impacts import contacts_of, draws
-from cgid.scene.plan import Plan
-from cgid.scene.rocks import Rocks, arrivals_of, arriving, thrown_back
-from cgid.scene.through_beam import beam_of, full_beam
+from cgid.scene.file.schema import Scene
+from cgid.scene.synthesis.impacts import contacts_of, draws
+from cgid.scene.synthesis.plan import Plan
+from cgid.scene.synthesis.rocks import Rocks, arrivals_of, arriving, thrown_back
+from cgid.scene.synthesis.through_beam import beam_of, full_beam
 
 #: Number of draws if pulses follow from a formula, if pulses are fitted, and for a scene with a beam.
 _MANY, _FEW, _FEWEST = 1 << 17, 1 << 15, 1 << 14

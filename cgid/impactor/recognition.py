@@ -26,7 +26,7 @@ from cgid.measure.fit.template import dimensionless_logarithms
 from cgid.measure.frames import DETECTION_LIMIT, frames_of
 from cgid.physics.contact.bodies import RIGID, HalfSpace, RigidWall
 from cgid.physics.contact.materials import STEEL, Material
-from cgid.scene import Scene, load_scene
+from cgid.scene.file.schema import Scene, load_scene
 
 #: Vibrations processed at once.
 _ROWS = 256

@@ -14,8 +14,8 @@ from cgid._lib.validation import Floats
 from cgid.errors import BadData, InvalidValue
 from cgid.physics.contact.impact import Impact
 from cgid.physics.structure.response import Resonance, Response
-from cgid.scene.impacts import beam_modes
-from cgid.scene.schema import Scene, load_scene, varied
+from cgid.scene.file.schema import Scene, load_scene, varied
+from cgid.scene.synthesis.impacts import beam_modes
 from cgid.signals import Signal
 from cgid.units import STANDARD_GRAVITY
 

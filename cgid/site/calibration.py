@@ -23,12 +23,12 @@ from cgid.measure.features.vibration import VibrationBatch
 from cgid.measure.fit.ar_noise import ar_noise_of
 from cgid.measure.modal.beam import Beam, corrected
 from cgid.measure.modal.modes import Modes, text_of_table
-from cgid.scene.impacts import beam_modes
-from cgid.scene.schema import Scene, load_scene, parse_scene
-from cgid.scene.sections import rows_of
-from cgid.scene.stream import parts_of_recording
-from cgid.scene.synthesis import synthesise
-from cgid.scene.through_beam import beam_of, spread_over, through_modes
+from cgid.scene.file.schema import Scene, load_scene, parse_scene
+from cgid.scene.file.sections import rows_of
+from cgid.scene.synthesis.impacts import beam_modes
+from cgid.scene.synthesis.stream import parts_of_recording
+from cgid.scene.synthesis.synthesis import synthesise
+from cgid.scene.synthesis.through_beam import beam_of, spread_over, through_modes
 from cgid.site.dimensions import Dimension, dimension_errors, learn_dimensions
 from cgid.site.learning import ImpactFrames, evidence_of, learn
 

@@ -18,8 +18,8 @@ from cgid._lib.validation import Floats
 from cgid.errors import InvalidValue
 from cgid.identification.inversion import Inversion
 from cgid.measure.modal.beam import Beam
-from cgid.scene.schema import Scene, parse_scene
-from cgid.scene.through_beam import through_modes
+from cgid.scene.file.schema import Scene, parse_scene
+from cgid.scene.synthesis.through_beam import through_modes
 from cgid.site.learning import ImpactFrames, System, newton
 
 #: Dimensions of a [tail_beam] that may be learned.

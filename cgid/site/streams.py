@@ -30,10 +30,10 @@ from cgid.identification.rows import BEAM_FEATURES, BEAM_GUARDS, Rows, through
 from cgid.identification.training import MIN_LIMITS, Training, train_on_specimens
 from cgid.measure.features.extraction import extract_array
 from cgid.measure.modal.beam import Beam
-from cgid.scene.schema import Scene, parse_scene
-from cgid.scene.sections import rows_of
-from cgid.scene.stream import record
-from cgid.scene.through_beam import full_beam, has_beam, spread_over
+from cgid.scene.file.schema import Scene, parse_scene
+from cgid.scene.file.sections import rows_of
+from cgid.scene.synthesis.stream import record
+from cgid.scene.synthesis.through_beam import full_beam, has_beam, spread_over
 
 #: Length of a simulated stream [s].
 DURATION = 60.0

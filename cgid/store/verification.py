@@ -85,7 +85,7 @@ def why_incomplete(folder: Folder, number: int) -> str:
 class Finding:
     """A problem with a file: "damaged", "missing", "unfinished" or "changed"; "leftover" and "foreign" are harmless.
 
-    "changed" is what its custom laws do not make any more, see `cgid.scene.changes.changed`.
+    "changed" is what its custom laws do not make any more, see `cgid.scene.changed`.
     """
 
     file: Path

@@ -20,14 +20,7 @@ from sphinx.pycode import ModuleAnalyzer
 PAGES: dict[str, tuple[str, tuple[str, ...]]] = {
     "cgid": ("Everyday names: cgid", ("cgid",)),
     "physics": ("Physics of an impact: cgid.physics", ("cgid.physics",)),
-    "scene": (
-        "Scenes and synthetic signals: cgid.scene",
-        (
-            "cgid.scene",
-            "cgid.scene.plan",
-            "cgid.scene.given_pulses",
-        ),
-    ),
+    "scene": ("Scenes and synthetic signals: cgid.scene", ("cgid.scene",)),
     "recordings": (
         "Recordings: cgid.recordings",
         (
@@ -62,7 +55,6 @@ PAGES: dict[str, tuple[str, tuple[str, ...]]] = {
         (
             "cgid.store",
             "cgid.store.verification",
-            "cgid.scene.changes",
             "cgid.store.dataset",
         ),
     ),

@@ -140,7 +140,7 @@ def _is_distribution(section: Any) -> bool:
 
 def _rule(field: FieldInfo) -> str:
     """Return the unit of a number, its rule, and how many there may be."""
-    from cgid.scene.distributions import quantity_of
+    from cgid.scene.file.distributions import quantity_of
 
     quantity, words = quantity_of(field), ""
     if quantity is not None:
@@ -188,7 +188,7 @@ def scene_sections() -> list[tuple[str, type[BaseModel]]]:
 
 def distributions() -> list[type[BaseModel]]:
     """Return the distributions that a number of a population may have."""
-    from cgid.scene.distributions import Distribution
+    from cgid.scene.file.distributions import Distribution
 
     return _sections(Distribution)
 

@@ -24,9 +24,9 @@ from cgid.identification.inversion import Inversion
 from cgid.measure.fit.template import curve
 from cgid.measure.modal.beam import respond
 from cgid.scene import Scene
-from cgid.scene.draws import BLOCK
-from cgid.scene.impacts import PulseBlock, draw
-from cgid.scene.through_beam import beam_of, has_beam
+from cgid.scene.synthesis.draws import BLOCK
+from cgid.scene.synthesis.impacts import PulseBlock, draw
+from cgid.scene.synthesis.through_beam import beam_of, has_beam
 from studies.ceilings.limit import require_supported
 
 #: Unknowns of a blow, in order; touch in samples after the table of forces begins, so many before that of touch.

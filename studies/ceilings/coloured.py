@@ -37,8 +37,8 @@ from cgid.measure.fit.template import (
 )
 from cgid.measure.likelihood import Profile, profile
 from cgid.scene import Scene
-from cgid.scene.draws import COLOURED
-from cgid.scene.noise import Coloured, ar_noise_of
+from cgid.scene.synthesis.draws import COLOURED
+from cgid.scene.synthesis.noise import Coloured, ar_noise_of
 from cgid.signals import Batch
 from studies.ceilings.limit import (
     NODES,

@@ -24,8 +24,8 @@ from cgid.identification.rows import BEAM_FEATURES
 from cgid.identification.through_beam import ThroughBeam
 from cgid.measure.features.extraction import extract_array
 from cgid.scene import Scene, synthesise
-from cgid.scene.draws import BLOCK
-from cgid.scene.impacts import draws
+from cgid.scene.synthesis.draws import BLOCK
+from cgid.scene.synthesis.impacts import draws
 from studies.ceilings.beam import BeamErrors
 from studies.ceilings.limit import Learner
 

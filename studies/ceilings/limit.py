@@ -29,8 +29,8 @@ from cgid.measure.filters import low_pass_response
 from cgid.measure.fit.template import parameters_of, relative_times
 from cgid.measure.likelihood import Profile, profile
 from cgid.scene import Scene, load_scene, parse_scene, synthesise
-from cgid.scene.draws import BLOCK
-from cgid.scene.impacts import draws
+from cgid.scene.synthesis.draws import BLOCK
+from cgid.scene.synthesis.impacts import draws
 from cgid.signals import Batch
 
 __all__ = ["Ceiling", "Learner", "ceiling", "learner"]

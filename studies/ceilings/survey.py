@@ -11,8 +11,8 @@ import numpy as np
 from cgid.errors import BadData
 from cgid.plots.figure import png, require_matplotlib
 from cgid.scene import Scene, varied
-from cgid.scene.impacts import draws
-from cgid.scene.sections import Population
+from cgid.scene.file.sections import Population
+from cgid.scene.synthesis.impacts import draws
 from studies.ceilings.coloured import check_covered, limits
 from studies.ceilings.limit import untrusted
 

@@ -13,9 +13,8 @@ from cgid import shipped
 from cgid.errors import InvalidValue
 from cgid.measure.fit.template import curve, relative_times
 from cgid.physics.contact.sampled import SampledPulses, shares_of_contact
-from cgid.scene import Scene, load_scene
-from cgid.scene.impacts import recorder_of
-from cgid.scene.plan import Plan
+from cgid.scene import Plan, Scene, load_scene
+from cgid.scene.synthesis.impacts import recorder_of
 from studies.ceilings import learners
 from studies.ceilings.__main__ import main
 from studies.ceilings.beam import UNKNOWNS, BeamErrors, check_estimated

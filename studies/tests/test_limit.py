@@ -10,7 +10,7 @@ import pytest
 
 from cgid.measure.fit.template import dimensionless_logarithms
 from cgid.scene import load_scene, parse_scene, synthesise, varied
-from cgid.scene.impacts import draw
+from cgid.scene.synthesis.impacts import draw
 from studies.ceilings.__main__ import main
 from studies.ceilings.limit import ceiling, ceilings, learner, untrusted
 from tests import few, naive

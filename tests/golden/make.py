@@ -112,8 +112,7 @@ def predicted(*recordings: str) -> dict[str, Any]:
 
 def predicted_in_caving() -> dict[str, Any]:
     """Return what `predicted` does, of twelve seconds of the scene `caving` whose rocks turn to gangue."""
-    from cgid.scene import load_scene, parse_scene
-    from cgid.scene.stream import record
+    from cgid.scene import load_scene, parse_scene, record
 
     content = json.loads(load_scene("caving").text)
     content["stream"] |= {"duration": 12.0, "mixture": {"times": [0.0, 12.0], "gangue": [0.1, 0.9]}}

@@ -14,12 +14,12 @@ from cgid._lib import validation
 from cgid._lib.validation import Floats
 from cgid.errors import InvalidValue
 from cgid.measure.features.extraction import extract_array, extract_truncated, samples_needed
-from cgid.scene.draws import BLOCK, at_once, drawn_block, parameter_units, require_seed
-from cgid.scene.impacts import PulseBlock, contacts_of, pulses_of_block
-from cgid.scene.noise import MAX_NOISE, add_sensor_noise, background_of
-from cgid.scene.plan import OF_TAPS, TRUE, Plan, plan
-from cgid.scene.schema import Scene, load_scene
-from cgid.scene.sensor import Sensor, clip
+from cgid.scene.file.schema import Scene, load_scene
+from cgid.scene.file.sensor import Sensor, clip
+from cgid.scene.synthesis.draws import BLOCK, at_once, drawn_block, parameter_units, require_seed
+from cgid.scene.synthesis.impacts import PulseBlock, contacts_of, pulses_of_block
+from cgid.scene.synthesis.noise import MAX_NOISE, add_sensor_noise, background_of
+from cgid.scene.synthesis.plan import OF_TAPS, TRUE, Plan, plan
 from cgid.signals import Batch
 from cgid.store.table import Rows
 
@@ -52,7 +52,7 @@ def synthesise(
     dtype : {"float32", "float64"}
         Of the samples. Noise is always drawn as float32, so both hold the same signals.
     output : {"frames", "pulses"}
-        "frames", or "pulses" for the forces [N] without beam and sensor; see `cgid.scene.plan`.
+        "frames", or "pulses" for the forces [N] without beam and sensor; see `cgid.scene.synthesis.plan`.
 
     Yields
     ------

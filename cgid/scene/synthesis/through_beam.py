@@ -15,11 +15,11 @@ from cgid.errors import InvalidValue
 from cgid.measure.modal.beam import FINE, MAX_SENSORS, RATES, SPAN_TIME, TOUCH, Beam, bounded, filtered, points_of
 from cgid.measure.modal.modes import Modes, NodeShapes, nodes
 from cgid.physics.structure.response import DERIVATIVES
-from cgid.scene.draws import BLOCK, require_seed
-from cgid.scene.impacts import beam_modes, draw, pulses_of_block
-from cgid.scene.plan import highest_frequency, plan
-from cgid.scene.schema import Scene, parse_scene, stored_scene
-from cgid.scene.synthesis import batch_of, blocks, make_frames, require_count, require_frames
+from cgid.scene.file.schema import Scene, parse_scene, stored_scene
+from cgid.scene.synthesis.draws import BLOCK, require_seed
+from cgid.scene.synthesis.impacts import beam_modes, draw, pulses_of_block
+from cgid.scene.synthesis.plan import highest_frequency, plan
+from cgid.scene.synthesis.synthesis import batch_of, blocks, make_frames, require_count, require_frames
 from cgid.signals import Batch
 from cgid.store import Dataset
 

@@ -18,7 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid._lib.validation import Floats
-from cgid.scene.draws import (
+from cgid.scene.file.schema import Scene
+from cgid.scene.file.stream_section import RateTable, StreamSection
+from cgid.scene.synthesis.draws import (
     ARRIVALS,
     BLOCK,
     FALL,
@@ -32,8 +34,6 @@ from cgid.scene.draws import (
     specimen_of,
     uniforms,
 )
-from cgid.scene.schema import Scene
-from cgid.scene.stream_section import RateTable, StreamSection
 from cgid.units import STANDARD_GRAVITY
 
 #: Largest expected number of rocks in a stretch. Because their number is drawn by inversion at no more than 1 - 2^-53,

@@ -17,7 +17,8 @@ from cgid._lib.files import read_regular
 from cgid._lib.validation import Floats
 from cgid.errors import BadData, InvalidValue
 from cgid.physics.contact.sampled import SampledPulses
-from cgid.scene.draws import (
+from cgid.scene.file.schema import Scene, load_scene
+from cgid.scene.synthesis.draws import (
     BLOCK,
     FALL,
     PARTICLE,
@@ -34,10 +35,9 @@ from cgid.scene.draws import (
     specimen_of,
     with_drawn_modes,
 )
-from cgid.scene.impacts import PulseBlock, Strike
-from cgid.scene.plan import Plan, plan
-from cgid.scene.schema import Scene, load_scene
-from cgid.scene.synthesis import batch_of, make_frames, require_frames
+from cgid.scene.synthesis.impacts import PulseBlock, Strike
+from cgid.scene.synthesis.plan import Plan, plan
+from cgid.scene.synthesis.synthesis import batch_of, make_frames, require_frames
 from cgid.signals import Batch
 
 __all__ = ["SolvedImpacts"]
@@ -94,8 +94,8 @@ def synthesise_given(
         n pulses [N].
     labels : array_like of str, (n,)
     parameters : dict of array_like, each (n,), optional
-        Known parameters, with names and units of `cgid.scene.draws.parameter_units`; others are nan. Missing or nan
-        onsets and points of impact are drawn. Peak, duration and levels of the sensor may not be given.
+        Known parameters, with names and units of `cgid.scene.synthesis.draws.parameter_units`; others are nan. Missing
+        or nan onsets and points of impact are drawn. Peak, duration and levels of the sensor may not be given.
     seed : int
         From 0 to 2^63 - 1.
     dtype : {"float32", "float64"}

@@ -15,13 +15,13 @@ from numpy.typing import NDArray
 from cgid._lib.validation import Floats
 from cgid.errors import BadData, InvalidValue
 from cgid.recordings import read_recording
-from cgid.scene._noise import LANES, TILE, add_normal
-from cgid.scene.background import BackgroundSection, ColouredNoise
-from cgid.scene.draws import BLOCK, COLOURED, COLOURED_NOISE, HUM, NOISE, RECORDED, require_seed, uniforms
-from cgid.scene.impacts import PulseBlock, pulses_of_block
-from cgid.scene.plan import Plan
-from cgid.scene.schema import Scene
-from cgid.scene.sensor import CHUNK, Sensor
+from cgid.scene.file.background import BackgroundSection, ColouredNoise
+from cgid.scene.file.schema import Scene
+from cgid.scene.file.sensor import CHUNK, Sensor
+from cgid.scene.synthesis._noise import LANES, TILE, add_normal
+from cgid.scene.synthesis.draws import BLOCK, COLOURED, COLOURED_NOISE, HUM, NOISE, RECORDED, require_seed, uniforms
+from cgid.scene.synthesis.impacts import PulseBlock, pulses_of_block
+from cgid.scene.synthesis.plan import Plan
 
 #: Samples of a signal that have an address: 93 hours at 51.2 kHz.
 MAX_SAMPLES = TILE // LANES << 32

@@ -14,13 +14,13 @@ from cgid._lib.validation import Floats
 from cgid.errors import InvalidValue
 from cgid.physics.contact.impact import Impact
 from cgid.physics.structure.coupled import ModalImpact
-from cgid.scene.draws import PARAMETER_UNITS, POINT_UNITS, SPHERE_SHAPE, require_seed
-from cgid.scene.impacts import Recorder, contacts_of, recorder_of
-from cgid.scene.noise import Background, add_noise, ar_noise_of, background_of
-from cgid.scene.plan import RESPONSE_TOLERANCE, STORED, Plan, plan
-from cgid.scene.rocks import Rocks, arrivals_of, arriving, thrown_back
-from cgid.scene.schema import Scene, load_scene, samples_of
-from cgid.scene.sensor import CHUNK
+from cgid.scene.file.schema import Scene, load_scene, samples_of
+from cgid.scene.file.sensor import CHUNK
+from cgid.scene.synthesis.draws import PARAMETER_UNITS, POINT_UNITS, SPHERE_SHAPE, require_seed
+from cgid.scene.synthesis.impacts import Recorder, contacts_of, recorder_of
+from cgid.scene.synthesis.noise import Background, add_noise, ar_noise_of, background_of
+from cgid.scene.synthesis.plan import RESPONSE_TOLERANCE, STORED, Plan, plan
+from cgid.scene.synthesis.rocks import Rocks, arrivals_of, arriving, thrown_back
 from cgid.signals import Signal
 
 
@@ -215,7 +215,7 @@ def record(
     -------
     Signal
     dict of ndarray, each (n_impacts,)
-        The impacts in order of time: the columns of `cgid.scene.stream.impact_units`, label and specimen.
+        The impacts in order of time: the columns of `cgid.scene.synthesis.stream.impact_units`, label and specimen.
 
     Raises
     ------

@@ -25,10 +25,10 @@ from cgid.measure.features.pulses import FAINT
 from cgid.measure.fit.family import MIN_RESTITUTION
 from cgid.physics.contact.bodies import ThinPlate
 from cgid.physics.contact.laws import HuntCrossley
-from cgid.scene.draws import parameter_units
-from cgid.scene.gravity import largest_error, tolerance_of
-from cgid.scene.schema import Scene, load_scene, samples_of
-from cgid.scene.sensor import CHUNK
+from cgid.scene.file.gravity import largest_error, tolerance_of
+from cgid.scene.file.schema import Scene, load_scene, samples_of
+from cgid.scene.file.sensor import CHUNK
+from cgid.scene.synthesis.draws import parameter_units
 
 __all__ = ["Plan", "plan"]
 

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from cgid.errors import BadData
-from cgid.scene import generation, recordings
-from cgid.scene.schema import Scene, stored_scene
+from cgid.scene.file.schema import Scene, stored_scene
+from cgid.scene.output import generation, recordings
 from cgid.store.description import RECORDING_FORMAT
 from cgid.store.folder import read_folder
 from cgid.store.verification import Finding, Verified, examine_file

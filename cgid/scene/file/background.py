@@ -16,7 +16,7 @@ from cgid._lib.files import read_cells, require_regular
 from cgid._lib.validation import Floats, Rule
 from cgid.errors import BadData
 from cgid.recordings.recording import clear_errors
-from cgid.scene.distributions import Decibel, Frequency, Quantity, Section
+from cgid.scene.file.distributions import Decibel, Frequency, Quantity, Section
 from cgid.units import parse
 
 #: The quantity of a sensor -> the dimension of its levels, and its SI unit.

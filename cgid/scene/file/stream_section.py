@@ -9,9 +9,9 @@ import numpy as np
 from pydantic import BaseModel, BeforeValidator, ConfigDict, model_validator
 
 from cgid._lib.validation import Floats, Rule
-from cgid.scene.distributions import LIMITS, Duration, Inclination, Moments, Quantity, Section, Speed, WholeNumber
-from cgid.scene.sections import Population
-from cgid.scene.sensor import Sensor
+from cgid.scene.file.distributions import LIMITS, Duration, Inclination, Moments, Quantity, Section, Speed, WholeNumber
+from cgid.scene.file.sections import Population
+from cgid.scene.file.sensor import Sensor
 from cgid.units import parse
 
 #: Lowest bandwidth over the sampling rate; it spreads every impact over some 65,000 samples.

@@ -3,7 +3,7 @@
 Random numbers have addresses: (seed, purpose, block of 256 samples) always gives the same ones. Philox is a
 counter-based generator (Salmon et al. 2011). Its key is the seed and the purpose, its counter the block and, in a
 stream, the recording, so a sample does not depend on shard, worker or order. White noise, of which far more is needed,
-has its own Philox kernel (`cgid.scene.noise`).
+has its own Philox kernel (`cgid.scene.synthesis.noise`).
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ from cgid._lib import validation
 from cgid._lib.validation import Floats
 from cgid.physics.contact.laws import speed_of_fall
 from cgid.physics.contact.materials import YIELD_OVER_STRENGTH
-from cgid.scene.background import BackgroundSection, HumLine
-from cgid.scene.distributions import Section, quantity_of
-from cgid.scene.schema import HUM_FREQUENCY, Scene
-from cgid.scene.sections import SHAPES, Population, RandomiseSection, Tap
-from cgid.scene.sensor import AntiAlias
+from cgid.scene.file.background import BackgroundSection, HumLine
+from cgid.scene.file.distributions import Section, quantity_of
+from cgid.scene.file.schema import HUM_FREQUENCY, Scene
+from cgid.scene.file.sections import SHAPES, Population, RandomiseSection, Tap
+from cgid.scene.file.sensor import AntiAlias
 
 #: Samples that share one address.
 BLOCK = 256

@@ -1,4 +1,4 @@
-"""The sections of a scene file, each validated separately; `cgid.scene.schema` checks the rules between them."""
+"""The sections of a scene file, each validated separately; `cgid.scene.file.schema` checks the rules between them."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from cgid.physics.contact.bodies import RIGID, HalfSpace, RigidWall, ThinPlate
 from cgid.physics.contact.laws import HUNT_CROSSLEY_LAWS, LAWS, known, named
 from cgid.physics.contact.materials import Material
 from cgid.physics.structure.tail_beam import Ribs, TailBeam
-from cgid.scene.distributions import (
+from cgid.scene.file.distributions import (
     LIMITS,
     Acceleration,
     DampingRatio,

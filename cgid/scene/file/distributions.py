@@ -108,7 +108,7 @@ Frequency = Annotated[float, Quantity.of("frequency")]
 Mass = Annotated[float, Quantity.of("mass")]
 Acceleration = Annotated[float, Quantity.of("acceleration")]
 Speed = Annotated[float, Quantity.of("speed")]
-#: A level in the unit of the sensor's quantity, parsed by `cgid.scene.sensor`.
+#: A level in the unit of the sensor's quantity, parsed by `cgid.scene.file.sensor`.
 Level = Annotated[float, Quantity(rule=Rule(0, LIMITS["force"][1]))]
 #: Shortest recording [s].
 MIN_RECORDING = 1e-3
@@ -154,7 +154,7 @@ class Section(BaseModel):
 
 # ---- distributions ---------------------------------------------------------------------------------------------------
 
-#: The smallest and largest uniform numbers (`cgid.scene.draws`).
+#: The smallest and largest uniform numbers (`cgid.scene.synthesis.draws`).
 MIN_UNIFORM, MAX_UNIFORM = 2.0**-54, 1 - 2.0**-53
 
 

@@ -25,11 +25,11 @@ from cgid.physics.structure.coupled import ModalContacts, ModalImpact
 from cgid.physics.structure.plates import PanelShapes
 from cgid.physics.structure.response import Response
 from cgid.physics.structure.tail_beam import TailBeam
-from cgid.scene.draws import PARTICLE, SPHERE_SHAPE, at_once, drawn_block
-from cgid.scene.gravity import weighed
-from cgid.scene.plan import NEGLIGIBLE_ECHO, RESPONSE_TOLERANCE, STORED, Plan, highest_frequency
-from cgid.scene.schema import Scene
-from cgid.scene.sections import SHAPES, TailBeamSection
+from cgid.scene.file.gravity import weighed
+from cgid.scene.file.schema import Scene
+from cgid.scene.file.sections import SHAPES, TailBeamSection
+from cgid.scene.synthesis.draws import PARTICLE, SPHERE_SHAPE, at_once, drawn_block
+from cgid.scene.synthesis.plan import NEGLIGIBLE_ECHO, RESPONSE_TOLERANCE, STORED, Plan, highest_frequency
 
 #: Maximum number of blocks that are drawn at once.
 _MAX_BLOCKS = 16

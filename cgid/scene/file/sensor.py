@@ -14,8 +14,8 @@ from pydantic import field_validator, model_validator
 from cgid._lib.validation import Floats, Rule
 from cgid.measure.filters import SENSOR_TAPER, fft_filter
 from cgid.physics.structure.response import LowPass, Resonance
-from cgid.scene.background import QUANTITIES, ColouredNoise
-from cgid.scene.distributions import (
+from cgid.scene.file.background import QUANTITIES, ColouredNoise
+from cgid.scene.file.distributions import (
     LIMITS,
     DampingRatio,
     Frequency,

@@ -26,10 +26,10 @@ from cgid._lib import validation
 from cgid._lib.files import require_room, write_whole
 from cgid._lib.workers import SERIAL, Workers, workers
 from cgid.errors import BadData, InvalidValue
-from cgid.scene.draws import BLOCK, parameter_units, require_seed
-from cgid.scene.plan import Plan
-from cgid.scene.schema import Scene, load_scene
-from cgid.scene.synthesis import columns_of, synthesise
+from cgid.scene.file.schema import Scene, load_scene
+from cgid.scene.synthesis.draws import BLOCK, parameter_units, require_seed
+from cgid.scene.synthesis.plan import Plan
+from cgid.scene.synthesis.synthesis import columns_of, synthesise
 from cgid.signals import Batch
 from cgid.store.dataset import describe_dataset, shard_content
 from cgid.store.description import COMPRESSIONS, DIGEST, FORMAT, SCHEMA_VERSION

@@ -21,7 +21,7 @@ from cgid.physics.contact.curves import Law, is_builtin, own_code
 from cgid.physics.contact.impact import Contacts, Impact
 from cgid.physics.contact.laws import STIFFNESS_THEORIES, Elastic, HuntCrossley, named, speed_of_fall, stiffness_of
 from cgid.physics.contact.materials import YIELD_OVER_STRENGTH, Material
-from cgid.scene.sections import ImpactSection, Population
+from cgid.scene.file.sections import ImpactSection, Population
 
 #: Default maximum relative error of neglecting gravity.
 GRAVITY_TOLERANCE = 1e-3

@@ -19,10 +19,10 @@ from cgid.physics.contact.bodies import Target
 from cgid.physics.contact.laws import named
 from cgid.physics.contact.own_laws import add_laws, own_law, sources
 from cgid.physics.structure.tail_beam import TailBeam
-from cgid.scene.background import BackgroundSection, with_spectrum
-from cgid.scene.distributions import DISTRIBUTION_NAMES, Section, quantity_of
-from cgid.scene.gravity import problem_of_law, problem_of_weight, problem_on_plate
-from cgid.scene.sections import (
+from cgid.scene.file.background import BackgroundSection, with_spectrum
+from cgid.scene.file.distributions import DISTRIBUTION_NAMES, Section, quantity_of
+from cgid.scene.file.gravity import problem_of_law, problem_of_weight, problem_on_plate
+from cgid.scene.file.sections import (
     DISSIPATIONS,
     PLASTIC,
     ImpactSection,
@@ -35,8 +35,8 @@ from cgid.scene.sections import (
     loss_key,
     with_table,
 )
-from cgid.scene.sensor import CHUNK, Sensor
-from cgid.scene.stream_section import StreamSection
+from cgid.scene.file.sensor import CHUNK, Sensor
+from cgid.scene.file.stream_section import StreamSection
 from cgid.shipped import scene_path
 
 #: Largest scene file [bytes] and most keys in it: 10,000 measured modes have 60,000.

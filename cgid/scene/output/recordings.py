@@ -13,13 +13,13 @@ from cgid._lib import validation
 from cgid._lib.files import require_room
 from cgid._lib.terminal import counted
 from cgid.errors import InvalidValue
-from cgid.scene.distributions import MIN_RECORDING
-from cgid.scene.draws import require_seed
-from cgid.scene.generation import attributes_of, in_order, require_same_samples
-from cgid.scene.noise import background_of
-from cgid.scene.rocks import arrivals_of
-from cgid.scene.schema import Scene, load_scene, samples_of
-from cgid.scene.stream import impact_units, joined, parts_of_recording
+from cgid.scene.file.distributions import MIN_RECORDING
+from cgid.scene.file.schema import Scene, load_scene, samples_of
+from cgid.scene.output.generation import attributes_of, in_order, require_same_samples
+from cgid.scene.synthesis.draws import require_seed
+from cgid.scene.synthesis.noise import background_of
+from cgid.scene.synthesis.rocks import arrivals_of
+from cgid.scene.synthesis.stream import impact_units, joined, parts_of_recording
 from cgid.store.description import DIGEST, MAX_RECORDING, RECORDING_FORMAT
 from cgid.store.folder import Description, describe, sha256_of
 from cgid.store.hdf5 import RecordingPlan, writing

@@ -1,0 +1,1 @@
+"""The scene file: its sections, and the checks of each."""

@@ -1,0 +1,1 @@
+"""From a scene to signals: draws, the plan, impacts, noise, streams."""
