@@ -15,9 +15,9 @@ from sklearn.ensemble import HistGradientBoostingClassifier
 from threadpoolctl import threadpool_limits
 
 from cgid import shipped
-from cgid.identification.classifier import FAMILIES, ImpactClassifier
-from cgid.identification.metrics import evaluate
-from cgid.identification.rows import Rows, linear_columns, measure
+from cgid.identification.training.classifier import FAMILIES, ImpactClassifier
+from cgid.identification.training.metrics import evaluate
+from cgid.identification.training.rows import Rows, linear_columns, measure
 from cgid.scene import Scene, load_scene, synthesise
 from studies.ceilings.limit import ceiling
 

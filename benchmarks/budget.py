@@ -23,7 +23,7 @@ import numpy as np
 
 from cgid import shipped
 from cgid.identification.model import Model
-from cgid.identification.rows import DEFAULT_FEATURES
+from cgid.identification.training.rows import DEFAULT_FEATURES
 from cgid.measure.features.extraction import FEATURES, choose, extract_array
 from cgid.measure.filters import fft_filter
 from cgid.physics import HertzRangeWarning

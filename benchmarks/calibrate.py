@@ -27,11 +27,10 @@ from scipy.interpolate import RectBivariateSpline
 from threadpoolctl import threadpool_limits
 
 from cgid.errors import BadData
+from cgid.identification.inversion.through_beam import ThroughBeam
 from cgid.identification.model import Model
 from cgid.identification.prediction import load_model
-from cgid.identification.rows import measure
-from cgid.identification.through_beam import ThroughBeam
-from cgid.identification.training import train_on_specimens
+from cgid.identification.training import measure, train_on_specimens
 from cgid.measure.modal.beam import Beam, corrected, gain
 from cgid.measure.modal.modes import Modes, NodeShapes, nodes
 from cgid.scene import Scene, load_scene, parse_scene, synthesise

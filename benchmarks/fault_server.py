@@ -23,7 +23,7 @@ from typing import Any
 #: Time limit of a command [s].
 _LONGEST = 60
 #: Computed once, since it takes minutes and does not depend on where it is written; the disk comes afterwards.
-_COMPUTED = (("cgid.identification.training", "train"),)
+_COMPUTED = (("cgid.identification.training.training", "train"),)
 
 
 def _compute_once() -> None:

@@ -17,9 +17,9 @@ import numpy as np
 
 from cgid import shipped
 from cgid.identification.estimation import estimate
-from cgid.identification.metrics import evaluate
 from cgid.identification.model import Model
-from cgid.identification.rows import measure
+from cgid.identification.training import measure
+from cgid.identification.training.metrics import evaluate
 from cgid.measure.fit.template import curve
 from cgid.physics import Elastic, HalfSpace, HuntCrossley, Impact, Material, Sphere, Viscoelastic
 from cgid.physics.contact.sampled import SampledPulses, shares_of_contact

@@ -97,9 +97,7 @@ for arguments in json.loads(sys.argv[1]):
     walks.append([status or 0, len(functions), len({file for file, _ in functions}), len(jumps), depth[1], *calls])
 os.write(out, json.dumps(walks).encode())
 """
-_IMPORT = (
-    "import time; t = time.process_time(); import cgid.cli, cgid.identification.model; print(time.process_time() - t)"
-)
+_IMPORT = "import time; t = time.process_time(); import cgid.cli; cgid.Model; print(time.process_time() - t)"
 
 
 def code_lines(text: str) -> tuple[int, int]:

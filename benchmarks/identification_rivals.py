@@ -38,11 +38,11 @@ from scipy.signal import resample_poly
 from threadpoolctl import threadpool_limits
 
 from cgid import shipped
-from cgid.identification.classifier import ImpactClassifier
+from cgid.identification.inversion.through_beam import ThroughBeam
 from cgid.identification.model import Model
-from cgid.identification.rows import BEAM_FEATURES, BEAM_GUARDS, DEFAULT_FEATURES, DEFAULT_GUARDS
-from cgid.identification.share import wilson_interval
-from cgid.identification.through_beam import ThroughBeam
+from cgid.identification.prediction.fraction import wilson_interval
+from cgid.identification.training import ImpactClassifier
+from cgid.identification.training.rows import BEAM_FEATURES, BEAM_GUARDS, DEFAULT_FEATURES, DEFAULT_GUARDS
 from cgid.measure.features import extraction as known
 from cgid.measure.features.extraction import extract_array
 from cgid.scene import load_scene, synthesise

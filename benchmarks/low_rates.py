@@ -16,11 +16,11 @@ from pathlib import Path
 import numpy as np
 from sklearn.ensemble import RandomForestClassifier
 
-from cgid.identification.grouped import leave_groups_out
-from cgid.identification.labelled_recordings import Reading, record
-from cgid.identification.manifest import folder_manifest
-from cgid.identification.rows import Slicing
 from cgid.identification.training import train_on_groups
+from cgid.identification.training.grouped import leave_groups_out
+from cgid.identification.training.manifest import folder_manifest
+from cgid.identification.training.recordings import Reading, record
+from cgid.identification.training.rows import Slicing
 from cgid.recordings import read_recording
 
 MODES = np.array([18.0, 41.0, 67.0, 103.0, 150.0, 218.0, 301.0, 420.0, 560.0, 760.0])

@@ -33,7 +33,7 @@ from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import StandardScaler
 
 from cgid.cli.main import run
-from cgid.identification.metrics import reliability
+from cgid.identification.training.metrics import reliability
 from cgid.recordings import read_recording
 
 REAL = Path(__file__).parents[2] / "shared" / "realdata" / "bulk_ramp"

@@ -15,10 +15,10 @@ from pathlib import Path
 
 from ramp import REAL, material
 
-from cgid.identification.labelled_recordings import record
-from cgid.identification.manifest import read_manifest
-from cgid.identification.rows import Rows, Slicing
 from cgid.identification.training import train_on_groups
+from cgid.identification.training.manifest import read_manifest
+from cgid.identification.training.recordings import record
+from cgid.identification.training.rows import Rows, Slicing
 
 CHANNELS = {"left": "1", "right": "2", "both": "1+2"}
 

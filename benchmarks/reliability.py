@@ -14,10 +14,10 @@ from pathlib import Path
 import numpy as np
 
 from cgid import shipped
-from cgid.identification.answers import identify, identify_frames, suited
-from cgid.identification.card import table
-from cgid.identification.metrics import evaluate
 from cgid.identification.model import Model
+from cgid.identification.prediction import identify, identify_frames, suited
+from cgid.identification.training.card import table
+from cgid.identification.training.metrics import evaluate
 from cgid.measure.features.extraction import extract_array
 from cgid.recordings import read_recording
 from cgid.scene import load_scene, synthesise

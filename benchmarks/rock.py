@@ -29,11 +29,9 @@ from rock_pulses import CASES, LAWS, RATE, Case, Impacts, record
 from threadpoolctl import threadpool_limits
 
 from cgid import shipped
-from cgid.identification.answers import UNKNOWN, identify, identify_frames, suited
-from cgid.identification.classifier import ImpactClassifier
 from cgid.identification.model import Model
-from cgid.identification.rows import Rows, measure
-from cgid.identification.training import train_on_specimens
+from cgid.identification.prediction.answers import UNKNOWN, identify, identify_frames, suited
+from cgid.identification.training import ImpactClassifier, Rows, measure, train_on_specimens
 from cgid.measure.features.extraction import extract_array
 from cgid.recordings import read_recording
 from cgid.scene import Scene, load_scene, synthesise, varied

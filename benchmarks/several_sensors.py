@@ -20,12 +20,10 @@ from independent_beam import NOISE, RATE, digitised, generate
 from numpy.typing import NDArray
 
 from cgid import load_model
-from cgid.identification.answers import Answer
 from cgid.identification.model import Model
-from cgid.identification.prediction_settings import PredictionSettings
-from cgid.identification.share import Share
-from cgid.identification.stream import answering_channels, identify_blocks
-from cgid.identification.support import CavingWatch
+from cgid.identification.prediction import Answer, PredictionSettings, Share
+from cgid.identification.prediction.stream import answering_channels, identify_blocks
+from cgid.identification.prediction.support import CavingWatch
 from cgid.scene import load_scene
 from cgid.scene.synthesis.through_beam import full_beam
 

@@ -18,9 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid import shipped
-from cgid.identification.correction import correct
 from cgid.identification.model import Model
-from cgid.identification.rows import Rows, measure
+from cgid.identification.training import Rows, measure
+from cgid.identification.training.correction import correct
 from cgid.scene import parse_scene, synthesise
 from cgid.signals import Batch
 

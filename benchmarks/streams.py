@@ -21,12 +21,11 @@ from typing import Any
 import numpy as np
 
 from cgid import plots, shipped
-from cgid.identification.answers import Answer
 from cgid.identification.model import Model
-from cgid.identification.prediction_settings import PredictionSettings
-from cgid.identification.share import Share, Switch
-from cgid.identification.stream import identify_blocks
-from cgid.identification.support import CavingWatch, Report
+from cgid.identification.prediction import Answer, PredictionSettings
+from cgid.identification.prediction.fraction import Share, Switch
+from cgid.identification.prediction.stream import identify_blocks
+from cgid.identification.prediction.support import CavingWatch, Report
 from cgid.scene import Scene, load_scene, parse_scene, record
 
 #: First seeds of constant shares, and of those of another seam; the seed of the rising share.

@@ -20,10 +20,10 @@ from typing import Any
 import numpy as np
 
 from cgid import shipped
-from cgid.identification.diagnosis import CHANGED, ChannelAnswers
+from cgid.identification.inversion.through_beam import ThroughBeam
 from cgid.identification.model import Model
 from cgid.identification.prediction import load_model
-from cgid.identification.through_beam import ThroughBeam
+from cgid.identification.prediction.diagnosis import CHANGED, ChannelAnswers
 from cgid.measure.features.extraction import extract_array
 from cgid.measure.features.vibration import VibrationBatch
 from cgid.measure.modal.beam import Beam, corrected

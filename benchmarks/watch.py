@@ -22,10 +22,10 @@ import numpy as np
 from wrong_scale import SEED, World, of_acceleration
 
 from cgid import read_recording, shipped
-from cgid.identification.answers import Answer
-from cgid.identification.card import table
-from cgid.identification.diagnosis import Condition, Diagnosis
 from cgid.identification.model import Model
+from cgid.identification.prediction import Answer
+from cgid.identification.prediction.diagnosis import Condition, Diagnosis
+from cgid.identification.training.card import table
 
 RATE, IMPACTS_PER_SECOND = 25_600, 8.0
 LOST, BACK, END = 16, 32, 60

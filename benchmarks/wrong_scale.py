@@ -38,12 +38,12 @@ from scipy.signal import firwin, resample_poly
 from cgid import shipped
 from cgid._lib.validation import UNKNOWN
 from cgid.cli.main import run
-from cgid.identification.answers import Answer, answers_from
-from cgid.identification.card import table
-from cgid.identification.diagnosis import Diagnosis
 from cgid.identification.model import Model
-from cgid.identification.prediction_settings import PredictionSettings
-from cgid.identification.rows import Rows, measure
+from cgid.identification.prediction import PredictionSettings
+from cgid.identification.prediction.answers import Answer, answers_from
+from cgid.identification.prediction.diagnosis import Diagnosis
+from cgid.identification.training import Rows, measure
+from cgid.identification.training.card import table
 from cgid.measure.features import FEATURES
 from cgid.scene import load_scene, synthesise
 from cgid.scene.synthesis.through_beam import beam_of

@@ -22,15 +22,15 @@ if TYPE_CHECKING:
     from cgid import scene as scene
     from cgid import site as site
     from cgid import store as store
-    from cgid.identification.classifier import ImpactClassifier as ImpactClassifier
-    from cgid.identification.detection import ImpactDetector as ImpactDetector
-    from cgid.identification.detection import find_impacts as find_impacts
-    from cgid.identification.model import Model as Model
-    from cgid.identification.pipeline import identify_recording as identify_recording
-    from cgid.identification.prediction import load_model as load_model
-    from cgid.identification.prediction import predict as predict
-    from cgid.identification.training import train_on_groups as train_on_groups
-    from cgid.identification.training import train_on_specimens as train_on_specimens
+    from cgid.identification.detection.detector import ImpactDetector as ImpactDetector
+    from cgid.identification.detection.detector import find_impacts as find_impacts
+    from cgid.identification.model.model import Model as Model
+    from cgid.identification.prediction.pipeline import identify_recording as identify_recording
+    from cgid.identification.prediction.prediction import load_model as load_model
+    from cgid.identification.prediction.prediction import predict as predict
+    from cgid.identification.training.classifier import ImpactClassifier as ImpactClassifier
+    from cgid.identification.training.training import train_on_groups as train_on_groups
+    from cgid.identification.training.training import train_on_specimens as train_on_specimens
     from cgid.impactor import estimate_impactors as estimate_impactors
     from cgid.learn import ImpactFeatures as ImpactFeatures
     from cgid.learn import stream as stream
@@ -64,11 +64,11 @@ _HOMES = {
     "HalfSpace": "cgid.physics.contact.bodies",
     "HuntCrossley": "cgid.physics.contact.laws",
     "Impact": "cgid.physics.contact.impact",
-    "ImpactClassifier": "cgid.identification.classifier",
+    "ImpactClassifier": "cgid.identification.training.classifier",
     "ImpactFeatures": "cgid.learn",
-    "ImpactDetector": "cgid.identification.detection",
+    "ImpactDetector": "cgid.identification.detection.detector",
     "Material": "cgid.physics.contact.materials",
-    "Model": "cgid.identification.model",
+    "Model": "cgid.identification.model.model",
     "RIGID": "cgid.physics.contact.bodies",
     "Scene": "cgid.scene.file.schema",
     "Signal": "cgid.signals",
@@ -78,17 +78,17 @@ _HOMES = {
     "estimate_impactors": "cgid.impactor",
     "extract": "cgid.measure.features.extraction",
     "fft_filter": "cgid.measure.filters",
-    "find_impacts": "cgid.identification.detection",
-    "identify_recording": "cgid.identification.pipeline",
-    "load_model": "cgid.identification.prediction",
+    "find_impacts": "cgid.identification.detection.detector",
+    "identify_recording": "cgid.identification.prediction.pipeline",
+    "load_model": "cgid.identification.prediction.prediction",
     "load_scene": "cgid.scene.file.schema",
     "open_recording": "cgid.recordings",
-    "predict": "cgid.identification.prediction",
+    "predict": "cgid.identification.prediction.prediction",
     "read_recording": "cgid.recordings",
     "stream": "cgid.learn",
     "synthesise": "cgid.scene.synthesis.synthesis",
-    "train_on_groups": "cgid.identification.training",
-    "train_on_specimens": "cgid.identification.training",
+    "train_on_groups": "cgid.identification.training.training",
+    "train_on_specimens": "cgid.identification.training.training",
 }
 
 #: Public modules.

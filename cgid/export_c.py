@@ -19,10 +19,10 @@ from numpy.typing import NDArray
 from cgid import __version__
 from cgid._lib.validation import Floats
 from cgid.errors import InvalidValue
-from cgid.identification.conformal import COVERAGES
-from cgid.identification.families import Contrast, Network, Standardiser
-from cgid.identification.model import MIN_SHARE, Model
-from cgid.identification.model_file import STANDARDISER
+from cgid.identification.model.conformal import COVERAGES
+from cgid.identification.model.families import Contrast, Network, Standardiser
+from cgid.identification.model.model import MIN_SHARE, Model
+from cgid.identification.model.model_file import STANDARDISER
 from cgid.measure.features.extraction import FEATURES
 from cgid.measure.features.vibration import EARLY_BANDS, EARLY_TIME, WINDOW_TIME
 from cgid.measure.spectra import THIRD_OCTAVES, third_octave

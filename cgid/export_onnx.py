@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from cgid import __version__
 from cgid.errors import optional
 from cgid.export_c import require_small
-from cgid.identification.families import Network, Standardiser
-from cgid.identification.model import Model
-from cgid.identification.model_file import STANDARDISER
+from cgid.identification.model.families import Network, Standardiser
+from cgid.identification.model.model import Model
+from cgid.identification.model.model_file import STANDARDISER
 
 #: Version of the operators and of the format: old enough for runtimes of several years.
 _OPSET, _IR = 17, 8

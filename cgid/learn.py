@@ -20,8 +20,8 @@ from cgid._lib.validation import Floats
 from cgid._lib.workers import MAX_JOBS
 from cgid._lib.workers import workers as executor
 from cgid.errors import InvalidValue
-from cgid.identification.rows import BEAM_FEATURES
-from cgid.identification.through_beam import ThroughBeam
+from cgid.identification.inversion.through_beam import ThroughBeam
+from cgid.identification.training.rows import BEAM_FEATURES
 from cgid.measure.features.extraction import choose, extract_array
 from cgid.measure.frames import DETECTION_LIMIT, MINIMUM_FRAME
 from cgid.scene.file.schema import Scene, load_scene

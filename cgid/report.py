@@ -21,11 +21,11 @@ from cgid import __version__
 from cgid._lib.files import check_new, write_whole
 from cgid._lib.terminal import counted, printable
 from cgid._lib.validation import UNKNOWN
-from cgid.identification.answers import Answer
-from cgid.identification.diagnosis import Hint
-from cgid.identification.model import Model
-from cgid.identification.share import MIN_IMPACTS, Share, Switch
-from cgid.identification.support import SupportState
+from cgid.identification.model.model import Model
+from cgid.identification.prediction.answers import Answer
+from cgid.identification.prediction.diagnosis import Hint
+from cgid.identification.prediction.fraction import MIN_IMPACTS, Share, Switch
+from cgid.identification.prediction.support import SupportState
 from cgid.measure.overview import Overview
 from cgid.plots import picture, share_figure
 from cgid.plots.answers import drawn_figure

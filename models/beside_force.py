@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 
 from cgid import shipped
-from cgid.identification.answers import Answer, identify_frames
-from cgid.identification.card import plain, table
-from cgid.identification.metrics import paired_difference
 from cgid.identification.model import Model
+from cgid.identification.prediction import Answer, identify_frames
 from cgid.identification.training import train_on_specimens
+from cgid.identification.training.card import plain, table
+from cgid.identification.training.metrics import paired_difference
 from cgid.scene import Scene, load_scene, synthesise, varied
 
 #: No training uses it.

@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 
 from cgid import shipped
-from cgid.identification.answers import identify_frames
-from cgid.identification.card import plain, table
-from cgid.identification.metrics import evaluate
 from cgid.identification.model import Model
+from cgid.identification.prediction import identify_frames
+from cgid.identification.training.card import plain, table
+from cgid.identification.training.metrics import evaluate
 from cgid.scene import Scene, load_scene, parse_scene, synthesise, varied
 from cgid.units import STANDARD_GRAVITY
 

@@ -27,11 +27,11 @@ from cgid._lib import validation
 from cgid._lib.validation import Floats
 from cgid._lib.workers import SERIAL, Workers, workers
 from cgid.errors import InvalidValue
-from cgid.identification.card import plain, table
-from cgid.identification.classifier import ImpactClassifier
-from cgid.identification.metrics import evaluate, paired_difference
 from cgid.identification.model import Model
-from cgid.identification.rows import Rows, linear_columns, measure
+from cgid.identification.training import ImpactClassifier
+from cgid.identification.training.card import plain, table
+from cgid.identification.training.metrics import evaluate, paired_difference
+from cgid.identification.training.rows import Rows, linear_columns, measure
 from cgid.scene import load_scene, synthesise
 
 #: A later family must be better by this accuracy.

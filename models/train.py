@@ -33,12 +33,19 @@ from selection import select, selection_section
 
 from cgid import shipped
 from cgid._lib.files import write_together
-from cgid.identification.card import PICTURES, Section, check_model_output, write_card, write_model
-from cgid.identification.families import Neighbourhood
 from cgid.identification.model import Model
-from cgid.identification.model_file import UNEXPLAINED
-from cgid.identification.rows import BEAM_FEATURES, BEAM_GUARDS, DEFAULT_FEATURES, DEFAULT_GUARDS, Rows, measure
+from cgid.identification.model.families import Neighbourhood
+from cgid.identification.model.model_file import UNEXPLAINED
 from cgid.identification.training import train_on_specimens
+from cgid.identification.training.card import PICTURES, Section, check_model_output, write_card, write_model
+from cgid.identification.training.rows import (
+    BEAM_FEATURES,
+    BEAM_GUARDS,
+    DEFAULT_FEATURES,
+    DEFAULT_GUARDS,
+    Rows,
+    measure,
+)
 from cgid.measure.modal.beam import Beam
 from cgid.scene import Scene, load_scene, parse_scene, synthesise
 from cgid.scene.synthesis.through_beam import beam_of

@@ -15,9 +15,9 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
 
 import pytest
 
-from cgid.identification.classifier import FAMILIES
-from cgid.identification.rows import DEFAULT_FEATURES, DEFAULT_GUARDS, measure
 from cgid.identification.training import Training, train_on_specimens
+from cgid.identification.training.classifier import FAMILIES
+from cgid.identification.training.rows import DEFAULT_FEATURES, DEFAULT_GUARDS, measure
 from cgid.scene import Scene, load_scene, synthesise
 from tests.beside import SHARED
 

@@ -16,9 +16,9 @@ from typing import Any
 
 import numpy as np
 
-import cgid.identification.through_beam  # noqa: F401 - loaded here, so that no watched process imports it
-from cgid.identification.model import MAX_FILE_SIZE, Model
-from cgid.identification.model_file import LEVELS, signed
+import cgid.identification.inversion.through_beam  # noqa: F401 - loaded here, so that no watched process imports it
+from cgid.identification.model.model import MAX_FILE_SIZE, Model
+from cgid.identification.model.model_file import LEVELS, signed
 from cgid.measure.features import choose
 from cgid.measure.modal.beam import points_of
 

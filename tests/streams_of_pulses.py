@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from cgid.identification.classifier import ImpactClassifier
+from cgid.identification.detection.windows import measure_windows
 from cgid.identification.model import Model
-from cgid.identification.reference import MeanSpectrum
-from cgid.identification.windows import measure_windows
+from cgid.identification.model.reference import MeanSpectrum
+from cgid.identification.training import ImpactClassifier
 from cgid.recordings import read_recording
 
 ROOT = Path(__file__).parents[1]

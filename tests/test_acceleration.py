@@ -13,17 +13,17 @@ import pytest
 from cgid import shipped
 from cgid.cli.main import run
 from cgid.errors import BadData, InvalidValue
-from cgid.identification.answers import identify, identify_frames
 from cgid.identification.detection import find_impacts
 from cgid.identification.model import Model
-from cgid.identification.rows import (
+from cgid.identification.prediction import identify, identify_frames
+from cgid.identification.training import Training, train_on_specimens
+from cgid.identification.training.rows import (
     DEFAULT_FEATURES,
     DEFAULT_GUARDS,
     DEFAULT_VIBRATION_FEATURES,
     default_guards,
     measure,
 )
-from cgid.identification.training import Training, train_on_specimens
 from cgid.signals import Batch, Signal
 from cgid.units import STANDARD_GRAVITY
 from tests.ringing import N_SAMPLES, PRE_TRIGGER, RATE, damped_sinusoid, ringing_batch

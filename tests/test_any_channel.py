@@ -15,10 +15,10 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from cgid.cli.main import run
-from cgid.identification.inversion import Inversion
+from cgid.identification.inversion.inversion import Inversion
 from cgid.identification.model import Model
-from cgid.identification.prediction_settings import PredictionSettings
-from cgid.identification.stream import identify_blocks
+from cgid.identification.prediction import PredictionSettings
+from cgid.identification.prediction.stream import identify_blocks
 from cgid.measure.fit.ar_noise import MIN_SAMPLES, ORDER, ar_noise_of
 from cgid.scene import load_scene, synthesise
 from tests.streams_of_pulses import RATE, ROOT, stream

@@ -9,10 +9,10 @@ from scipy.special import ndtri
 
 from cgid.cli.main import run
 from cgid.errors import BadData, InvalidValue
-from cgid.identification.inversion import Inversion
+from cgid.identification.inversion.inversion import Inversion
 from cgid.identification.prediction import load_model
-from cgid.identification.rows import BEAM_GUARDS, measure
 from cgid.identification.training import train_on_specimens
+from cgid.identification.training.rows import BEAM_GUARDS, measure
 from cgid.measure.modal.beam import corrected
 from cgid.measure.modal.modes import LEARNED_COLUMNS, Modes, read_modes
 from cgid.scene import generate, load_scene, parse_scene, record, synthesise

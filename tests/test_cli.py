@@ -212,7 +212,7 @@ def test_real_shock(real_data: Path, capsys: pytest.CaptureFixture[str]) -> None
 
 
 def test_internal_errors_are_one_line(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    import cgid.identification.model as module
+    import cgid.identification.model.model as module
 
     def broken(*_: object) -> None:
         raise RuntimeError("two\nlines")

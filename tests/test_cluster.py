@@ -25,8 +25,8 @@ from cgid._lib.validation import positive
 from cgid._lib.workers import SERIAL, Workers, workers
 from cgid.cli.main import run
 from cgid.errors import CannotCreate, ClusterFailed, InvalidValue
-from cgid.identification.grouped import Candidate, TrainingSet, choose_candidate, cross_validate, final
-from cgid.identification.rows import Rows
+from cgid.identification.training import Rows
+from cgid.identification.training.grouped import Candidate, TrainingSet, choose_candidate, cross_validate, final
 from cgid.scene import Scene, generate
 from cgid.scene.output import generation as shards
 from cgid.store import Dataset

@@ -9,14 +9,13 @@ import numpy as np
 import pytest
 
 from cgid.errors import BadData, InvalidValue
-from cgid.identification.answers import identify_frames
-from cgid.identification.card import write_card
-from cgid.identification.conformal import COVERAGES, Conformal
-from cgid.identification.families import softmax
-from cgid.identification.metrics import calibration_error_by_chance, evaluate_sets, reliability
 from cgid.identification.model import Model
-from cgid.identification.prediction_settings import PredictionSettings
-from cgid.identification.training import (
+from cgid.identification.model.conformal import COVERAGES, Conformal
+from cgid.identification.model.families import softmax
+from cgid.identification.prediction import PredictionSettings, identify_frames
+from cgid.identification.training import write_card
+from cgid.identification.training.metrics import calibration_error_by_chance, evaluate_sets, reliability
+from cgid.identification.training.training import (
     MIN_CALIBRATION_SPECIMENS,
     Training,
     calibration_mask,

@@ -13,15 +13,14 @@ import pytest
 
 from cgid.cli.main import run
 from cgid.errors import BadData
-from cgid.identification.card import correction_section, write_card
-from cgid.identification.correction import Shift, advice, correct, fit_bias_and_slope, shifted
-from cgid.identification.families import softmax
-from cgid.identification.manifest import Manifest
-from cgid.identification.metrics import clustered_interval
 from cgid.identification.model import Model
-from cgid.identification.rows import Rows
-from cgid.identification.share import wilson_interval
-from cgid.identification.training import train_on_specimens
+from cgid.identification.model.families import softmax
+from cgid.identification.prediction.fraction import wilson_interval
+from cgid.identification.training import Rows, train_on_specimens
+from cgid.identification.training.card import correction_section, write_card
+from cgid.identification.training.correction import Shift, advice, correct, fit_bias_and_slope, shifted
+from cgid.identification.training.manifest import Manifest
+from cgid.identification.training.metrics import clustered_interval
 from cgid.scene import load_scene, synthesise
 
 NAMES = ("peak_force", "width_50", "skewness")
@@ -171,7 +170,7 @@ def test_a_site_that_the_model_does_not_know_is_refused_after_twenty_impacts(
         measured.append(len(manifest.annotations))
         return replace(impacts(len(manifest.annotations), 1), features=np.full((len(manifest.annotations), 3), 1e9))
 
-    monkeypatch.setattr("cgid.identification.labelled_recordings.record", record)
+    monkeypatch.setattr("cgid.identification.training.recordings.record", record)
     arguments = [
         "train",
         str(tmp_path / "events.csv"),

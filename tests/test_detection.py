@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from cgid.cli.monitor import Inbox, UnbufferedInput
 from cgid.errors import BadData, InvalidValue
 from cgid.identification.detection import ImpactDetector, find_impacts
-from cgid.identification.vibration_onsets import onset_in
+from cgid.identification.detection.vibration_onsets import onset_in
 from cgid.measure.features.extraction import extract_array
 from cgid.recordings import read_recording
 from cgid.recordings.live import live_stream

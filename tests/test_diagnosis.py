@@ -22,15 +22,22 @@ from scipy.stats import binom
 from cgid import predict
 from cgid.cli.hints import Hints
 from cgid.cli.main import run
-from cgid.identification.answers import Answer, identify_frames
-from cgid.identification.diagnosis import Cause, CauseKind, ChannelAnswers, Condition, Diagnosis, Hint, _factor_of
-from cgid.identification.grouped import level_range
 from cgid.identification.model import Model
-from cgid.identification.model_file import LEVELS
-from cgid.identification.prediction_settings import PredictionSettings
-from cgid.identification.rows import DEFAULT_VIBRATION_FEATURES, Rows
-from cgid.identification.stream import identify_blocks
+from cgid.identification.model.model_file import LEVELS
+from cgid.identification.prediction import Answer, PredictionSettings, identify_frames
+from cgid.identification.prediction.diagnosis import (
+    Cause,
+    CauseKind,
+    ChannelAnswers,
+    Condition,
+    Diagnosis,
+    Hint,
+    _factor_of,
+)
+from cgid.identification.prediction.stream import identify_blocks
 from cgid.identification.training import train_on_specimens
+from cgid.identification.training.grouped import level_range
+from cgid.identification.training.rows import DEFAULT_VIBRATION_FEATURES, Rows
 from cgid.measure.features.extraction import supported
 from cgid.scene import Scene, load_scene, parse_scene, synthesise, varied
 from cgid.scene.output.recordings import parts_of_recording

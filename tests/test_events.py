@@ -9,10 +9,10 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from cgid.errors import BadData, CgidError
-from cgid.identification.answers import identify, unmeasured
-from cgid.identification.detection import DEAD_TIME, ImpactDetector, find_impacts
+from cgid.identification.detection.detector import DEAD_TIME, ImpactDetector, find_impacts
+from cgid.identification.detection.pulse_onsets import THRESHOLD_OVER_PEAK
 from cgid.identification.model import Model
-from cgid.identification.pulse_onsets import THRESHOLD_OVER_PEAK
+from cgid.identification.prediction.answers import identify, unmeasured
 from cgid.measure.fit import family
 from cgid.scene import load_scene, synthesise
 from cgid.signals import Signal

@@ -19,10 +19,10 @@ from cgid._lib.validation import UNKNOWN
 from cgid.cli.main import run
 from cgid.errors import BadData, InvalidValue
 from cgid.export_c import c_source
-from cgid.identification.classifier import ImpactClassifier, noise_contrast
-from cgid.identification.conformal import COVERAGES, Conformal
-from cgid.identification.families import Standardiser
 from cgid.identification.model import Model
+from cgid.identification.model.conformal import COVERAGES, Conformal
+from cgid.identification.model.families import Standardiser
+from cgid.identification.training.classifier import ImpactClassifier, noise_contrast
 from cgid.measure.features.extraction import extract_array
 from cgid.shipped import MODELS, path_of
 from tests import few

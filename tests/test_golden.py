@@ -15,9 +15,9 @@ import pytest
 
 from cgid.cli.main import run
 from cgid.errors import BadData
-from cgid.identification.classifier import FAMILIES
 from cgid.identification.model import Model
-from cgid.identification.model_file import SCHEMA_VERSION, signed
+from cgid.identification.model.model_file import SCHEMA_VERSION, signed
+from cgid.identification.training.classifier import FAMILIES
 from cgid.store import Dataset, read_table
 from cgid.store.reading import Recording
 from tests.golden.make import ANSWERS

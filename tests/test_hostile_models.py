@@ -15,10 +15,10 @@ from cgid import shipped
 from cgid.cli.main import run
 from cgid.cli.output import print_json
 from cgid.errors import BadData, CgidError
-from cgid.identification.answers import identify_frames
-from cgid.identification.diagnosis import causes_of
 from cgid.identification.model import Model
-from cgid.identification.model_file import signed
+from cgid.identification.model.model_file import signed
+from cgid.identification.prediction import identify_frames
+from cgid.identification.prediction.diagnosis import causes_of
 from tests import few
 from tests.hostile_models import (
     CANARY,
@@ -177,7 +177,7 @@ def test_large_models_answer_in_parts_as_in_whole(monkeypatch):
         inputs = np.exp(np.random.default_rng(2).normal(size=(40, 2))) * [2e4, 3e-4]
         whole = model.probabilities(inputs), model.novelty(inputs)
         with monkeypatch.context() as patched:
-            patched.setattr("cgid.identification.model._MAX_BLOCK", 7)
+            patched.setattr("cgid.identification.model.model._MAX_BLOCK", 7)
             parts = model.probabilities(inputs), model.novelty(inputs)
         np.testing.assert_allclose(parts[0], whole[0], rtol=1e-12)
         np.testing.assert_allclose(parts[1], whole[1], rtol=1e-12)

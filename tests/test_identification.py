@@ -17,14 +17,14 @@ from sklearn import metrics as reference_metrics
 from sklearn.utils.estimator_checks import check_estimator
 
 from cgid.errors import BadData, InvalidValue
-from cgid.identification.answers import identify, identify_frames
-from cgid.identification.card import write_model
-from cgid.identification.classifier import FAMILIES, ImpactClassifier
-from cgid.identification.metrics import evaluate
 from cgid.identification.model import Model
-from cgid.identification.model_file import signed
-from cgid.identification.rows import DEFAULT_FEATURES, FEW_FEATURES
-from cgid.identification.training import Training, hold_out, measure, train_on_specimens
+from cgid.identification.model.model_file import signed
+from cgid.identification.prediction import identify, identify_frames
+from cgid.identification.training.card import write_model
+from cgid.identification.training.classifier import FAMILIES, ImpactClassifier
+from cgid.identification.training.metrics import evaluate
+from cgid.identification.training.rows import DEFAULT_FEATURES, FEW_FEATURES
+from cgid.identification.training.training import Training, hold_out, measure, train_on_specimens
 from cgid.measure.features.extraction import extract_array
 from cgid.scene import Scene, load_scene, parse_scene, synthesise, varied
 from cgid.signals import Signal

@@ -17,11 +17,11 @@ import pytest
 from scipy import signal
 from scipy.optimize import least_squares
 
-from cgid.identification.answers import identify_frames
-from cgid.identification.contact import Contact
-from cgid.identification.inversion import ForceEstimate, Inversion, Observations, Start
+from cgid.identification.inversion.contact import Contact
+from cgid.identification.inversion.inversion import ForceEstimate, Inversion, Observations, Start
+from cgid.identification.inversion.through_beam import BeamStream, ThroughBeam
 from cgid.identification.model import Model
-from cgid.identification.through_beam import BeamStream, ThroughBeam
+from cgid.identification.prediction import identify_frames
 from cgid.identification.training import train_on_specimens
 from cgid.measure.features.vibration import VibrationBatch
 from cgid.measure.fit import family

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from cgid.errors import BadData, CannotCreate, CgidError
-from cgid.identification.manifest import (
+from cgid.identification.training.manifest import (
     folder_manifest,
     is_manifest,
     manifest_text,

@@ -98,7 +98,7 @@ def test_every_format_takes_text_of_anybody(suffix: str) -> None:
 
 
 def test_the_picture_of_shares_shows_interval_threshold_and_turn() -> None:
-    from cgid.identification.share import ShareWindow, ShutDecision
+    from cgid.identification.prediction.fraction import ShareWindow, ShutDecision
 
     window, rule = ShareWindow(20.0), ShutDecision(3.0)
     shares, turns = [], []
@@ -118,7 +118,7 @@ def test_the_picture_of_shares_shows_interval_threshold_and_turn() -> None:
 
 def test_the_curve_of_the_operators_is_that_of_a_slow_count() -> None:
     """One share that rises in steps, and two channels, of which the second never shuts."""
-    from cgid.identification.share import Share, Switch
+    from cgid.identification.prediction.fraction import Share, Switch
 
     def share(time: float, mean: float, channel: str) -> Share:
         own = {"start": time - 10.0, "share": mean, "low": 0.0, "high": 1.0, "n_impacts": 20, "mean": mean}

@@ -13,13 +13,11 @@ from scipy.io import wavfile
 
 from cgid.cli.main import run
 from cgid.errors import BadData, InvalidValue
-from cgid.identification.answers import Answer, identify
+from cgid.identification.detection.windows import RunningVote, measure_windows
 from cgid.identification.model import Model
-from cgid.identification.pipeline import identify_recording
-from cgid.identification.prediction_settings import PredictionSettings
-from cgid.identification.stream import identify_blocks, independence
-from cgid.identification.support import CavingWatch
-from cgid.identification.windows import RunningVote, measure_windows
+from cgid.identification.prediction import Answer, PredictionSettings, identify, identify_recording
+from cgid.identification.prediction.stream import identify_blocks, independence
+from cgid.identification.prediction.support import CavingWatch
 from cgid.recordings import open_recording, read_recording
 from tests.streams_of_pulses import RATE, ROOT, stream, window_model
 

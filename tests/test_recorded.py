@@ -17,9 +17,12 @@ from sklearn.discriminant_analysis import LinearDiscriminantAnalysis
 
 from cgid.cli.main import run
 from cgid.errors import BadData, InvalidValue
-from cgid.identification.card import write_card
-from cgid.identification.classifier import ImpactClassifier, ShrunkenDiscriminant
-from cgid.identification.grouped import (
+from cgid.identification.detection.silence import Silence, silence_of
+from cgid.identification.detection.windows import WINDOW_TIME, RunningVote, measure_windows, windows_of
+from cgid.identification.model import Model
+from cgid.identification.training import train_on_groups, write_card
+from cgid.identification.training.classifier import ImpactClassifier, ShrunkenDiscriminant
+from cgid.identification.training.grouped import (
     Candidate,
     TrainingSet,
     cross_validate,
@@ -27,13 +30,9 @@ from cgid.identification.grouped import (
     leave_groups_out,
     vote_correlation,
 )
-from cgid.identification.labelled_recordings import record
-from cgid.identification.manifest import read_manifest
-from cgid.identification.model import Model
-from cgid.identification.rows import Rows, Slicing, in_unit, measure, sets_for
-from cgid.identification.silence import Silence, silence_of
-from cgid.identification.training import train_on_groups
-from cgid.identification.windows import WINDOW_TIME, RunningVote, measure_windows, windows_of
+from cgid.identification.training.manifest import read_manifest
+from cgid.identification.training.recordings import record
+from cgid.identification.training.rows import Rows, Slicing, in_unit, measure, sets_for
 from cgid.measure.features.extraction import FEATURES, extract_array, supported
 from cgid.measure.spectra import MEL_BANDS
 from cgid.recordings import open_recording

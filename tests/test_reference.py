@@ -9,8 +9,8 @@ from sklearn.discriminant_analysis import LinearDiscriminantAnalysis
 from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import StandardScaler
 
-from cgid.identification.reference import MAX_DRIFT, MeanSpectrum, drift
-from cgid.identification.stream import Drifts
+from cgid.identification.model.reference import MAX_DRIFT, MeanSpectrum, drift
+from cgid.identification.prediction.stream import Drifts
 from cgid.measure.features.extraction import choose, extract_array, supported
 from cgid.measure.filters import Equalisation
 from cgid.measure.spectra import MEL_BANDS

@@ -20,9 +20,9 @@ import pytest
 
 from cgid import report as page
 from cgid import shipped
-from cgid.identification.answers import Answer
 from cgid.identification.model import Model
-from cgid.identification.share import ShareWindow, ShutDecision
+from cgid.identification.prediction import Answer
+from cgid.identification.prediction.fraction import ShareWindow, ShutDecision
 from cgid.measure.overview import OverviewStream
 from cgid.recordings import open_recording
 from cgid.report import Report, model_facts, recording_facts, report_page

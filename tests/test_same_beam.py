@@ -16,11 +16,9 @@ from click.testing import CliRunner
 from cgid import load_model, open_recording, predict, read_recording, shipped
 from cgid.cli.main import cli
 from cgid.errors import InvalidValue
-from cgid.identification.answers import Answer
 from cgid.identification.model import Model
-from cgid.identification.pipeline import identify_recording
-from cgid.identification.prediction_settings import PredictionSettings, require_groups
-from cgid.identification.same_beam import (
+from cgid.identification.prediction import Answer, identify_recording
+from cgid.identification.prediction.same_beam import (
     CROSSING,
     Detected,
     Rocks,
@@ -32,7 +30,8 @@ from cgid.identification.same_beam import (
     mean_of_log_odds,
     rows_of,
 )
-from cgid.identification.stream import answering_channels, identify_blocks
+from cgid.identification.prediction.settings import PredictionSettings, require_groups
+from cgid.identification.prediction.stream import answering_channels, identify_blocks
 from cgid.measure.features.vibration import BEAM_PULSE
 from cgid.scene import load_scene
 from cgid.scene.synthesis.through_beam import beam_of, moved, recorded_together

@@ -9,13 +9,10 @@ from typing import Any, ClassVar
 import numpy as np
 import pytest
 
-from cgid.identification.card import write_card
-from cgid.identification.classifier import FAMILIES as EXPORTABLE
-from cgid.identification.classifier import ImpactClassifier
-from cgid.identification.metrics import paired_difference
 from cgid.identification.model import Model
-from cgid.identification.rows import Rows, measure
-from cgid.identification.training import train_on_specimens
+from cgid.identification.training import ImpactClassifier, Rows, measure, train_on_specimens, write_card
+from cgid.identification.training.classifier import FAMILIES as EXPORTABLE
+from cgid.identification.training.metrics import paired_difference
 from cgid.scene import Scene, synthesise
 from models.selection import FAMILIES, MARGIN, Family, preferred, select, selection_section, selection_table
 from tests import few

@@ -12,14 +12,13 @@ import pytest
 from scipy import signal
 
 from cgid.errors import BadData, InvalidValue
-from cgid.identification.answers import Answer, identify, identify_frames
-from cgid.identification.inversion import ForceEstimate, Inversion, Observations
+from cgid.identification.inversion.inversion import ForceEstimate, Inversion, Observations
+from cgid.identification.inversion.through_beam import ThroughBeam, clipped_samples
 from cgid.identification.model import Model
-from cgid.identification.prediction_settings import PredictionSettings
-from cgid.identification.rows import BEAM_FEATURES
-from cgid.identification.stream import identify_blocks
-from cgid.identification.through_beam import ThroughBeam, clipped_samples
+from cgid.identification.prediction import Answer, PredictionSettings, identify, identify_frames
+from cgid.identification.prediction.stream import identify_blocks
 from cgid.identification.training import train_on_specimens
+from cgid.identification.training.rows import BEAM_FEATURES
 from cgid.measure.features.extraction import extract_array
 from cgid.measure.features.vibration import VibrationBatch
 from cgid.measure.modal.beam import Beam

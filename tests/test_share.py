@@ -11,10 +11,9 @@ import pytest
 from scipy import stats
 from scipy.integrate import quad
 
-from cgid.identification.answers import Answer
-from cgid.identification.confusion import Confusion, StreamAnswers
-from cgid.identification.prediction_settings import PredictionSettings
-from cgid.identification.share import (
+from cgid.identification.model.confusion import Confusion, StreamAnswers
+from cgid.identification.prediction import Answer, PredictionSettings
+from cgid.identification.prediction.fraction import (
     LAPSE,
     MIN_IMPACTS,
     NoConfusion,
@@ -25,7 +24,7 @@ from cgid.identification.share import (
     separates,
     trained_share,
 )
-from cgid.identification.support import CavingWatch, Decision, Ground, Report
+from cgid.identification.prediction.support import CavingWatch, Decision, Ground, Report
 from cgid.recordings.soundness import SensorWatch
 
 #: How far the scores of coal and gangue lie apart, in their deviations: right in 77 % of the impacts.

@@ -18,8 +18,8 @@ from packaging.utils import canonicalize_name
 import cgid
 from cgid import shipped
 from cgid.errors import NoInput
-from cgid.identification.answers import identify, identify_frames, suited
 from cgid.identification.model import Model
+from cgid.identification.prediction import identify, identify_frames, suited
 from cgid.recordings import read_recording
 from cgid.scene import Scene, synthesise, varied
 

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from cgid import shipped
-from cgid.identification.confusion import MIN_SCATTER
 from cgid.identification.model import Model
-from cgid.identification.prediction_settings import PredictionSettings
-from cgid.identification.rows import BEAM_FEATURES, BEAM_GUARDS, Rows
-from cgid.identification.stream import identify_blocks
-from cgid.identification.support import CavingWatch
+from cgid.identification.model.confusion import MIN_SCATTER
+from cgid.identification.prediction import PredictionSettings
+from cgid.identification.prediction.stream import identify_blocks
+from cgid.identification.prediction.support import CavingWatch
+from cgid.identification.training.rows import BEAM_FEATURES, BEAM_GUARDS, Rows
 from cgid.scene import Scene, load_scene, parse_scene, record
 from cgid.scene.synthesis.impacts import beam_modes
 from cgid.site import streams

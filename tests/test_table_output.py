@@ -21,9 +21,9 @@ from scipy.io import wavfile
 from cgid.cli.main import run
 from cgid.cli.output import finite
 from cgid.cli.table import ENDINGS, TableOutput, numbers
-from cgid.identification.manifest import read_manifest
 from cgid.identification.model import Model
-from cgid.identification.pipeline import identify_recording
+from cgid.identification.prediction import identify_recording
+from cgid.identification.training.manifest import read_manifest
 from cgid.recordings import open_recording
 from tests.streams_of_pulses import RATE, ROOT, stream, window_model
 

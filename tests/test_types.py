@@ -44,14 +44,14 @@ def test_a_user_of_recordings() -> None:
     assert_type(model.labels, tuple[str, ...])
     signals = cgid.read_recording(path)
     assert_type(signals, list[cgid.Signal])
-    assert_type(cgid.find_impacts(signals[0]), list[cgid.identification.events.Event])
+    assert_type(cgid.find_impacts(signals[0]), list[cgid.identification.detection.Event])
     recording = cgid.open_recording(path)
     assert_type(recording, cgid.recordings.RecordingFile)
     answers = cgid.identify_recording(recording, model)
-    assert_type(answers, Iterator[cgid.identification.answers.Answer])
+    assert_type(answers, Iterator[cgid.identification.prediction.Answer])
     assert [answer.label for answer in answers] == list(cgid.predict(path)["label"])
     detector = cgid.ImpactDetector(signals[0].sampling_rate, kind="pulse")
-    assert_type(detector.feed(signals[0].samples[None]), list[cgid.identification.events.Event])
+    assert_type(detector.feed(signals[0].samples[None]), list[cgid.identification.detection.Event])
 
 
 def test_a_user_of_scenes() -> None:

@@ -13,8 +13,8 @@ from cgid._lib import validation
 from cgid.errors import InvalidValue
 from cgid.identification.detection import ImpactDetector
 from cgid.identification.estimation import estimate, posterior
+from cgid.identification.model.reference import MeanSpectrum
 from cgid.identification.prior import Prior
-from cgid.identification.reference import MeanSpectrum
 from cgid.measure.likelihood import cramer_rao_bound
 from cgid.measure.overview import OverviewStream
 from cgid.physics import RIGID, STEEL, Elastic, HuntCrossley, Material, ThinPlate

@@ -15,7 +15,7 @@ import pytest
 from cgid import open_recording, read_recording
 from cgid.cli.main import run as main
 from cgid.errors import BadData, InvalidValue
-from cgid.identification.manifest import read_manifest
+from cgid.identification.training.manifest import read_manifest
 from cgid.recordings.chain import Chain, FullScale, Gain
 from cgid.recordings.live import live_stream
 from tests import recording_files
@@ -294,8 +294,8 @@ def test_live_streams_enter_in_si_units_too() -> None:
 
 
 def test_a_manifest_in_volts_gives_the_rows_of_one_in_newtons(tmp_path: Path) -> None:
-    from cgid.identification.labelled_recordings import Reading, record
-    from cgid.identification.rows import Slicing
+    from cgid.identification.training.recordings import Reading, record
+    from cgid.identification.training.rows import Slicing
 
     force = np.concatenate([pulse(4000, duration) for duration in (4e-4, 6e-4)])
     np.save(tmp_path / "n.npy", force)

@@ -19,13 +19,12 @@ from benchmarks.open.sets import COAL, GANGUE, LARGEST, PUBLIC_SEED, TRAIN_SEED,
 from cgid import shipped
 from cgid._lib.files import read_cells
 from cgid.errors import InvalidValue
-from cgid.identification.answers import identify_frames
 from cgid.identification.model import Model
-from cgid.identification.prediction_settings import PredictionSettings
-from cgid.identification.rows import BEAM_FEATURES, BEAM_GUARDS, Rows, measure
-from cgid.identification.stream import identify_blocks
-from cgid.identification.support import CavingWatch
+from cgid.identification.prediction import PredictionSettings, identify_frames
+from cgid.identification.prediction.stream import identify_blocks
+from cgid.identification.prediction.support import CavingWatch
 from cgid.identification.training import train_on_specimens
+from cgid.identification.training.rows import BEAM_FEATURES, BEAM_GUARDS, Rows, measure
 from cgid.scene import synthesise
 from cgid.scene.synthesis.through_beam import full_beam
 from cgid.signals import Batch

@@ -20,8 +20,8 @@ from benchmarks.open.sets import COAL, COLUMNS, GANGUE, LARGEST, LIMIT, OTHER, a
 from cgid._lib.files import read_cells
 from cgid._lib.validation import suggestion
 from cgid.errors import BadData, InvalidValue
-from cgid.identification.card import plain, table
-from cgid.identification.share import wilson_interval
+from cgid.identification.prediction.fraction import wilson_interval
+from cgid.identification.training.card import plain, table
 
 Floats = NDArray[np.float64]
 #: Columns of predictions of frames and of streams; the last of each may be left out.

@@ -13,15 +13,14 @@ from cgid.cli.table import Column, TableOutput, flags, numbers, times
 
 if TYPE_CHECKING:
     from cgid.cli.hints import Hints
-    from cgid.identification.answers import Answer
-    from cgid.identification.diagnosis import Change, Hint
     from cgid.identification.model import Model
-    from cgid.identification.pipeline import Pipeline
-    from cgid.identification.prediction_settings import PredictionSettings
-    from cgid.identification.share import Share, Switch
-    from cgid.identification.stream import Step
-    from cgid.identification.support import Report as SupportReport
-    from cgid.identification.support import SupportState
+    from cgid.identification.prediction import Answer, PredictionSettings
+    from cgid.identification.prediction.diagnosis import Change, Hint
+    from cgid.identification.prediction.fraction import Share, Switch
+    from cgid.identification.prediction.pipeline import Pipeline
+    from cgid.identification.prediction.stream import Step
+    from cgid.identification.prediction.support import Report as SupportReport
+    from cgid.identification.prediction.support import SupportState
 
 #: Version of the lines of --json; it rises if a key goes or has another meaning.
 ANSWERS_VERSION = 5
@@ -330,7 +329,7 @@ class RecordingRows:
 
     def _print_changes(self, changes: Sequence[Change], time: float) -> None:
         """Print what has begun or ended with the channels of a live stream, and once an hour what goes on."""
-        from cgid.identification.diagnosis import Condition
+        from cgid.identification.prediction.diagnosis import Condition
 
         if not self._live:
             self._later += [one for one in changes if one.condition == Condition.WRONG_SCALE and one.begins]

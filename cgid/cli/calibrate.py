@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from cgid.identification.events import Event
+    from cgid.identification.detection import Event
     from cgid.scene import Scene
     from cgid.site import SiteCalibration
 
@@ -183,7 +183,7 @@ def _frames(recordings: tuple[str, ...], scene: Scene, reading: Reading) -> tupl
 def _found(recording: Any, scene: Scene, reading: Reading) -> list[Event]:
     """Return the impacts of a recording in the unit of a scene's sensor."""
     from cgid.cli.events import found_impacts
-    from cgid.identification.labelled_recordings import unit_of
+    from cgid.identification.training.recordings import unit_of
     from cgid.site.calibration import check_scene
     from cgid.units import UNITS, quantity_of
 

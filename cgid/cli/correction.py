@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 from cgid.cli.output import accuracy_text, print_json, progress_bar, say, warn
 
 if TYPE_CHECKING:
-    from cgid.identification.labelled_recordings import Reading
-    from cgid.identification.manifest import Manifest
+    from cgid.identification.training.manifest import Manifest
+    from cgid.identification.training.recordings import Reading
 
 #: Number of impacts checked for a fit to the model before all are measured.
 _LOOK = 20
@@ -20,12 +20,12 @@ def correct_model(
     manifest: Manifest, base: str, path: Path, dead_time: float | None, how: Reading, *, plots: bool, as_json: bool
 ) -> int:
     """Write a model corrected by labelled impacts, and report its accuracy."""
-    from cgid.identification.card import correction_section, write_model
-    from cgid.identification.correction import advice, correct, require_correctable, require_known
-    from cgid.identification.labelled_recordings import record
     from cgid.identification.model import Model
-    from cgid.identification.rows import Slicing
     from cgid.identification.training import Training
+    from cgid.identification.training.card import correction_section, write_model
+    from cgid.identification.training.correction import advice, correct, require_correctable, require_known
+    from cgid.identification.training.recordings import record
+    from cgid.identification.training.rows import Slicing
     from cgid.shipped import model_path
 
     model = Model.load(model_path(base))

@@ -27,7 +27,7 @@ from cgid.cli.output import FileErrors, say, say_error, warn
 from cgid.errors import BadData, CgidError, InvalidValue, MissingOption
 
 if TYPE_CHECKING:
-    from cgid.identification.events import Event
+    from cgid.identification.detection import Event
     from cgid.measure.features.table import ImpactKind
     from cgid.recordings import RecordingFile
 
@@ -62,8 +62,8 @@ def events(
     channels is one row. With --same-beam, each beam and each other channel has rows of its own.
     """
     from cgid._lib.files import check_new, write_whole
-    from cgid.identification.manifest import manifest_text, recordings_of, require_labels_kept
-    from cgid.identification.prediction_settings import require_groups
+    from cgid.identification.prediction.settings import require_groups
+    from cgid.identification.training.manifest import manifest_text, recordings_of, require_labels_kept
 
     beams = require_groups(same_beam)
     path = None if output == "-" else check_new(Path(output), "a table of impacts", (".csv",), overwrite=overwrite)
@@ -96,7 +96,7 @@ def events(
 
 def _require_trainable(files: Sequence[str], reading: Reading, beams: Groups) -> None:
     """Raise an error if no model could be trained on these recordings, before their impacts are labelled."""
-    from cgid.identification.labelled_recordings import require_alike, unit_of
+    from cgid.identification.training.recordings import require_alike, unit_of
 
     first: RecordingFile | None = None
     for file in files:
@@ -125,10 +125,10 @@ def _rows(file: str, folder: Path, reading: Reading, beams: Groups) -> Iterator[
     """Yield a row for each impact of a recording; the columns are those of a manifest and informative ones."""
     import numpy as np
 
-    from cgid.identification.events import Event
-    from cgid.identification.labelled_recordings import unit_of
-    from cgid.identification.manifest import path_from
-    from cgid.identification.same_beam import Rocks, grouped
+    from cgid.identification.detection import Event
+    from cgid.identification.prediction.same_beam import Rocks, grouped
+    from cgid.identification.training.manifest import path_from
+    from cgid.identification.training.recordings import unit_of
     from cgid.measure.features.extraction import kind_for
     from cgid.units import quantity_of
 
@@ -229,7 +229,13 @@ def _peak(event: Event) -> Any:
 def write_template(data: tuple[str, ...], path: Path, reading: Reading, *, overwrite: bool) -> int:
     """Write a manifest with a row for each recording, with a label if its folder is one."""
     from cgid._lib.files import check_new, write_whole
-    from cgid.identification.manifest import manifest_text, path_from, recordings_in, require_labels_kept, row_of
+    from cgid.identification.training.manifest import (
+        manifest_text,
+        path_from,
+        recordings_in,
+        require_labels_kept,
+        row_of,
+    )
 
     every = [(Path(item), recordings_in(Path(item)) if Path(item).is_dir() else [Path(item)]) for item in data]
     require_no_input_written(file for _, files in every for file in files)

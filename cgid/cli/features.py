@@ -152,7 +152,7 @@ class _Rows:
         selected = _selected_features(self.names, kind, dataset.sampling_rate, dataset.header.n_samples)
         through = None
         if any_through_beam(self.names or ()) or (self.names is None and kind == "vibration"):
-            from cgid.identification.through_beam import ThroughBeam
+            from cgid.identification.inversion.through_beam import ThroughBeam
             from cgid.scene.synthesis.through_beam import shared_beam
 
             beam, why = shared_beam([dataset])

@@ -176,7 +176,7 @@ def _which(scene: Any, output: str, options: dict[str, Any]) -> dict[str, Any]:
 
 def _features_of_model(scene: Any) -> tuple[str, ...]:
     """Return the default features of a model for signals of this scene."""
-    from cgid.identification.rows import DEFAULT_FEATURES, DEFAULT_VIBRATION_FEATURES
+    from cgid.identification.training.rows import DEFAULT_FEATURES, DEFAULT_VIBRATION_FEATURES
     from cgid.measure.features.extraction import kind_for
     from cgid.scene.synthesis.plan import supported_by
 

@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cgid.identification.diagnosis import CauseKind, Diagnosis, Hint, scale_warning
+from cgid.identification.prediction.diagnosis import CauseKind, Diagnosis, Hint, scale_warning
 from cgid.units import UNITS
 
 if TYPE_CHECKING:
-    from cgid.identification.diagnosis import Finding
     from cgid.identification.model import Model
+    from cgid.identification.prediction.diagnosis import Finding
 
 #: The shipped scene with a beam, and its sampling rate [Hz], which recordings for its calibration must have.
 SCENE, SCENE_RATE = "tail_beam", 25_600.0

@@ -15,7 +15,7 @@ from cgid.cli.output import FileErrors, print_json, say, warn
 from cgid.cli.table import written_table
 
 if TYPE_CHECKING:
-    from cgid.identification.events import Event
+    from cgid.identification.detection import Event
 
 #: Channels of each beam.
 Groups = tuple[tuple[str, ...], ...]
@@ -34,8 +34,8 @@ _LOCAL_HEAD, _HEADER = 30, b"header.npy"
 @json_option
 def info(file: str, as_json: bool, same_beam: tuple[str, ...], reading: Reading) -> int:
     """Describe FILE: a dataset, a table, a model, a recording (every channel), or each recording of a folder."""
-    from cgid.identification.manifest import recordings_of
-    from cgid.identification.prediction_settings import require_groups
+    from cgid.identification.prediction.settings import require_groups
+    from cgid.identification.training.manifest import recordings_of
 
     beams = require_groups(same_beam)
     files = recordings_of([file])
@@ -184,8 +184,8 @@ def _channels(recording: Any, as_json: bool, beams: Groups) -> tuple[dict[str, A
     import numpy as np
 
     from cgid.errors import BadData
-    from cgid.identification.detection import INVERT_HINT, ImpactDetector
-    from cgid.identification.same_beam import Detected, Rocks, grouped
+    from cgid.identification.detection.detector import INVERT_HINT, ImpactDetector
+    from cgid.identification.prediction.same_beam import Detected, Rocks, grouped
     from cgid.measure.features.extraction import kind_for
     from cgid.signals import channel_name
 

@@ -36,7 +36,7 @@ from cgid.cli.output import warn
 from cgid.cli.table import TableOutput
 
 if TYPE_CHECKING:
-    from cgid.identification.prediction_settings import PredictionSettings
+    from cgid.identification.prediction import PredictionSettings
     from cgid.plant import PlantOutputs
 
 #: Maximum amount of data in the queue [bytes].
@@ -204,7 +204,7 @@ def monitor(
     pays again, after at least a window (--hold). Nothing is dropped: if predictions are slower than the stream, a
     warning reports the delay.
     """
-    from cgid.identification.prediction_settings import SHARE_TIME
+    from cgid.identification.prediction.settings import SHARE_TIME
     from cgid.recordings.chain import Chain
     from cgid.recordings.live import live_stream
 
@@ -243,7 +243,7 @@ def _follow(
 ) -> None:
     """Print the predictions for a stream until it ends or is interrupted."""
     from cgid.cli.hints import Hints
-    from cgid.identification.pipeline import Pipeline
+    from cgid.identification.prediction.pipeline import Pipeline
 
     def warned(text: str) -> None:
         lines.warning(live.source, f"{live.source}: {text}")

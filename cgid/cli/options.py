@@ -17,9 +17,9 @@ from cgid.shipped import MODELS, SCENES
 from cgid.signals import Signal, channel_name
 
 if TYPE_CHECKING:
-    from cgid.identification.labelled_recordings import Reading as ManifestReading
     from cgid.identification.model import Model
-    from cgid.identification.prediction_settings import PredictionSettings
+    from cgid.identification.prediction import PredictionSettings
+    from cgid.identification.training.recordings import Reading as ManifestReading
     from cgid.recordings import RecordingFile
 
 F = TypeVar("F", bound=Callable[..., Any])
@@ -86,7 +86,7 @@ def require_no_input_written(inputs: Iterable[str | Path] = ()) -> None:
 
 def _named_by(name: str) -> Iterator[Path]:
     """Yield the files that an input names: those of a folder, of a manifest, and the tables of a scene."""
-    from cgid.identification.manifest import is_manifest, named_recordings
+    from cgid.identification.training.manifest import is_manifest, named_recordings
 
     path = Path(name)
     try:
@@ -205,7 +205,7 @@ class Reading:
 
     def of_manifest(self, *, strict: bool, same_beam: tuple[str, ...] = ()) -> ManifestReading:
         """Return the settings for recordings of a manifest that do not state them."""
-        from cgid.identification.labelled_recordings import Reading as ManifestReading
+        from cgid.identification.training.recordings import Reading as ManifestReading
 
         return ManifestReading(
             channels=self.channel or None, same_beam=same_beam, strict=strict, failed=say_error, **self.common
@@ -254,7 +254,7 @@ class Reading:
 
 def _file_and_value(text: str) -> tuple[str, str]:
     """Return the file, "" for all, and the value of FILE:CHANNEL=VALUE; channels may contain colons, too."""
-    from cgid.identification.manifest import ENDINGS
+    from cgid.identification.training.manifest import ENDINGS
 
     at = next((at for at, sign in enumerate(text) if sign == ":" and text[:at].lower().endswith(ENDINGS)), -1)
     return text[: max(at, 0)], text[at + 1 :]
@@ -501,7 +501,7 @@ def settings_of(
     reading: Reading, *, model_path: str | None, costs: tuple[str, ...], **given: Any
 ) -> tuple[Models, PredictionSettings]:
     """Return the models and the settings; `given` are the other fields of the settings."""
-    from cgid.identification.prediction_settings import PredictionSettings
+    from cgid.identification.prediction import PredictionSettings
 
     settings = PredictionSettings(
         costs=dict(_cost(text) for text in costs), dead_time=reading.dead_time, invert=reading.invert, **given
@@ -552,7 +552,7 @@ class Models:
         """Return the model for signals of a quantity."""
         key = self.key(quantity)
         if key not in self._models:
-            from cgid.identification.prediction import default_model, load_model
+            from cgid.identification.prediction.prediction import default_model, load_model
 
             model = load_model(default_model(key, self._settings) if self._path is None else self._path)
             self._settings.check(model)

@@ -25,7 +25,7 @@ from cgid.cli.output import print_json, say, warn
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from cgid.identification.events import Event
+    from cgid.identification.detection import Event
     from cgid.measure.features.table import ImpactKind
     from cgid.plots.recording import Mark
     from cgid.recordings import Channel, RecordingFile
@@ -75,8 +75,8 @@ def plot(
     channel, as in cgid predict, and counted once for the channels of one beam (--same-beam).
     """
     from cgid._lib.files import write_whole
-    from cgid.identification.detection import INVERT_HINT
-    from cgid.identification.prediction_settings import require_groups
+    from cgid.identification.detection.detector import INVERT_HINT
+    from cgid.identification.prediction.settings import require_groups
     from cgid.measure.overview import OverviewStream
     from cgid.plots import picture
     from cgid.plots.figure import FORMATS, new_picture
@@ -239,7 +239,7 @@ def _n_impacts(
     marks: Sequence[Mark], names: list[str], same_beam: tuple[tuple[str, ...], ...], sampling_rate: float
 ) -> int:
     """Return the number of impacts, each counted once for the channels of one beam."""
-    from cgid.identification.same_beam import Detected, Rocks, grouped
+    from cgid.identification.prediction.same_beam import Detected, Rocks, grouped
 
     rows = {name: row for row, name in enumerate(names)}
     found = [Detected(rows[str(mark.channel)], round(mark.time * sampling_rate)) for mark in marks]

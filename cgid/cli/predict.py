@@ -32,9 +32,8 @@ from cgid.errors import CgidError
 
 if TYPE_CHECKING:
     from cgid._lib.validation import Floats
-    from cgid.identification.answers import Answer
     from cgid.identification.model import Model
-    from cgid.identification.prediction_settings import PredictionSettings
+    from cgid.identification.prediction import Answer, PredictionSettings
     from cgid.impactor import ImpactorColumns
     from cgid.measure.overview import Overview
     from cgid.recordings import RecordingFile
@@ -110,7 +109,7 @@ class _Prediction:
         """Print the predictions for the channels of a recording that use this model."""
         from cgid.cli.hints import Hints
         from cgid.errors import InvalidValue
-        from cgid.identification.pipeline import Pipeline
+        from cgid.identification.prediction.pipeline import Pipeline
 
         source, rate = recording.source, recording.sampling_rate
         channels = [recording.channels[number] for number in numbers]
@@ -157,7 +156,7 @@ class _Prediction:
         """Print the prediction for every signal of a dataset, and the accuracy."""
         from cgid.cli.hints import Hints
         from cgid.errors import BadData
-        from cgid.identification.answers import identify_frames
+        from cgid.identification.prediction import identify_frames
         from cgid.store import Dataset
         from cgid.units import UNITS
 
@@ -212,7 +211,7 @@ class _Prediction:
         import numpy as np
 
         from cgid.errors import BadData
-        from cgid.identification.answers import identify, suited
+        from cgid.identification.prediction import identify, suited
         from cgid.store import Dataset
 
         self._require_one_signal(path)
@@ -263,7 +262,7 @@ class _Tally:
 
     def summary(self, n_impacts: int) -> str:
         """Return the counts in one line."""
-        from cgid.identification.share import wilson_interval
+        from cgid.identification.prediction.fraction import wilson_interval
 
         share = self.right / self.measured
         # Impacts of one specimen are not independent trials.
@@ -333,7 +332,7 @@ def predict(
     it goes to stdout in lines that have a kind: impact, window, share, shut, open, warning, summary.
     """
     from cgid import shipped
-    from cgid.identification.manifest import recordings_of
+    from cgid.identification.training.manifest import recordings_of
     from cgid.recordings import is_dataset
 
     if not files and not sample:

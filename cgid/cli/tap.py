@@ -155,7 +155,7 @@ def _read(path: str, hammer: str | None, reading: Reading) -> tuple[Floats, Floa
     """Return the response (n_channels, n), the hammer's force or None, their rate and the response's quantity."""
     import numpy as np
 
-    from cgid.identification.labelled_recordings import unit_of
+    from cgid.identification.training.recordings import unit_of
     from cgid.recordings import is_dataset, open_recording
     from cgid.site.tapping import factor_of
     from cgid.units import UNITS, quantity_of

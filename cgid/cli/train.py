@@ -37,8 +37,8 @@ from cgid.cli.output import accuracy_text, print_json, progress_bar, say, warn
 from cgid.errors import BadData, InvalidValue
 
 if TYPE_CHECKING:
-    from cgid.identification.labelled_recordings import Reading as ManifestReading
-    from cgid.identification.manifest import Manifest
+    from cgid.identification.training.manifest import Manifest
+    from cgid.identification.training.recordings import Reading as ManifestReading
     from cgid.scene import Scene
     from cgid.signals import Batch
     from cgid.store import Dataset
@@ -56,7 +56,7 @@ _OF_TRAINING = (
 
 
 def _beside_model(path: Path) -> list[Path]:
-    from cgid.identification.card import beside_model
+    from cgid.identification.training.card import beside_model
 
     return beside_model(path, plots=True)
 
@@ -182,7 +182,7 @@ def train(
     cgid train events.csv --from default-acceleration -o site-model.npz
     """  # noqa: D301 - \b keeps the lines of the example apart
     from cgid._lib.workers import workers
-    from cgid.identification.card import check_model_output, write_model
+    from cgid.identification.training.card import check_model_output, write_model
     from cgid.measure.features import choose
 
     if template is not None:
@@ -207,7 +207,7 @@ def train(
     else:
         refuse(context, _OF_RECORDINGS, "there is no manifest of recordings")
     require_one_executor(context)
-    from cgid.identification.manifest import joined
+    from cgid.identification.training.manifest import joined
 
     if options["by"] is None:
         options["by"] = _requested_windows(context, others, options["features"])
@@ -237,7 +237,7 @@ def _correct(
 
 def _recorded(item: str) -> bool:
     """Return whether an argument names recordings: a manifest, a folder of recordings, or one without labels."""
-    from cgid.identification.manifest import ENDINGS, is_manifest
+    from cgid.identification.training.manifest import ENDINGS, is_manifest
     from cgid.recordings import is_dataset
     from cgid.store.folder import is_dataset_folder
 
@@ -253,7 +253,7 @@ def _recorded(item: str) -> bool:
 
 def _manifest(item: str) -> Manifest:
     """Return the manifest of an argument that names recordings."""
-    from cgid.identification.manifest import folder_manifest, is_manifest, read_manifest, unlabelled
+    from cgid.identification.training.manifest import folder_manifest, is_manifest, read_manifest, unlabelled
 
     if is_manifest(item):
         return read_manifest(item)
@@ -355,10 +355,10 @@ def _from_recordings(
     manifest: Manifest, others: list[str], reading: Reading, options: dict[str, Any]
 ) -> tuple[Any, list[Any]]:
     """Return the training on recordings, and the errors of unreadable ones."""
-    from cgid.identification.grouped import MAX_FOLDS
-    from cgid.identification.labelled_recordings import record
-    from cgid.identification.rows import Slicing
     from cgid.identification.training import train_on_groups
+    from cgid.identification.training.grouped import MAX_FOLDS
+    from cgid.identification.training.recordings import record
+    from cgid.identification.training.rows import Slicing
 
     window, hop = options["window_time"], options["hop_time"]
     slicing = Slicing(
@@ -392,7 +392,7 @@ def _with_synthetic(data: list[str], recorded: Any, options: dict[str, Any]) -> 
     """Return recorded impacts, and those of datasets and scenes, with the features that both can have."""
     from itertools import chain
 
-    from cgid.identification.rows import in_unit, measure
+    from cgid.identification.training.rows import in_unit, measure
     from cgid.measure.features.extraction import supported
 
     if recorded.kind == "window":

@@ -65,7 +65,7 @@ def verify(data: tuple[str, ...], scene: str | None, laws: tuple[str, ...], as_j
 def _recordings_of(path: str) -> list[str]:
     """Return the recordings of other programs in a folder, sorted; none for anything else."""
     from cgid.errors import CgidError
-    from cgid.identification.manifest import recordings_in
+    from cgid.identification.training.manifest import recordings_in
     from cgid.store.folder import is_dataset_folder
 
     folder = Path(path)

@@ -1,6 +1,6 @@
 """From a signal to a material: detect impacts, measure features, predict labels, and train models for this.
 
-Prediction (`events`, `model`, `answers`) needs numpy alone, training (`training`, `classifier`) scikit-learn.
+All but `training`, which needs scikit-learn, is the predict path: numpy alone.
 """
 
 from __future__ import annotations
@@ -10,18 +10,10 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from types import ModuleType
 
-    from cgid.identification import answers, card, estimation, events, prediction_settings, rows, share, training
+    from cgid.identification import detection, estimation, model, prediction, training
 
-__all__ = [  # the modules with public names, loaded on first use
-    "answers",
-    "card",
-    "estimation",
-    "events",
-    "prediction_settings",
-    "rows",
-    "share",
-    "training",
-]
+#: The rooms and modules with public names, loaded on first use.
+__all__ = ["detection", "estimation", "model", "prediction", "training"]
 
 
 if not TYPE_CHECKING:

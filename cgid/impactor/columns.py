@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from cgid._lib.validation import Floats
 from cgid.errors import InvalidValue
-from cgid.identification.detection import find_impacts
-from cgid.identification.model import Model
+from cgid.identification.detection.detector import find_impacts
+from cgid.identification.model.model import Model
 from cgid.impactor.masses import Detection, SizeDistribution, size_distribution
 from cgid.impactor.measured import MeasuredPulses
 from cgid.impactor.population import population_of

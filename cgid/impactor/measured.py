@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid._lib.validation import Floats
-from cgid.identification.contact import Contact
 from cgid.identification.estimation import FAMILY_LIMIT, Estimates
-from cgid.identification.inversion import ForceEstimate
+from cgid.identification.inversion.contact import Contact
+from cgid.identification.inversion.inversion import ForceEstimate
 from cgid.measure.features.pulses import PulseBatch
 from cgid.measure.fit.fit import PulseFit
 from cgid.measure.fit.template import MAX_SHAPE, MIN_SHAPE, relative_times

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from cgid._lib.validation import Floats, require_rate
 from cgid.errors import InvalidValue
 from cgid.identification.estimation import estimate
-from cgid.identification.through_beam import ThroughBeam
+from cgid.identification.inversion.through_beam import ThroughBeam
 from cgid.impactor.measured import MeasuredPulses
 from cgid.impactor.population import impact_beam, population_of, uses_beam
 from cgid.impactor.posterior import LEVELS, SPEED_POWER, TIME_POWER, ImpactorEstimates, ImpactorPopulation

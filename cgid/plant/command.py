@@ -15,7 +15,7 @@ from threading import Lock, Thread
 from typing import Any
 
 from cgid.errors import InvalidValue
-from cgid.identification.support import Ground
+from cgid.identification.prediction.support import Ground
 from cgid.plant.output import Output, since
 from cgid.plant.state import PlantState, Record, stamped
 

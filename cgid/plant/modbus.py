@@ -12,7 +12,7 @@ from collections.abc import Callable
 from typing import Any
 
 from cgid._lib.validation import UNKNOWN
-from cgid.identification.support import Decision, Ground
+from cgid.identification.prediction.support import Decision, Ground
 from cgid.plant.output import Address, Server
 from cgid.plant.state import PlantState, Record, Support, age
 

@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from cgid.identification.share import Share
-from cgid.identification.support import Decision, Ground, SupportState
+from cgid.identification.prediction.fraction import Share
+from cgid.identification.prediction.support import Decision, Ground, SupportState
 from cgid.plant.output import since
 
 if TYPE_CHECKING:

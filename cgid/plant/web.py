@@ -15,7 +15,7 @@ from typing import Any
 
 from cgid._lib.files import write_whole
 from cgid.errors import CannotCreate
-from cgid.identification.support import Decision, Ground
+from cgid.identification.prediction.support import Decision, Ground
 from cgid.plant.output import Address, Server, Service, library
 from cgid.plant.state import PlantState, Record, Support, age
 

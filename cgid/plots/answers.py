@@ -12,7 +12,7 @@ from cgid.plots.figure import COLOURS, colours_of, picture, plain, require_matpl
 from cgid.plots.recording import MAX_CHANNELS, MAX_LABEL_LENGTH, WIDTH, Clock
 
 if TYPE_CHECKING:
-    from cgid.identification.share import Share, Switch
+    from cgid.identification.prediction.fraction import Share, Switch
 
 #: Height of a panel of gangue fractions and of the title [inches].
 _SHARE_PANEL, _SHARE_TITLE = 1.9, 0.5

@@ -16,9 +16,9 @@ from cgid._lib import validation
 from cgid._lib.files import check_new, write_together
 from cgid._lib.validation import Floats
 from cgid.errors import BadData, InvalidValue
-from cgid.identification.detection import ImpactDetector
-from cgid.identification.inversion import Inversion
-from cgid.identification.through_beam import REACH, clipped_samples
+from cgid.identification.detection.detector import ImpactDetector
+from cgid.identification.inversion.inversion import Inversion
+from cgid.identification.inversion.through_beam import REACH, clipped_samples
 from cgid.measure.features.vibration import VibrationBatch
 from cgid.measure.fit.ar_noise import ar_noise_of
 from cgid.measure.modal.beam import Beam, corrected
@@ -33,7 +33,7 @@ from cgid.site.dimensions import Dimension, dimension_errors, learn_dimensions
 from cgid.site.learning import ImpactFrames, evidence_of, learn
 
 if TYPE_CHECKING:
-    from cgid.identification.events import Event
+    from cgid.identification.detection.events import Event
 
 __all__ = ["SiteCalibration", "calibrate", "usable_impacts"]
 

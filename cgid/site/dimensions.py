@@ -16,7 +16,7 @@ import numpy as np
 
 from cgid._lib.validation import Floats
 from cgid.errors import InvalidValue
-from cgid.identification.inversion import Inversion
+from cgid.identification.inversion.inversion import Inversion
 from cgid.measure.modal.beam import Beam
 from cgid.scene.file.schema import Scene, parse_scene
 from cgid.scene.synthesis.through_beam import through_modes

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid._lib.validation import Floats
-from cgid.identification.inversion import Inversion, Observations
+from cgid.identification.inversion.inversion import Inversion, Observations
 from cgid.measure.fit.ar_noise import ARNoise
 from cgid.measure.modal.beam import Beam, Singles, corrected, respond
 from cgid.measure.modal.modes import CORRECTED

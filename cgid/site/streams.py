@@ -22,12 +22,12 @@ from threadpoolctl import threadpool_limits
 from cgid._lib.validation import Floats
 from cgid._lib.workers import SERIAL, Workers
 from cgid.errors import InvalidValue
-from cgid.identification.confusion import Confusion, StreamAnswers, logit
-from cgid.identification.detection import find_impacts
-from cgid.identification.events import Event, frames_alike
-from cgid.identification.model import Model
-from cgid.identification.rows import BEAM_FEATURES, BEAM_GUARDS, Rows, through
-from cgid.identification.training import MIN_LIMITS, Training, train_on_specimens
+from cgid.identification.detection.detector import find_impacts
+from cgid.identification.detection.events import Event, frames_alike
+from cgid.identification.model.confusion import Confusion, StreamAnswers, logit
+from cgid.identification.model.model import Model
+from cgid.identification.training.rows import BEAM_FEATURES, BEAM_GUARDS, Rows, through
+from cgid.identification.training.training import MIN_LIMITS, Training, train_on_specimens
 from cgid.measure.features.extraction import extract_array
 from cgid.measure.modal.beam import Beam
 from cgid.scene.file.schema import Scene, parse_scene

@@ -39,12 +39,9 @@ PAGES: dict[str, tuple[str, tuple[str, ...]]] = {
     "identification": (
         "Identifying and training: cgid.identification",
         (
-            "cgid.identification.events",
-            "cgid.identification.prediction_settings",
-            "cgid.identification.answers",
-            "cgid.identification.share",
-            "cgid.identification.rows",
-            "cgid.identification.card",
+            "cgid.identification.detection",
+            "cgid.identification.model",
+            "cgid.identification.prediction",
             "cgid.identification.training",
             "cgid.export_c",
             "cgid.learn",

@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib import pyplot as plt
 
 from cgid import Model, load_scene, shipped, synthesise
-from cgid.identification.answers import identify_frames
+from cgid.identification.prediction import identify_frames
 
 model = Model.load(shipped.path_of("models", shipped.DEFAULT_MODEL))
 scene = load_scene(shipped.scene_path("reference"))

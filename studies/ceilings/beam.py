@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 
 from cgid._lib.validation import Floats
 from cgid.errors import InvalidValue
-from cgid.identification.contact import HIGHEST, LOWEST, ContactFit
-from cgid.identification.inversion import Inversion
+from cgid.identification.inversion.contact import HIGHEST, LOWEST, ContactFit
+from cgid.identification.inversion.inversion import Inversion
 from cgid.measure.fit.template import curve
 from cgid.measure.modal.beam import respond
 from cgid.scene import Scene

@@ -20,8 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid._lib.validation import Floats
-from cgid.identification.rows import BEAM_FEATURES
-from cgid.identification.through_beam import ThroughBeam
+from cgid.identification.inversion.through_beam import ThroughBeam
+from cgid.identification.training.rows import BEAM_FEATURES
 from cgid.measure.features.extraction import extract_array
 from cgid.scene import Scene, synthesise
 from cgid.scene.synthesis.draws import BLOCK

@@ -66,8 +66,8 @@ def make_data(folder: Path) -> None:
 
 def make_models(folder: Path) -> None:
     """Write a model of each family and one of windows, and models-N.json."""
-    from cgid.identification.classifier import FAMILIES
     from cgid.identification.training import train_on_specimens
+    from cgid.identification.training.classifier import FAMILIES
     from cgid.scene import load_scene, synthesise
 
     scene = load_scene(HERE.parents[1] / "datasets" / "reference.toml")

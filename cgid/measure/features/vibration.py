@@ -56,7 +56,7 @@ EARLY_BANDS = ((0, 500), (500, 1000), (1000, 2000), (2000, 4000), (4000, 8000))
 
 
 class Beam(Protocol):
-    """A beam whose modes are known: `cgid.identification.through_beam.ThroughBeam`."""
+    """A beam whose modes are known: `cgid.identification.inversion.through_beam.ThroughBeam`."""
 
     @property
     def n_sensors(self) -> int:

@@ -1,7 +1,7 @@
 """A beam and its sensor as plain arrays: the response of each mode to a contact force.
 
-`cgid.scene.synthesis.through_beam` makes it from a scene, and a model file contains it; `cgid.identification.inversion`
-inverts it.
+`cgid.scene.synthesis.through_beam` makes it from a scene, and a model file contains it;
+`cgid.identification.inversion.inversion` inverts it.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """The natural modes of a beam, computed, measured by hammer taps, or learned from impacts, and their tables.
 
 They turn a force into motion (`cgid.physics.structure.response`) and motion into the force (`cgid.measure.modal.beam`,
-`cgid.identification.inversion`).
+`cgid.identification.inversion.inversion`).
 """
 
 from __future__ import annotations

@@ -1,0 +1,1 @@
+"""Location and contact force of an impact, from the acceleration of a beam."""

@@ -1,0 +1,373 @@
+"""The contact force from the acceleration of a beam, impact by impact or as a stream, and its features."""
+
+from __future__ import annotations
+
+from collections import deque
+from fractions import Fraction
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cgid._lib.validation import Floats
+from cgid.identification.inversion.beam_responses import Observations
+from cgid.identification.inversion.contact import Contact, ContactFit
+from cgid.identification.inversion.inversion import ForceEstimate, Inversion
+from cgid.identification.inversion.ring_down import RingDown
+from cgid.measure.features.vibration import VibrationBatch
+from cgid.measure.fit.ar_noise import ARNoise, ar_noise_of
+from cgid.measure.modal.beam import SPAN_TIME, TOUCH, Beam, gain
+
+#: Maximum time of the onset before the first sample above the noise [s]: the travel time of waves.
+REACH = 1.2e-3
+#: Relative tolerance of equal sampling rates; with others, the band up to this fraction of the lower rate is used.
+_SAME_RATE, _TOP = 1e-6, 0.41
+_MAX_RATIO = 1000
+#: An onset this close to the ends of the table of forces is searched this much further [samples].
+_EDGE, _BESIDE = 0.35, 4
+#: With more than this fraction of the energy unexplained, and a misfit above this, the onset is searched this much
+#: later [samples].
+_MUCH, _LATER = (0.01, 1.3), (4, 8, 12, -6, 20)
+#: In a stream: median unexplained fraction of energy on a foreign beam, and number of impacts for it; number of impacts
+#: that settle the filter; number that test it again, and ratio of noise that triggers this.
+_FOREIGN, _RECENT, _SETTLED, _TESTS, _LOUDER = 0.05, 200, 60, 8, 4.0
+#: Numbers of impacts before decisions, and the later interval between decisions.
+_DECISIONS, _EVERY = (8, 16, 32), 64
+#: Maximum number of channels, before and after gaps, with such a state.
+_REMEMBERED = 4096
+#: Maximum misfit of noise: five standard deviations of chi-square of the coefficients of a frame.
+_BY_NOISE = 1.28
+#: Minimum and maximum number of samples before onset to estimate ring-down.
+_MIN_QUIET, _MAX_QUIET = 64, 256
+#: Samples at a limit are equal within this, and are at least this many.
+_SAME, _SHARED, _TOLERANCE = 1e-6, 2, 0.01
+#: Minimum noise over the signal: of white noise, and of what an autoregression leaves, for single precision.
+_FLOOR, _LEAST = 1e-3, 1e-6
+
+
+def clipped_samples(frames: Floats, shared: int = _SHARED) -> NDArray[np.bool_] | None:
+    """Return which samples (n, n_samples) are at the limit of their recorder; None if there are none."""
+    # A limit is a value that `shared` samples have in common at the top or the bottom, at least half as large as the
+    # other side; the other side then has the same limit, even if only one sample reaches it.
+    high, low = frames.max(axis=1), frames.min(axis=1)
+    out = np.zeros(frames.shape, bool)
+    beyond = np.zeros(len(frames), bool)
+    for extreme, other in ((high, low), (low, high), (high, low)):
+        at = np.abs(frames - extreme[:, None]) <= _SAME * np.abs(extreme)[:, None]
+        limit = (at.sum(axis=1) >= shared) & (np.abs(extreme) >= 0.5 * np.abs(other)) & (high > low)
+        limit |= beyond & (np.abs(extreme + other) <= _TOLERANCE * np.abs(extreme))
+        beyond |= limit
+        out |= at & limit[:, None]
+    return out if out.any() else None
+
+
+class ThroughBeam:
+    """Features of the contact force from vibrations of a beam."""
+
+    # Rows of one impact follow in the order of the sensors. A recorder with another sampling rate is assumed to have
+    # the same anti-alias filter, at the same fraction of its rate or, if it is faster, at the same frequency: whichever
+    # force is more like a pulse.
+
+    def __init__(self, beam: Beam) -> None:
+        self.beam = beam
+        self.inversion = Inversion(beam)
+        self.fit = ContactFit(self.inversion)
+        self._ring_down: dict[tuple[int, int], RingDown] = {}
+
+    @property
+    def n_sensors(self) -> int:
+        """Number of sensors, and of vibrations of one impact."""
+        return self.beam.n_sensors
+
+    def stream(self) -> BeamStream:
+        """Return the same for impacts that follow each other in a stream."""
+        return BeamStream(self)
+
+    def measured(self, vibrations: VibrationBatch) -> dict[str, Floats]:
+        """Return the features of the contact forces of vibrations by name, nan where there is no impact."""
+        return self.features(vibrations, *self.look(vibrations))
+
+    def features(self, vibrations: VibrationBatch, estimate: ForceEstimate, contact: Contact) -> dict[str, Floats]:
+        """Return the features of vibrations by name, from their estimates."""
+        deviation = np.sqrt(contact.covariance[:, range(3), range(3)])
+        correlation = np.clip(contact.covariance / (deviation[:, :, None] * deviation[:, None]), -1.0, 1.0)
+        # Subtract what noise and earlier vibration can explain.
+        surely = np.maximum(estimate.misfit - _BY_NOISE, 0.0) / np.maximum(estimate.misfit - 1, 1e-9)
+        event = vibrations.event[:, : round(SPAN_TIME * vibrations.sampling_rate)]
+        before = np.square(self._loudest(vibrations.noise)) * event.shape[1]
+        energy = np.maximum(self._loudest(np.sum(np.square(event), axis=1)), 1e-300)
+        surely = np.maximum(estimate.unexplained * surely - before / energy, 0.0)
+        return {
+            "beam_peak_force": contact.peak,
+            "beam_pulse_width": contact.width,
+            "beam_restitution": np.exp(contact.shape),
+            "beam_peak_force_deviation": deviation[:, 0],
+            "beam_pulse_width_deviation": deviation[:, 1],
+            "beam_restitution_deviation": deviation[:, 2],
+            "beam_peak_width_correlation": correlation[:, 0, 1],
+            "beam_peak_restitution_correlation": correlation[:, 0, 2],
+            "beam_width_restitution_correlation": correlation[:, 1, 2],
+            "beam_impact_x": estimate.x,
+            "beam_impact_y": estimate.y,
+            "beam_place_deviation": np.hypot(*estimate.place_deviation.T),
+            "beam_misfit": estimate.misfit,
+            "beam_unexplained": 100 * estimate.unexplained,
+            "beam_surely_unexplained": 100 * surely,
+        }
+
+    def _loudest(self, values: Floats) -> Floats:
+        """Return the largest value of the sensors of each impact."""
+        return np.asarray(values.reshape(-1, self.n_sensors).max(axis=1))
+
+    def look(self, vibrations: VibrationBatch) -> tuple[ForceEstimate, Contact]:
+        """Return the forces estimated from vibrations at any sampling rate, and the pulses fitted to them."""
+        n = len(vibrations.samples) // self.n_sensors
+        return self.at_other_filter(vibrations, np.ones((n, 2), bool), np.ones(n, bool))[:2]
+
+    def at_other_filter(
+        self, vibrations: VibrationBatch, filters: NDArray[np.bool_], again: NDArray[np.bool_]
+    ) -> tuple[ForceEstimate, Contact, Floats]:
+        """Return force, pulse, and misfit of each filter (n, 2), infinite if not tried; `again` tries other onsets."""
+        rate, own = vibrations.sampling_rate, self.beam.sampling_rate
+        if not rate > own * (1 + _SAME_RATE):
+            filters = np.broadcast_to([True, False], filters.shape)
+        rows = [np.flatnonzero(column) for column in filters.T]
+        parts = [
+            self._estimated(vibrations, ratio, part, again[part])
+            for ratio, part in zip((rate / own, 1.0), rows, strict=True)
+            if part.size or not filters.size
+        ]
+        estimates, contacts = zip(*parts, strict=True)
+        estimate, contact = ForceEstimate.joined(list(estimates)), Contact.joined(list(contacts))
+        # A wrong filter distorts the force rather than adding a residual: the pulse fits worse.
+        misfit = np.full(filters.shape, np.inf)
+        misfit.T[filters.T] = contact.misfit
+        place = np.cumsum(filters.T).reshape(filters.T.shape).T - 1
+        best = place[np.arange(len(filters)), misfit.argmin(axis=1)]
+        return estimate.rows(best), contact.rows(best), misfit
+
+    def _estimated(
+        self, vibrations: VibrationBatch, filters: float, rows: NDArray[np.intp], again: NDArray[np.bool_]
+    ) -> tuple[ForceEstimate, Contact]:
+        """Return the same for some rows and an anti-alias filter at another ratio to that of the beam."""
+        observations, onset = self._prepared(vibrations, filters, rows)
+        estimate = self.inversion.invert(observations, onset)
+        contact = self.fit.fit(estimate)
+        # If the onset is at the edge of the table of forces, search there, at the same location. If it is too early,
+        # much stays unexplained: compare others.
+        edge = np.where(contact.touch < _EDGE, -_BESIDE, np.where(contact.touch > TOUCH - _EDGE, _BESIDE, 0))
+        start = estimate.later(edge)
+        lost = np.flatnonzero(again & (estimate.unexplained > _MUCH[0]) & (estimate.misfit > _MUCH[1]))
+        if lost.size:
+            others = np.add.outer(start.first[lost] + TOUCH // 2, (0, *_LATER))
+            start = start.replaced(lost, self.inversion.compare(observations.rows(lost), others))
+        rows = np.flatnonzero(again & (start.first != estimate.start))
+        if rows.size:
+            other = self.inversion.refine(observations.rows(rows), start.rows(rows))
+            before = self._before(observations.rows(rows), estimate.start[rows], other.start)
+            better = np.flatnonzero(other.misfit + before < estimate.misfit[rows])
+            if better.size:
+                estimate = estimate.replaced(rows[better], other.rows(better))
+                contact = contact.replaced(rows[better], self.fit.fit(other.rows(better)))
+        return estimate, contact
+
+    def _before(self, observations: Observations, first: NDArray[np.intp], last: NDArray[np.intp]) -> Floats:
+        """Return the energy outside a window that begins at the last sample, in units of the total misfit, (n,)."""
+        columns = np.arange(min(observations.frames.shape[2], int(last.max(initial=0))))
+        out = (columns >= first[:, None]) & (columns < last[:, None])
+        power = np.square(observations.frames[:, :, : columns.size] / observations.noise[:, :, None])
+        return np.asarray(np.sum(power, axis=(1, 2), where=out[:, None]) / (self.n_sensors * self.beam.n_samples))
+
+    def _prepared(
+        self, vibrations: VibrationBatch, filters: float, rows: NDArray[np.intp]
+    ) -> tuple[Observations, NDArray[np.intp]]:
+        """Return the input of the inversion for some impacts, and the range of the onset."""
+        if rows.size < len(vibrations.samples) // self.n_sensors:
+            vibrations = vibrations.rows(np.add.outer(rows * self.n_sensors, np.arange(self.n_sensors)).ravel())
+        frames = vibrations.samples - vibrations.offset[:, None]
+        rate, own = vibrations.sampling_rate, self.beam.sampling_rate
+        quiet = vibrations.n_quiet.astype(np.float64)
+        first = vibrations.first.astype(np.float64)
+        limit = None
+        if abs(rate / own - 1) > _SAME_RATE:
+            frames = self.resampled(frames, rate, filters)
+            quiet, first = quiet * own / rate, first * own / rate
+            limit = _TOP * min(rate, own)
+        clear = self._clearest(vibrations)
+        start = np.stack(
+            [np.maximum(np.floor(first - REACH * own), np.floor(quiet))[clear], np.ceil(first)[clear] + 1], axis=1
+        )
+        start[:, 0] = np.minimum(start[:, 0], start[:, 1])
+        noise = self._noise(frames, quiet, vibrations, limit)
+        found = Observations(frames, noise, limit=limit)
+        if limit is None:
+            colour = ar_noise_of(frames, quiet, _LEAST * np.sqrt(np.mean(np.square(frames), axis=1)), 1)
+            clipped = clipped_samples(frames)
+            frames, noise, error = self._settled(frames, quiet.astype(np.intp), noise, colour)
+            found = Observations(frames, noise, colour.coefficients, colour.innovation, error, clipped)
+        return self._together(found, vibrations), start.astype(np.intp)
+
+    def _clearest(self, vibrations: VibrationBatch) -> NDArray[np.intp]:
+        """Return the row of each impact whose sensor measures it best, (n,)."""
+        if self.n_sensors == 1:
+            return np.arange(len(vibrations.samples))
+        clear = vibrations.peak / np.maximum(vibrations.noise, 1e-300)
+        best = np.argmax(clear.reshape(-1, self.n_sensors), axis=1)
+        return np.asarray(np.arange(best.size) * self.n_sensors + best)
+
+    def _together(self, found: Observations, vibrations: VibrationBatch) -> Observations:
+        """Return rows of vibrations as impacts; a sensor without an impact is uninformative."""
+        if self.n_sensors == 1:
+            return found.by_sensor()
+        silent = np.zeros(len(found.noise), bool)
+        silent[list(vibrations.problems())] = True
+        silent &= ~np.repeat(silent.reshape(-1, self.n_sensors).all(axis=1), self.n_sensors)
+        found.noise[silent] = np.inf
+        if found.coefficients is not None:
+            found.coefficients[silent] = 0.0
+        return found.changed(lambda array: array.reshape(-1, self.n_sensors, *array.shape[1:]))
+
+    def _settled(
+        self, frames: Floats, quiet: NDArray[np.intp], noise: Floats, colour: ARNoise
+    ) -> tuple[Floats, Floats, Floats | None]:
+        """Return frames without ring-down of earlier impacts, the noise, and the error power of the ring-down."""
+        rows = colour.rows[quiet[colour.rows] >= _MIN_QUIET]
+        if not rows.size:
+            return frames, noise, None
+        frames, noise, error = frames.copy(), noise.copy(), None
+        lengths, sensors = np.minimum(quiet[rows], _MAX_QUIET) // 32 * 32, rows % self.n_sensors
+        for n_quiet, sensor in sorted(set(zip(lengths.tolist(), sensors.tolist(), strict=True))):
+            if (n_quiet, sensor) not in self._ring_down:
+                self._ring_down[n_quiet, sensor] = RingDown(self.inversion, n_quiet, sensor)
+            ring_down, own = self._ring_down[n_quiet, sensor], rows[(lengths == n_quiet) & (sensors == sensor)]
+            before = np.stack([frames[row, quiet[row] - n_quiet : quiet[row]] for row in own])
+            found, level, ring_error, rings = ring_down.after(before, colour.innovation[own])
+            error = np.zeros((len(frames), ring_error.shape[1])) if error is None else error
+            for number in np.flatnonzero(rings).tolist():
+                part = frames[own[number], quiet[own[number]] : quiet[own[number]] + ring_down.n_samples]
+                part -= found[number, : part.size]
+            colour.coefficients[own[rings]] = 0.0
+            noise[own[rings]], error[own[rings]] = level[rings], ring_error[rings]
+        return frames, noise, error
+
+    def _noise(self, frames: Floats, quiet: Floats, vibrations: VibrationBatch, limit: float | None) -> Floats:
+        """Return the standard deviation of white noise as loud as that before onset in the band up to `limit`."""
+        if limit is None:
+            found = vibrations.noise
+        else:
+            before = np.arange(frames.shape[1]) < quiet[:, None]
+            power = np.sum(np.square(frames), axis=1, where=before) / np.maximum(quiet, 1)
+            found = np.sqrt(power * self.beam.sampling_rate / 2 / limit)
+        # Without noise: the accuracy of a table of the beam.
+        return np.asarray(np.maximum(found, _FLOOR * np.sqrt(np.mean(np.square(frames), axis=1)) + 1e-300))
+
+    def resampled(self, frames: Floats, rate: float, filters: float) -> Floats:
+        """Return frames at the rate of the beam, with its filters instead of those at `filters` times the frequency."""
+        own = self.beam.sampling_rate
+        ratio = Fraction(own / rate).limit_denominator(_MAX_RATIO)
+        n = -(-frames.shape[1] // ratio.denominator) * ratio.denominator
+        n_out = n * ratio.numerator // ratio.denominator
+        spectrum = np.fft.rfft(frames, n, axis=1)
+        frequency = np.fft.rfftfreq(n, 1 / rate)
+        inside = frequency <= _TOP * min(rate, own)
+        low_pass = np.abs(self.beam.filters) < np.pi * own
+        recorder_gain = np.where(low_pass, self.beam.filters * filters, self.beam.filters)
+        change = np.where(inside, gain(self.beam.filters, frequency) / gain(recorder_gain, frequency), 0.0)
+        out = np.zeros((len(frames), n_out // 2 + 1), complex)
+        kept = min(out.shape[1], spectrum.shape[1])
+        out[:, :kept] = (spectrum * change)[:, :kept]
+        return np.asarray(np.fft.irfft(out, n_out, axis=1) * (n_out / n))[:, : int(frames.shape[1] * own / rate)]
+
+
+class _Channel:
+    """State of a channel from its impacts, which determines the fit of the next ones."""
+
+    # Decisions are made after fixed numbers of impacts, so they do not depend on the batches.
+
+    def __init__(self) -> None:
+        self.reset()
+
+    def reset(self) -> None:
+        """Reset the state."""
+        self.n, self.n_tests, self.lost, self.level = 0, 0, 0, 0.0
+        self.unexplained: deque[float] = deque(maxlen=_RECENT)
+        self.ratios: list[float] = []
+        self.levels: list[float] = []
+        self.filters, self.again = np.ones(2, bool), True
+
+    @property
+    def n_next(self) -> int:
+        """Number of impacts up to the next decision."""
+        return next((n for n in _DECISIONS if n > self.n), (self.n // _EVERY + 1) * _EVERY) - self.n
+
+    def plan(self, n: int) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+        """Return the filters to try (n, 2) for the next impacts, and whether to try other samples of onset, (n,)."""
+        tests = np.arange(n) < self.n_tests
+        self.n_tests = max(self.n_tests - n, 0)
+        return tests[:, None] | self.filters, tests | self.again
+
+    def learn(self, unexplained: Floats, misfit: Floats, level: Floats) -> None:
+        """Add the unexplained energy of the next impacts, their misfits for both filters (n, 2), and their noise."""
+        decides = self.n_next == len(level)
+        self.n += len(level)
+        self.unexplained.extend(unexplained.tolist())
+        self.levels.extend(level.tolist())
+        for one in (unexplained > _FOREIGN).tolist():
+            self.lost = max(self.lost + (1 if one else -1), 0)
+        both = misfit[np.isfinite(misfit).all(axis=1)]
+        self.ratios.extend(np.log(np.maximum(both, 1e-300)) @ (1.0, -1.0))
+        if not decides:
+            return
+        before, self.level, self.levels = self.level, float(np.median(self.levels)), []
+        if before and not 1 / _LOUDER < self.level / before < _LOUDER:
+            self.reset()
+            return
+        self.again = bool(np.median(self.unexplained) <= _FOREIGN)
+        if self.n >= _SETTLED and self.ratios:
+            beams = bool(np.median(self.ratios) > 0)
+            self.filters = np.array([not beams, beams])
+        if self.lost >= _SETTLED:
+            self.lost, self.n_tests, self.ratios = 0, _TESTS, []
+
+
+class BeamStream:
+    """State of each channel of a stream, so that not every impact tries all filters and onsets."""
+
+    # On a foreign beam another onset is no better, and a recorder has one filter. Both are tried again after a gap, a
+    # change of level, or as many unexplained impacts as settled them.
+
+    def __init__(self, through: ThroughBeam) -> None:
+        self.through = through
+        self._channels: dict[int, _Channel] = {}
+
+    @property
+    def n_sensors(self) -> int:
+        """Number of sensors, and of vibrations of one impact."""
+        return self.through.n_sensors
+
+    def measured(self, vibrations: VibrationBatch) -> dict[str, Floats]:
+        """Return the features of the next vibrations of a stream, as `ThroughBeam.measured`."""
+        n_sensors = self.n_sensors
+        rest = np.arange(len(vibrations.samples) // n_sensors)
+        channel = np.zeros(rest.size, np.intp) if vibrations.channel is None else vibrations.channel
+        parts, found = [], []
+        for old in list(self._channels)[:-_REMEMBERED]:  # before gaps
+            del self._channels[old]
+        while rest.size:
+            numbers = np.unique(channel[rest]).tolist()
+            states = [self._channels.pop(number, _Channel()) for number in numbers]
+            self._channels |= zip(numbers, states, strict=True)
+            rows = [rest[channel[rest] == k][: state.n_next] for k, state in zip(numbers, states, strict=True)]
+            plans = [state.plan(own.size) for state, own in zip(states, rows, strict=True)]
+            of_all = np.concatenate(rows)
+            order = np.argsort(of_all)
+            parts.append(of_all[order])
+            part = vibrations.rows(np.add.outer(parts[-1] * n_sensors, np.arange(n_sensors)).ravel())
+            filters, again = (np.concatenate(one)[order] for one in zip(*plans, strict=True))
+            estimate, contact, misfit = self.through.at_other_filter(part, filters, again)
+            found.append(self.through.features(part, estimate, contact))
+            for state, own in zip(states, rows, strict=True):
+                own = np.searchsorted(parts[-1], own)
+                state.learn(estimate.unexplained[own], misfit[own], estimate.noise[own])
+            rest = np.setdiff1d(rest, parts[-1])
+        order = np.argsort(np.concatenate(parts))
+        return {name: np.concatenate([one[name] for one in found])[order] for name in found[0]}

@@ -1,0 +1,438 @@
+"""The prediction for an impact: its label, the probabilities, and whether it is in the training range of the model."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from cgid._lib.validation import UNKNOWN, Floats
+from cgid.errors import BadData, InvalidValue, MissingOption
+from cgid.identification.detection.detector import find_impacts
+from cgid.identification.detection.events import Event, frames_alike
+from cgid.identification.model.model import Model
+from cgid.identification.prediction.diagnosis import Cause, causes_of, with_frames
+from cgid.identification.prediction.settings import PredictionSettings, known_columns
+from cgid.measure.features.extraction import as_rows, measured, require_measurable
+from cgid.measure.filters import Equalisation
+from cgid.measure.frames import DETECTION_LIMIT, MINIMUM_FRAME, Problem, ProblemKind, frames_of
+from cgid.recordings.chain import require_measured
+from cgid.signals import Signal, force_factor
+from cgid.units import ELECTRICAL, UNITS, quantity_of
+
+if TYPE_CHECKING:
+    from cgid.identification.inversion.through_beam import BeamStream
+
+__all__ = ["Answer", "identify", "identify_frames", "suited"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Answer:
+    """The prediction of a model for one impact or window.
+
+    Attributes
+    ----------
+    time, end : float [s]
+        Begin and end of the impact or window in the recording; the end is nan if unknown.
+    label : str
+        The decision; "unknown" for an impact outside the training range, unmeasurable, or rejected by the prediction
+        set.
+    probabilities : mapping of str to float
+        Probability of each label; empty when the impact could not be measured.
+    novelty : float
+        Distance from the training data, 1 at its edge; nan when the impact could not be measured.
+    in_training_range : bool
+        Whether the novelty is at most 1 and the model was trained at this sampling rate.
+    problem : str
+        Why the label is unknown or doubtful, as text; else empty.
+    problem_kind : ProblemKind or None
+        The rule that its frame breaks, where that is why it could not be measured.
+    prediction_set : tuple of str or None
+        Labels that cannot be ruled out at the coverage; None without a coverage or a measurement.
+    channel : str
+        Channel name; a window of several channels joins their names by "+".
+    overlapping : bool
+        Whether another impact began before this one had decayed.
+    clipped : bool
+        Whether samples stand at the limit of the recorder.
+    cut : bool
+        Whether the recording begins or ends within the impact.
+    cause : Cause or None
+        The cause if it is outside the training range; None if inside or not measured.
+    unexplained : float
+        Fraction of its energy not explained by the model's beam [%]; nan without a beam or a measurement.
+    level : float
+        Logarithm of its peak force over the expectation of the training for such a pulse; nan without one.
+    impactor : mapping or None
+        The impactor, where the settings ask for it.
+    """
+
+    time: float
+    label: str
+    probabilities: Mapping[str, float]
+    novelty: float
+    in_training_range: bool = False
+    problem: str = ""
+    problem_kind: ProblemKind | None = None
+    prediction_set: tuple[str, ...] | None = None
+    channel: str = "1"
+    end: float = float("nan")
+    overlapping: bool = False
+    clipped: bool = False
+    cut: bool = False
+    cause: Cause | None = None
+    unexplained: float = float("nan")
+    level: float = float("nan")
+    impactor: Mapping[str, Any] | None = None
+
+    def __repr__(self) -> str:
+        probabilities = (
+            ", ".join(f"p({label}) {value:.3f}" for label, value in self.probabilities.items()) or "not measured"
+        )
+        where = f"{self.time:.6g} s" if self.channel == "1" else f"{self.time:.6g} s of channel {self.channel}"
+        reason = f"; {self.problem}" if self.problem else ""
+        return f"Answer({self.label} at {where}: {probabilities}, novelty {self.novelty:.3g}{reason})"
+
+    @property
+    def probability(self) -> float:
+        """Probability of the label, or of the most probable label if it is "unknown"; nan when nothing was measured."""
+        if not self.probabilities:
+            return float("nan")
+        return self.probabilities.get(self.label, max(self.probabilities.values()))
+
+    @property
+    def row(self) -> dict[str, Any]:
+        """The row of a table, by the titles of its columns."""
+        return {
+            "channel": self.channel,
+            "time_s": self.time,
+            "end_s": self.end,
+            "label": self.label,
+            **{f"p_{label}": probability for label, probability in self.probabilities.items()},
+            "novelty": self.novelty,
+            "overlapping": self.overlapping,
+            "clipped": self.clipped,
+            "cut_off": self.cut,
+            "problem": self.problem,
+            "prediction_set": "+".join(self.prediction_set or ()),
+        }
+
+
+def suited(signal: Signal, model: Model, mass: float | None = None) -> Signal:
+    """Convert the signal to the quantity and unit of the model.
+
+    Parameters
+    ----------
+    signal : Signal
+    model : Model
+    mass : float, optional [kg]
+        Mass of the accelerated impactor, which turns an acceleration into a force.
+
+    Returns
+    -------
+    Signal
+
+    Raises
+    ------
+    MissingOption
+        The unit of the signal is unknown, or the samples are in volts without a sensitivity.
+    BadData
+        The signal has another quantity than the model.
+    """
+    factor = factor_to(model, signal.unit, signal.name, mass)
+    if signal.unit == model.unit:
+        return signal
+    return replace(signal, samples=signal.samples * factor, unit=model.unit)
+
+
+def factor_to(model: Model, unit: str | None, name: str, mass: float | None = None) -> float:
+    """Return the factor from samples in a unit to those that a model takes; raises as `suited`, with a name."""
+    if unit is None:
+        raise MissingOption(
+            f"{name}: the unit must be known, neither header nor option states it; give --unit, such as "
+            f"{_unit_options(model)}, and for integers --full-scale, too, such as --full-scale '500 g'"
+        )
+    quantity, factor = quantity_of(unit), 1.0
+    if model.quantity not in ELECTRICAL:
+        require_measured(unit, name)
+    if mass is not None:
+        factor, unit, quantity = force_factor(unit, mass, name), "N", "force"
+    if quantity != model.quantity:
+        hint = f"give a recording of {model.quantity}"
+        if (quantity, model.quantity) == ("acceleration", "force"):
+            hint = "give --mass KG if the accelerated body is the impactor (force = mass x acceleration)"
+        elif quantity == "level":
+            example = "500 g" if model.quantity == "acceleration" else "2 kN"
+            hint = (
+                f"state full scale, as in --full-scale '{example}', or with --full-scale '10 V' "
+                f"and the --sensitivity of the sensor; floats may be in a unit as they are: {_unit_options(model)}"
+            )
+        raise BadData(
+            f"{name}: the quantity must be the model's, {model.quantity} [{model.unit}], got {quantity} [{unit}]; "
+            f"{hint}"
+        )
+    units = UNITS[quantity]
+    return factor if unit == model.unit else factor * units[unit] / units[model.unit]
+
+
+def _unit_options(model: Model) -> str:
+    """Return the options that state the unit; a signal of unknown quantity counts as a force."""
+    option = f"--unit {model.unit}"
+    return option if model.quantity != "force" else f"{option}, or --unit m/s^2 of an accelerometer"
+
+
+def identify(signal: Signal, model: Model, settings: PredictionSettings | None = None, **fields: Any) -> list[Answer]:
+    """Return one prediction for each impact in a recording.
+
+    Parameters
+    ----------
+    signal : Signal
+        In the quantity and unit of the model; see `suited`.
+    model : Model
+    settings : PredictionSettings, optional
+        Costs, coverage, drop height and more; by default the most probable label is predicted.
+    **fields
+        Override fields of the settings, such as `costs={"gangue": 3.0}` or `drop_height=1.5` [m].
+
+    Returns
+    -------
+    list of Answer
+        In order of time.
+
+    Raises
+    ------
+    BadData
+        The signal has no impact.
+    MissingOption
+        The model needs a drop height.
+    InvalidValue
+        The model does not support one of the settings.
+
+    Examples
+    --------
+    >>> from cgid import Model, read_recording, shipped
+    >>> model = Model.load(shipped.path_of("models", shipped.DEFAULT_MODEL))
+    >>> (signal,) = read_recording(shipped.path_of("datasets", shipped.SAMPLE))
+    >>> [answer.label for answer in identify(suited(signal, model), model)]
+    ['coal', 'gangue', 'coal', 'gangue', 'coal', 'gangue']
+    """
+    settings = replace(settings or PredictionSettings(), **fields)
+    if model.kind == "window":
+        raise InvalidValue(
+            f"{signal.name}: model must be one of impacts, this one is for windows; give a complete recording"
+        )
+    events = find_impacts(signal, kind=model.kind, dead_time=settings.dead_time)
+    if (shortest := min(len(event.samples) for event in events)) >= MINIMUM_FRAME:
+        require_measurable(model.measured, signal.sampling_rate, shortest, None, model.beam)
+    return identify_events(events, model, settings, channels=(signal.channel,))
+
+
+def identify_events(
+    events: Sequence[Event],
+    model: Model,
+    settings: PredictionSettings,
+    *,
+    channels: Sequence[str] = ("1",),
+    beam: BeamStream | None = None,
+) -> list[Answer]:
+    """Return one prediction for each detected impact, in order; `beam` is the state of a stream."""
+    return measured_events(events, model, settings, channels, beam)[0]
+
+
+def measured_events(
+    events: Sequence[Event],
+    model: Model,
+    settings: PredictionSettings,
+    channels: Sequence[str],
+    beam: BeamStream | None = None,
+) -> tuple[list[Answer], Floats]:
+    """Return predictions as `identify_events`, and what was measured, (n_events, n_measured), nan where it was not."""
+    if model.kind != "window" and any(np.atleast_2d(event.samples).shape[0] != model.together for event in events):
+        raise BadData(
+            f"channels must be {model.together}, one for each sensor of this model, in the order of its training; give "
+            "a complete recording of them, or use a model of one sensor"
+        )
+    sensors = settings.sensors_for(model, channels)
+    known = known_columns(model.known, 1, settings.drop_height)
+    answers: dict[int, Answer] = {}
+    values = np.full((len(events), len(model.measured)), np.nan)
+    for sensor in dict.fromkeys(sensors):
+        of_sensor = [number for number, event in enumerate(events) if sensors[event.channel] == sensor]
+        for some, frames in frames_alike([events[number] for number in of_sensor]):
+            numbers = [of_sensor[number] for number in some]
+            event = events[numbers[0]]
+            part, values[numbers] = _identified(
+                frames,
+                event.sampling_rate,
+                model,
+                settings,
+                known.repeat(len(frames), axis=0),
+                pre_trigger=event.pre_trigger,
+                detection_limit=event.detection_limit,
+                equalisation=None if sensor is None else model.equalisation(sensor)[0],
+                beam=beam,
+                # After a gap, a channel counts as a new one.
+                channel=np.array([events[k].since * len(channels) + events[k].channel for k in numbers]),
+            )
+            answers |= zip(numbers, part, strict=True)
+    values[[bool(event.problem) for event in events]] = np.nan
+    return [_placed(answers[number], event, channels) for number, event in enumerate(events)], values
+
+
+def _placed(answer: Answer, event: Event, channels: Sequence[str]) -> Answer:
+    return replace(
+        unmeasured(event.problem) if event.problem else answer,
+        time=event.time,
+        end=event.end / event.sampling_rate,
+        channel=channels[event.channel],
+        overlapping=event.overlapping,
+        clipped=event.clipped,
+        cut=event.cut,
+    )
+
+
+def identify_frames(
+    frames: NDArray[np.floating],
+    sampling_rate: float,
+    model: Model,
+    settings: PredictionSettings | None = None,
+    *,
+    pre_trigger: int | None,
+    drop_height: ArrayLike | None = None,
+    detection_limit: float = DETECTION_LIMIT,
+    equalisation: Equalisation | None = None,
+) -> list[Answer]:
+    """Return one prediction for each frame of a single impact.
+
+    Parameters
+    ----------
+    frames : ndarray, (n_signals, n_samples)
+        In the unit of the model; (n_signals, n_sensors, n_samples) if it is for a beam with several sensors.
+    sampling_rate : float [Hz]
+    model : Model
+    settings : PredictionSettings, optional
+        Only the settings of the decision are used, such as costs and coverage.
+    pre_trigger : int or None
+        Samples before onset, for baseline and noise; None to determine them from the pulse.
+    drop_height : float or array_like, (n_signals,), optional [m]
+        For a model that needs it.
+    detection_limit : float
+        Minimum height of a pulse over the standard deviation of the noise.
+    equalisation : Equalisation, optional
+        Corrects the sensor's response.
+
+    Returns
+    -------
+    list of Answer
+        One for each frame; times count from the start of the frame.
+
+    Raises
+    ------
+    BadData, MissingOption, InvalidValue
+        As in `identify`, except that a frame without an impact gets an answer with a problem.
+    """
+    known, shape = known_columns(model.known, len(frames), drop_height), np.shape(frames)
+    if shape[-1] >= MINIMUM_FRAME:
+        require_measurable(model.measured, sampling_rate, shape[-1], equalisation, model.beam)
+        rows = as_rows(frames, 1 if model.beam is None else model.beam.n_sensors, model.measured)
+        frames = frames_of(rows, pre_trigger).reshape(shape)
+    return _identified(
+        frames,
+        sampling_rate,
+        model,
+        settings or PredictionSettings(),
+        known,
+        pre_trigger=pre_trigger,
+        detection_limit=detection_limit,
+        equalisation=equalisation,
+    )[0]
+
+
+def _identified(
+    frames: NDArray[np.floating],
+    sampling_rate: float,
+    model: Model,
+    settings: PredictionSettings,
+    known: Floats,
+    *,
+    pre_trigger: int | None,
+    detection_limit: float,
+    equalisation: Equalisation | None,
+    beam: BeamStream | None = None,
+    channel: NDArray[np.intp] | None = None,
+) -> tuple[list[Answer], Floats]:
+    """Return one prediction for each frame, and what was measured; `known` are inputs besides the features."""
+    if frames.shape[-1] < MINIMUM_FRAME:
+        text = f"a frame must contain at least {MINIMUM_FRAME} samples, got {frames.shape[-1]}"
+        short = Problem(ProblemKind.TOO_SHORT, text)
+        return [unmeasured(short)] * len(frames), np.full((len(frames), len(model.measured)), np.nan)
+    values, problems = measured(
+        frames.reshape(-1, frames.shape[-1]),
+        sampling_rate,
+        model.measured,
+        pre_trigger=pre_trigger,
+        detection_limit=detection_limit,
+        equalisation=equalisation,
+        beam=beam or model.beam,
+        channel=channel,
+    )
+    sound = np.asarray(np.isfinite(values).all(axis=1))
+    time = 0.0 if pre_trigger is None else pre_trigger / sampling_rate
+    features, guards = np.split(values[sound], [len(model.features)], axis=1)
+    answers = answers_from(np.hstack([features, known[sound]]), guards, model, settings, sampling_rate)
+    identified = [
+        replace(next(answers), time=time)
+        if sound[row]
+        else unmeasured(problems.get(row, "a feature has no finite value"), time)
+        for row in range(len(frames))
+    ]
+    identified = with_frames(identified, frames, sampling_rate, model, pre_trigger)
+    if settings.impactors is None:
+        return identified, values
+    estimates = settings.impactors(frames, sampling_rate, model, pre_trigger, detection_limit)
+    return [replace(answer, impactor=one) for answer, one in zip(identified, estimates, strict=True)], values
+
+
+def answers_from(
+    inputs: Floats,
+    guards: Floats,
+    model: Model,
+    settings: PredictionSettings,
+    sampling_rate: float,
+    vote: Callable[[Floats, NDArray[np.bool_]], Floats] = lambda probabilities, _: probabilities,
+) -> Iterator[Answer]:
+    """Yield answers at time 0 from inputs (n, n_inputs) and guards (n, n_guards); `vote` combines successive rows."""
+    if not len(inputs):
+        return
+    novelties = model.novelty(inputs, guards)
+    probabilities = vote(model.probabilities(inputs), novelties <= 1)
+    outliers = np.flatnonzero(novelties > 1)
+    causes = causes_of(model, inputs[outliers], guards[outliers]) if outliers.size else []
+    cause_of = dict(zip(outliers.tolist(), causes, strict=True))
+    column = guards.T[model.guards.index("beam_unexplained")] if "beam_unexplained" in model.guards else None
+    levels = model.levels(inputs)
+    untrained = "" if model.covers(sampling_rate) else f"not trained at {sampling_rate:g} Hz"
+    for row, (label, labels) in enumerate(zip(*settings.labels(model, probabilities), strict=True)):
+        novelty = float(novelties[row])
+        outside = f"outside of the training (novelty {novelty:.3g}, 1 is the edge)" if novelty > 1 else ""
+        yield Answer(
+            time=0.0,
+            label=UNKNOWN if outside else label,
+            probabilities=dict(zip(model.labels, probabilities[row].tolist(), strict=True)),
+            novelty=novelty,
+            in_training_range=not (outside or untrained),
+            problem=outside or settings.doubt(labels) or untrained,
+            prediction_set=labels,
+            cause=cause_of.get(row),
+            unexplained=float("nan") if column is None else float(column[row]),
+            level=float(levels[row]),
+        )
+
+
+def unmeasured(problem: Problem | str, time: float = 0.0) -> Answer:
+    """Return the prediction for an impact or window that cannot be measured."""
+    kind, text = (None, problem) if isinstance(problem, str) else problem
+    return Answer(time=time, label=UNKNOWN, probabilities={}, novelty=float("nan"), problem=text, problem_kind=kind)

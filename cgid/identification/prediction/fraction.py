@@ -1,0 +1,335 @@
+"""The gangue fraction over a sliding window of impacts, and when to shut the window.
+
+The mean of the probabilities is a biased estimate. A model trained on equal amounts of coal and gangue gives .3 to
+ambiguous coal; for such coal alone, the mean stays at .3. So the fraction q is estimated by maximum likelihood. A model
+finished on streams contains the rates of its predictions for rocks of either label
+(`cgid.identification.model.confusion`), so errors, bounces and unknown impacts are included. For others the
+probabilities are taken as correct (Saerens, Latinne & Decaestecker 2002). If rocks of gangue give a prediction r times
+as often as those of coal, and M times as many predictions in total, its likelihood is
+
+    L = (1 - q + q r) / (1 - q + q M)
+
+The product of L over the window, to the power of 1 / overdispersion and with a uniform prior, is the posterior density
+of q. It is then spread by the scatter of the estimate from stream to stream. The share is the one of largest density,
+because a mean is pulled to the middle where little is known.
+
+Going on takes the next rock, whatever it is. A gangue costs `dilution_cost`, because it must be carried, washed and
+dumped. Per rock, continuing costs
+
+    dilution_cost * q - (1 - q)
+
+more than shutting. Its sign changes at q = 1 / (1 + dilution_cost), the threshold. SHUT is issued when the fraction is
+above the threshold with a probability of at least `evidence`, OPEN where it is below with this probability after a
+SHUT; in between nothing changes, and after a switch nothing does for a least time (`hold`). Nothing is decided until at
+least five impacts of a window, and half of them, are identified; after two minutes without such a window the decision
+is withdrawn.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
+from functools import cache
+from typing import ClassVar
+
+import numpy as np
+
+from cgid._lib import validation
+from cgid._lib.validation import Floats
+from cgid.errors import InvalidValue
+from cgid.identification.model.confusion import SUREST, Confusion, logit
+from cgid.identification.model.model import Model
+from cgid.identification.prediction.settings import RULES
+
+__all__ = ["Share"]
+
+#: Coverage of the interval of the fraction.
+LEVEL = 0.95
+#: A decision is withdrawn after this time without a window of enough identified impacts [s].
+LAPSE = 120.0
+#: Nodes of the density, evenly spaced in the angle of share = sin^2(angle): finer towards 0 and 1.
+_NODES = 401
+
+
+@dataclass(frozen=True, kw_only=True)
+class Share:
+    """The gangue fraction among the impacts of a window.
+
+    Attributes
+    ----------
+    time : float [s]
+        End of the window.
+    start : float [s]
+        Begin of the window; impacts after it and up to `time` count.
+    share : float
+        The most probable one; nan without any impact.
+    low, high : float
+        Shortest interval of probability `LEVEL`; 0 and 1 without any impact.
+    mean : float
+        The expected one, for expected costs; nan without any impact.
+    above : float
+        Probability that the share is above the threshold of the window; nan without any impact.
+    n_impacts : int
+        Number of identified impacts.
+    n_unknown : int
+        Number of impacts unmeasurable or outside the training range, which are excluded.
+    channel : str
+        Name of the channel.
+    """
+
+    time: float
+    start: float
+    share: float
+    low: float
+    high: float
+    n_impacts: int
+    n_unknown: int = 0
+    channel: str = "1"
+    mean: float = float("nan")
+    above: float = float("nan")
+
+    def __repr__(self) -> str:
+        where = "" if self.channel == "1" else f" of channel {self.channel}"
+        share = f"{self.share:.3f} ({self.low:.3f} to {self.high:.3f})"
+        counts = f"{self.n_impacts} identified, {self.n_unknown} unknown"
+        return f"Share({share} from {self.start:g} to {self.time:g} s{where}: {counts})"
+
+
+@dataclass(frozen=True, kw_only=True)
+class NoConfusion:
+    """Probabilities taken as correct, for a gangue fraction in the training; used like a `Confusion`."""
+
+    trained_share: float = 0.5
+    abundance: ClassVar = 1.0
+    overdispersion: ClassVar = 1.0
+    scatter: ClassVar = 0.0
+
+    def __post_init__(self) -> None:
+        if not 0 < self.trained_share < 1:
+            raise InvalidValue(f"trained_share must be between 0 and 1 (exclusive), got {self.trained_share:g}")
+
+    def ratios(self, logits: Floats) -> Floats:
+        """Return the likelihood ratio of predictions, gangue over coal, (n,)."""
+        return np.exp(logits) * (1.0 - self.trained_share) / self.trained_share
+
+
+def answers_of(model: Model, gangue: Collection[str]) -> Confusion | NoConfusion:
+    """Return the confusion of a model for coal and gangue: from streams, calibration or its probabilities."""
+    if len(model.labels) == 2:
+        first = model.labels[0] in gangue
+        confusion = model.confusion
+        if confusion is None and model.conformal is not None:
+            scores, second = model.conformal.scores, model.conformal.labels == 1
+            logits = logit(np.where(second, 1.0 - scores, scores))
+            confusion = Confusion.counted(logits, second, (int(np.sum(~second)), int(np.sum(second))))
+        if confusion is not None:
+            return confusion.turned() if first else confusion
+    return NoConfusion(trained_share=trained_share(model, gangue))
+
+
+class ShareWindow:
+    """The impacts of the last seconds, and their gangue fraction.
+
+    Four certain impacts give the mode and the interval of Beta(1 + 1, 3 + 1).
+
+    >>> window = ShareWindow(10.0)
+    >>> for time, probability in enumerate([0.0, 0.0, 1.0, 0.0]):
+    ...     window.add(float(time), probability)
+    >>> round(window.at(3.0).share, 2)
+    0.25
+    """
+
+    def __init__(
+        self,
+        length: float,
+        *,
+        answers: Confusion | NoConfusion | None = None,
+        weight: float = 1.0,
+        channel: str = "1",
+        threshold: float = 0.5,
+    ) -> None:
+        # The weight of one answer is below 1 where windows overlap: 1 end to end, .5 for half overlap; the threshold is
+        # for `Share.above`.
+        self.length = validation.number("window", length, "s", validation.positive)
+        self.channel = channel
+        if not 0 < weight <= 1:
+            raise InvalidValue(f"weight must be above 0 and up to 1, got {weight:g}")
+        self._answers, self._threshold = answers or NoConfusion(), threshold
+        self._weight = weight / self._answers.overdispersion
+        self._blur = _blur(self._answers.scatter)
+        self._impacts: deque[tuple[float, float]] = deque()
+
+    def add(self, time: float, probability: float) -> None:
+        """Add the gangue probability of an impact at a time [s], nan if unknown; calls must be in order of time."""
+        self._impacts.append((time, probability))
+
+    def restart(self, time: float) -> Share:
+        """Drop all impacts up to a time [s], and return the fraction of the window without them."""
+        self._impacts.clear()
+        return self.at(time)
+
+    def at(self, time: float) -> Share:
+        """Return the fraction in the window that ends at a time [s], and drop all earlier impacts."""
+        start = time - self.length
+        while self._impacts and self._impacts[0][0] <= start:
+            self._impacts.popleft()
+        inside = np.array([probability for when, probability in self._impacts if when <= time])
+        known = inside[np.isfinite(inside)]
+        nothing = {"share": float("nan"), "low": 0.0, "high": 1.0}
+        return Share(
+            time=time,
+            start=max(start, 0.0),
+            n_impacts=known.size,
+            n_unknown=inside.size - known.size,
+            channel=self.channel,
+            **(self._estimate(known) if known.size else nothing),
+        )
+
+    def _estimate(self, probabilities: Floats) -> dict[str, float]:
+        """Return the fields of a `Share` for the rocks of some predictions."""
+        shares, edges = _nodes()
+        breadths = np.diff(edges)
+        # Equal predictions are one row: a window of thousands takes no longer than the bins of a confusion.
+        ratios, counts = np.unique(self._answers.ratios(logit(probabilities)), return_counts=True)
+        log_likelihood = counts.astype(np.float64) @ np.log1p(np.multiply.outer(ratios - 1.0, shares))
+        among = probabilities.size * np.log1p((self._answers.abundance - 1.0) * shares)
+        logarithm = self._weight * (log_likelihood - among)
+        masses = np.exp(logarithm - logarithm.max()) * breadths
+        masses /= masses.sum()
+        likely = float(shares[np.argmax(logarithm)])
+        if self._blur is not None:
+            masses = self._blur @ masses
+        # The density has a single maximum (its logarithm is concave in the share of answers, which grows with that of
+        # rocks), so the densest shares are neighbours.
+        densest = np.argsort(-masses / breadths, kind="stable")
+        densest_nodes = densest[: int(np.searchsorted(np.cumsum(masses[densest]), LEVEL)) + 1]
+        below = np.interp(self._threshold, edges, np.append(0.0, np.cumsum(masses)))
+        return {
+            "share": likely,
+            "low": float(shares[densest_nodes.min()]),
+            "high": float(shares[densest_nodes.max()]),
+            "mean": float(masses @ shares),
+            "above": float(np.clip(1.0 - below, 0.0, 1.0)),
+        }
+
+
+def trained_share(model: Model, gangue: Collection[str]) -> float:
+    """Return the fraction of some labels in the training of a model, if its card states it."""
+    # The test impacts have the frequencies of labels of the training. Class weights multiply the frequencies.
+    confusion = model.training.get("metrics", {}).get("confusion")
+    weights = model.training.get("class_weights") or model.training.get("recorded", {}).get("class_weights")
+    counts = np.ones(len(model.labels))
+    if confusion is not None and weights != "balanced":
+        counts *= np.sum(confusion, axis=1)
+    if isinstance(weights, Mapping):
+        counts *= [weights.get(label, 1.0) for label in model.labels]
+    n_gangue = sum(count for label, count in zip(model.labels, counts.tolist(), strict=True) if label in gangue)
+    return float(np.clip(n_gangue / counts.sum(), SUREST, 1.0 - SUREST))
+
+
+@cache
+def _nodes() -> tuple[Floats, Floats]:
+    """Return shares from 0 to 1, and the edges of the intervals that they represent."""
+    shares = np.sin(np.linspace(0.0, np.pi / 2, _NODES)) ** 2
+    return shares, np.concatenate([[0.0], (shares[1:] + shares[:-1]) / 2, [1.0]])
+
+
+@cache
+def _blur(scatter: float) -> Floats | None:
+    """Return the matrix that spreads a density by a standard deviation, within 0 and 1; None for 0."""
+    if scatter <= 0:
+        return None
+    shares, edges = _nodes()
+    distance = np.subtract.outer(shares, shares) / max(scatter, 1.0 / _NODES)
+    matrix = np.exp(-0.5 * distance**2) * np.diff(edges)[:, None]
+    return np.asarray(matrix / matrix.sum(axis=0))
+
+
+#: Minimum number of identified impacts for a decision; twice as many where the uniform prior alone would decide.
+MIN_IMPACTS = 5
+
+
+@dataclass(frozen=True, kw_only=True)
+class Switch:
+    """A switch: continuing costs more than shutting, or less again, with the requested evidence."""
+
+    time: float  # end of the first window with it [s]
+    shut: bool  # True: shut the window; False: continuing pays again
+    cost: float  # expected cost of continuing minus that of shutting [lost coal rocks per rock]
+    evidence: float  # probability that the fraction is above the threshold, or below
+    share: Share
+
+
+class ShutDecision:
+    """Decide for shutting the window or for continuing to draw, once the evidence for one of them suffices.
+
+    >>> round(ShutDecision(3.0).threshold, 3)
+    0.25
+    """
+
+    def __init__(self, dilution_cost: float = 1.0, evidence: float = 0.95, hold: float = 0.0) -> None:
+        given = {"dilution_cost": dilution_cost, "evidence": evidence, "hold": hold}
+        checked = {name: validation.number(name, value, rule=RULES[name]) for name, value in given.items()}
+        self.dilution_cost, self.evidence, self.hold = checked.values()
+        self.threshold = 1.0 / (1.0 + self.dilution_cost)
+        self._least = MIN_IMPACTS * (2 if max(self.threshold, 1.0 - self.threshold) >= self.evidence else 1)
+        #: Whether to shut; None where nothing is decided.
+        self.shut: bool | None = None
+        self._since = self._supported = -np.inf
+        self._said_shut = False
+
+    def cost(self, share: Share) -> float:
+        """Return the expected cost of continuing minus shutting [lost coal rocks per rock]; nan without any impact."""
+        return self.dilution_cost * share.mean - (1.0 - share.mean)
+
+    def watch(self, share: Share) -> Switch | None:
+        """Return the switch at this window; None without one. The share's `above` must be that of `threshold`.
+
+        The first decision to draw is no switch, since nothing was shut.
+        """
+        if share.n_impacts < max(self._least, share.n_unknown):
+            if share.time > self._supported + LAPSE:
+                self.withdraw()
+            return None
+        self._supported = share.time
+        shut = share.above >= self.evidence
+        is_sure = shut or 1.0 - share.above >= self.evidence
+        if shut == self.shut or not is_sure or share.time < self._since + self.hold:
+            return None
+        self.shut = shut
+        if not shut and not self._said_shut:
+            return None
+        self._said_shut, self._since = shut, share.time
+        evidence = share.above if shut else 1.0 - share.above
+        return Switch(time=share.time, shut=shut, cost=self.cost(share), evidence=evidence, share=share)
+
+    def withdraw(self) -> None:
+        """Decide nothing, because the ground of the decision is gone."""
+        self.shut, self._since = None, -np.inf
+
+
+def separates(gangue: Collection[str], model: Model) -> bool:
+    """Return whether a model separates these labels from others."""
+    return 0 < len(set(as_in(model, gangue)) & set(model.labels)) < len(model.labels)
+
+
+def as_in(model: Model, labels: Collection[str]) -> tuple[str, ...]:
+    """Return labels in any case as a model spells them."""
+    return tuple(validation.as_spelled(label, model.labels) for label in labels)
+
+
+#: The 97.5 % quantile of the normal distribution.
+_Z = 1.959963984540054
+
+
+def wilson_interval(share: float, total: float) -> tuple[float, float]:
+    """Return the 95 % score interval of a fraction of independent trials (Wilson 1927).
+
+    >>> [round(end, 4) for end in wilson_interval(0.9, 100)]
+    [0.8256, 0.9448]
+    """
+    extra = _Z * _Z / total
+    middle = (share + extra / 2) / (1 + extra)
+    half = _Z * (share * (1 - share) / total + extra / (4 * total)) ** 0.5 / (1 + extra)
+    return middle - half, middle + half

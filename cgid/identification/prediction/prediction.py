@@ -1,0 +1,269 @@
+"""Predictions for samples in memory as one table: `load_model` and `predict`."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from cgid._lib import validation
+from cgid._lib.validation import require_rate
+from cgid.errors import BadData, MissingOption
+from cgid.identification.model.model import Model
+from cgid.identification.prediction.answers import Answer
+from cgid.identification.prediction.pipeline import Pipeline, answers_of
+from cgid.identification.prediction.settings import PredictionSettings
+from cgid.recordings import read_recording
+from cgid.recordings.chain import Chain, Statement
+from cgid.recordings.recording import Blocks, Channel, require_one_rate
+from cgid.recordings.variables import full_scale_of
+from cgid.shipped import MODELS, model_path
+from cgid.signals import Signal
+
+if TYPE_CHECKING:
+    import pandas
+
+#: Fields of `PredictionSettings` that `predict` accepts: all except those of the gangue fraction.
+_SETTINGS = (
+    "costs", "coverage", "class_conditional", "drop_height", "mass", "invert", "sensors", "dead_time", "vote_time",
+    "same_beam",
+)  # fmt: skip
+
+
+def load_model(model: str | Path = "default") -> Model:
+    """Load a model from a file, or one that is bundled with cgid.
+
+    Parameters
+    ----------
+    model : str or Path
+        A file, or "default" (pulses of force), "default-drop-height" (these, with a given drop height) or
+        "default-acceleration" (vibrations of a tail beam); a `Path` is always a file.
+
+    Returns
+    -------
+    Model
+
+    Raises
+    ------
+    NoInput
+        There is no such model, or the file cannot be read.
+    BadData
+        The file is not a valid model: its digest or one of its arrays is wrong.
+
+    Examples
+    --------
+    >>> load_model("default").labels
+    ('coal', 'gangue')
+    """
+    path = model_path(model)
+    return _shipped(path) if isinstance(model, str) and model in MODELS else Model.load(path)
+
+
+@cache
+def _shipped(path: Path) -> Model:
+    """Return a shipped model, read once in a process; its arrays cannot be written."""
+    return Model.load(path)
+
+
+def default_model(quantity: str | None, settings: PredictionSettings) -> str:
+    """Return the name of the shipped model for a quantity; a mass or a drop height implies a force."""
+    if settings.drop_height is not None:
+        return "default-drop-height"
+    return "default-acceleration" if quantity == "acceleration" and settings.mass is None else "default"
+
+
+def predict(
+    samples: ArrayLike | Signal | Sequence[Signal] | str | Path,
+    sampling_rate: float | None = None,
+    unit: str | None = None,
+    model: Model | str | Path | None = None,
+    *,
+    sensitivity: Statement | None = None,
+    gain: Statement | None = None,
+    full_scale: Statement | None = None,
+    **settings: Any,
+) -> pandas.DataFrame:
+    """Identify the material of every impact in a recording or an array of samples.
+
+    Parameters
+    ----------
+    samples : str or Path; or Signal, or list of Signal; or array_like, (n_samples,) or (n_samples, n_channels)
+        A file, which `read_recording` reads into memory. Signals are channels of one length, with their rate, unit and
+        names. An array is in `unit`; the columns of a DataFrame name its channels, else they are numbered from 1.
+    sampling_rate : float, optional
+        [Hz]; required for an array, and for a file that does not state it.
+    unit : str, optional
+        One of `cgid.units.UNITS`, such as "N", "kN", "g", "m/s^2" or "V"; required likewise.
+    model : Model, str or Path, optional
+        A model, or an argument of `load_model`; by default the shipped one for this quantity.
+    sensitivity, gain, full_scale : str, float, mapping or list, optional
+        Conversion of volts, coulombs or integers to the measured quantity, such as ``sensitivity="10.2 mV/g"``; as
+        in `cgid.open_recording`. A `full_scale` may include the unit.
+    **settings
+        Fields of `cgid.identification.prediction.PredictionSettings`, such as ``mass=2.5`` [kg] of an
+        accelerated impactor, ``drop_height=1.5`` [m], ``invert=True``, ``costs={"gangue": 3.0}``, ``coverage=0.9`` or,
+        for channels of one beam, ``same_beam=[("1", "2")]``.
+
+    Returns
+    -------
+    DataFrame
+        One row for each impact (or window, by the model), in order of time, with the columns of `cgid predict`:
+        `channel`, `time_s`, `label`, one `p_LABEL` for each label of the model, `novelty` (above 1 the label is
+        "unknown"), `overlapping`, `clipped`, `cut_off`, `problem`. Windows also have `end_s`, and a coverage adds
+        `prediction_set`. Without impacts it has no rows.
+
+    Warns
+    -----
+    UserWarning
+        A channel has no impact, for the reason given, gives no sound samples for five seconds, or has a wrong scale;
+        samples that no sensor can give are left out; channels hear the same rocks and are not declared as `same_beam`,
+        or one of such channels is left out.
+
+    Raises
+    ------
+    BadData
+        The samples are not finite, have another shape, are of another quantity than the model's, Signals differ in
+        length or rate, or a file cannot be read as a recording.
+    InvalidValue
+        The sampling rate, the unit, the sensitivity or a setting is invalid.
+    MissingOption
+        The sampling rate or the unit is not known, volts have no sensitivity, or the model needs a drop height.
+    NoInput
+        There is no such file or model.
+
+    Examples
+    --------
+    An impact of 8 kN, half a sine of 0.4 ms, in 10 ms of noise.
+
+    >>> import numpy as np
+    >>> time = np.arange(2000) / 200e3
+    >>> blow = 8e3 * np.sin(np.pi * np.clip((time - 4e-3) / 0.4e-3, 0, 1)) ** 1.5
+    >>> table = predict(blow + np.random.default_rng(0).normal(0, 50, 2000), 200e3, "N")
+    >>> list(table.columns[:5]), len(table), round(float(table["time_s"][0]), 4)
+    (['channel', 'time_s', 'label', 'p_coal', 'p_gangue'], 1, 0.004)
+
+    A recording:
+
+    >>> from cgid import shipped
+    >>> len(predict(shipped.path_of("datasets", "sample.csv")))
+    6
+    """
+    for name in settings:
+        validation.choice("setting", name, _SETTINGS)
+    applied = replace(PredictionSettings(), **settings)
+    if isinstance(samples, str | Path):
+        signals = read_recording(
+            samples, sampling_rate=sampling_rate, unit=unit, sensitivity=sensitivity, gain=gain, full_scale=full_scale
+        )
+    else:
+        signals = _measured(samples, sampling_rate, unit, Chain.of(sensitivity, gain, full_scale))
+    first = signals[0]
+    given = default_model(first.quantity, applied) if model is None else model
+    loaded = given if isinstance(given, Model) else load_model(given)
+    applied.check(loaded)
+    channels = [Channel(name=signal.channel, unit=signal.unit) for signal in signals]
+
+    def warned(text: str) -> None:
+        warnings.warn(f"{first.source}: {text}", stacklevel=2)
+
+    duration = len(first.samples) / first.sampling_rate
+    pipeline = Pipeline(
+        loaded,
+        channels,
+        first.sampling_rate,
+        applied,
+        first.source,
+        warned,
+        watched=duration >= applied.blinded_after,  # for a shorter recording no channel is blind
+    )
+    answers = list(answers_of(pipeline, [np.stack([signal.samples for signal in signals])]))
+    return _table(answers, loaded, applied)
+
+
+def _measured(samples: Any, sampling_rate: float | None, unit: str | None, chain: Chain) -> list[Signal]:
+    """Return the channels of samples or Signals, in the measured quantity."""
+    listed = [samples] if isinstance(samples, Signal) else samples
+    of_signals = isinstance(listed, list | tuple) and any(isinstance(one, Signal) for one in listed)
+    signals = _require_alike(listed, sampling_rate) if of_signals else _signals(samples, sampling_rate)
+    if not of_signals and unit is None and chain == Chain():
+        raise MissingOption("samples: an array has no unit; give it, as in unit='N' or unit='m/s^2'")
+    largest = None if of_signals else full_scale_of(validation.plain("samples", samples).dtype)
+    contents = Blocks(
+        n_channels=len(signals),
+        read=lambda length, channels: iter(()),
+        names=[signal.channel for signal in signals],
+        units=[signal.unit for signal in signals],
+        full_scales=[largest] * len(signals),
+        integers=[largest is not None] * len(signals),
+    )
+    links = chain.links(contents, range(len(signals)), unit, signals[0].source)
+    with np.errstate(over="ignore"):  # infinite samples are refused
+        return [
+            replace(signal, unit=link.unit, samples=signal.samples * link.factor)
+            for signal, link in zip(signals, links, strict=True)
+        ]
+
+
+def _signals(samples: Any, sampling_rate: float | None) -> list[Signal]:
+    """Return the channels of samples (n_samples,) or (n_samples, n_channels), without unit."""
+    if sampling_rate is None:
+        raise MissingOption("samples: an array has no sampling rate; give sampling_rate in Hz")
+    names = getattr(samples, "columns", None)
+    columns = validation.plain("samples", samples)
+    if columns.ndim == 1:
+        columns, names = columns[:, np.newaxis], None
+    if columns.ndim != 2 or not columns.size:
+        raise BadData(f"samples must be (n_samples,) or (n_samples, n_channels), got shape {columns.shape}")
+    if columns.shape[1] > columns.shape[0]:
+        raise BadData(
+            f"samples must be (n_samples, n_channels), got shape {columns.shape} with more channels than samples; "
+            "transpose them"
+        )
+    labels = range(1, columns.shape[1] + 1) if names is None else names
+    return [
+        Signal(samples=column, sampling_rate=sampling_rate, source="samples", channel=str(label))
+        for label, column in zip(labels, np.ascontiguousarray(columns.T), strict=True)
+    ]
+
+
+def _require_alike(signals: Sequence[Any], sampling_rate: float | None) -> list[Signal]:
+    """Return Signals as channels of one recording; raises `BadData` unless they have one length and rate."""
+    for one in signals:
+        if not isinstance(one, Signal):
+            raise BadData(f"samples must be Signals or an array, got a {type(one).__name__} among Signals")
+    first = signals[0]
+    rate, origin = (first.sampling_rate, first.name)
+    if sampling_rate is not None:
+        rate, origin = require_rate(sampling_rate), "sampling_rate"
+    for one in signals:
+        require_one_rate((rate, origin), (one.sampling_rate, one.name), one.source)
+        if len(one.samples) != len(first.samples):
+            raise BadData(
+                f"{one.name}: Signals must be channels of one length, got {len(one.samples)} samples after "
+                f"{len(first.samples)} of {first.name}; predict each separately"
+            )
+    channels = [one.channel for one in signals]
+    names = channels if len(set(channels)) == len(channels) else [one.name for one in signals]
+    return [replace(one, sampling_rate=rate, channel=name) for one, name in zip(signals, names, strict=True)]
+
+
+def _table(answers: Sequence[Answer], model: Model, settings: PredictionSettings) -> pandas.DataFrame:
+    import pandas as pd
+
+    flags = ("overlapping", "clipped", "cut_off")
+    titles = ["channel", "time_s", *["end_s"] * (model.kind == "window"), "label"]
+    titles += [*(f"p_{label}" for label in model.labels), "novelty", *flags, "problem"]
+    titles += ["prediction_set"] * (settings.coverage is not None)
+    rows = [one.row for one in answers]
+    columns: dict[str, Any] = {title: [row.get(title, np.nan) for row in rows] for title in titles}
+    columns |= {title: np.array(columns[title], bool) for title in flags}
+    texts = ("channel", "label", "problem", "prediction_set")
+    return pd.DataFrame(
+        {name: pd.Series(column, dtype=object if name in texts else None) for name, column in columns.items()}
+    )

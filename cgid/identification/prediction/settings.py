@@ -1,0 +1,289 @@
+"""The settings for identifying a recording, shared by the command line, the API and live streams."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import compress
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from cgid._lib import validation
+from cgid._lib.validation import UNKNOWN, Floats, Rule, shown
+from cgid.errors import InvalidValue, MissingOption
+from cgid.identification.detection.windows import VOTE_TIME
+from cgid.identification.model.model import Model
+from cgid.signals import KNOWN
+
+__all__ = ["PredictionSettings"]
+
+#: Number of impacts in one batch, which takes little longer than a single one.
+BATCH = 256
+#: Default window of a gangue fraction [s].
+SHARE_TIME = 10.0
+#: Minimum window of a gangue fraction [s]: a shorter one contains too few impacts, and an hour would have millions.
+MIN_SHARE_TIME = 0.05
+#: A support is blind after this time without sound samples [s].
+BLIND_TIME = 5.0
+#: The rules of settings that are numbers, unless None.
+RULES = {
+    "coverage": Rule(),
+    "vote_time": Rule(0, unit="s"),
+    "share_time": Rule(MIN_SHARE_TIME, unit="s"),
+    "share_step": Rule(0, without="lowest", unit="s"),
+    "dilution_cost": Rule(0, without="lowest"),
+    "evidence": Rule(0.5, 1, without="highest"),
+    "hold": Rule(0, unit="s"),
+    "blind_after": Rule(0.5, unit="s"),
+    "give_up": Rule(0, without="lowest", unit="s"),
+}
+
+
+class ShareSettings(NamedTuple):
+    """Settings of the gangue fraction, as in `PredictionSettings`; times in seconds."""
+
+    window: float
+    step: float
+    gangue: tuple[str, ...]
+    dilution_cost: float
+    evidence: float
+    hold: float
+
+
+class ExtraColumns(Protocol):
+    """Additional outputs for each frame."""
+
+    def check(self, model: Model) -> None:
+        """Raise `InvalidValue` if this model does not support it."""
+
+    def __call__(
+        self,
+        frames: NDArray[np.floating],
+        sampling_rate: float,
+        model: Model,
+        pre_trigger: int | None,
+        detection_limit: float,
+    ) -> Sequence[Mapping[str, Any]]:
+        """Return one mapping for each frame, (n_signals, n_samples) in the unit of the model."""
+        ...
+
+
+@dataclass(frozen=True, kw_only=True)
+class PredictionSettings:
+    """Settings for every impact or window of a recording.
+
+    Costs and a coverage exclude each other, since a single-label prediction set is a decision. Raises
+    `InvalidValue` for this, and for numbers outside of their range.
+
+    Attributes
+    ----------
+    costs : mapping of str to float
+        Cost of missing each label, see `Model.decide`.
+    coverage : float, optional
+        Fraction of prediction sets that contain the truth; rejects sets without exactly one label; None: no rejection.
+    class_conditional : bool
+        Whether each label has this coverage, see `Model.prediction_set`.
+    drop_height : float, optional [m]
+        Drop height of the rocks, for a model that needs it.
+    mass : float, optional [kg]
+        Mass of the accelerated impactor; turns an acceleration into a force.
+    invert : bool
+        Whether pulses point downwards.
+    sensors : tuple of str
+        Names of sensors in the model: one for all channels, or one for each.
+    dead_time : float, optional [s]
+        Time after an impact in which no other begins, see `find_impacts`.
+    vote_time : float, optional [s]
+        Windows that are known are decided on together over this time; 0: no voting; None: `VOTE_TIME`.
+    batch : int
+        Number of impacts to collect before identification; 1: no waiting.
+    share_time : float, optional [s]
+        Window of a gangue fraction; None: `SHARE_TIME`.
+    share_step : float, optional [s]
+        Time between the ends of successive windows of shares; None: half a window.
+    gangue : tuple of str
+        Labels of rocks that must not be drawn; by default "gangue".
+    dilution_cost : float, optional
+        Cost of one drawn gangue rock, in lost coal rocks; None: 1.
+    evidence : float, optional
+        Probability required for SHUT or OPEN, from .5 to below 1; None: .95.
+    hold : float, optional [s]
+        Least time between SHUT and OPEN; None: a window.
+    blind_after : float, optional [s]
+        Time without sound samples after which a support is blind; None: `BLIND_TIME`.
+    give_up : float, optional [s]
+        The recording ends where no channel has a sample that a sensor can give for this long; None: it goes on.
+    impactors : ExtraColumns, optional
+        Estimates the impactor, such as `cgid.impactor.ImpactorColumns`.
+    same_beam : tuple of tuple of str
+        Channels of one beam, by name or number from 1, such as (("1", "2"), ("3", "4")): an impact that several of them
+        measure is one prediction.
+    """
+
+    costs: Mapping[str, float] = field(default_factory=dict)
+    coverage: float | None = None
+    class_conditional: bool = False
+    drop_height: float | None = None
+    mass: float | None = None
+    invert: bool = False
+    sensors: tuple[str, ...] = ()
+    dead_time: float | None = None
+    vote_time: float | None = None
+    batch: int = BATCH
+    share_time: float | None = None
+    share_step: float | None = None
+    gangue: tuple[str, ...] = ()
+    dilution_cost: float | None = None
+    evidence: float | None = None
+    hold: float | None = None
+    blind_after: float | None = None
+    give_up: float | None = None
+    impactors: ExtraColumns | None = None
+    same_beam: tuple[tuple[str, ...], ...] = ()
+
+    def __post_init__(self) -> None:
+        validation.instance("costs", self.costs, Mapping)
+        for name in ("class_conditional", "invert"):
+            validation.instance(name, getattr(self, name), bool, np.bool_)
+        if not (isinstance(self.sensors, tuple | list) and all(isinstance(one, str) for one in self.sensors)):
+            raise InvalidValue(f"sensors must be a tuple of names, as in ('left', 'right'), got {shown(self.sensors)}")
+        object.__setattr__(self, "same_beam", require_groups(self.same_beam))
+        for name, rule in RULES.items():
+            if (value := getattr(self, name)) is not None:
+                validation.number(name, value, rule=rule)
+        if self.costs and self.coverage is not None:
+            raise InvalidValue("costs and coverage must not be given together; leave one out")
+        if self.class_conditional and self.coverage is None:
+            raise InvalidValue("class_conditional must come with a coverage; give --coverage, such as --coverage 0.9")
+
+    # -- decision -------------------------------------------------------------------------------------
+
+    def check(self, model: Model) -> None:
+        """Raise `InvalidValue` if the model lacks a label or the coverage, or does not use the drop height."""
+        self.labels(model, np.empty((0, len(model.labels))))
+        if self.drop_height is not None:
+            known_columns(model.known, 1, self.drop_height)
+        if self.impactors is not None:
+            self.impactors.check(model)
+
+    def labels(self, model: Model, probabilities: Floats) -> tuple[list[str], list[tuple[str, ...] | None]]:
+        """Return the label and the prediction set of each row of probabilities."""
+        if self.coverage is None:
+            return model.decide(probabilities, self.costs).tolist(), [None] * len(probabilities)
+        prediction_sets = model.prediction_set(probabilities, self.coverage, class_conditional=self.class_conditional)
+        sets = [tuple(compress(model.labels, row)) for row in prediction_sets.tolist()]
+        return [one[0] if len(one) == 1 else UNKNOWN for one in sets], [*sets]
+
+    def doubt(self, labels: tuple[str, ...] | None) -> str:
+        """Return why a prediction set gives no label; empty for a single label."""
+        if labels is None or len(labels) == 1:
+            return ""
+        if not labels:
+            return f"no label is probable enough: the prediction set at coverage {self.coverage:g} is empty"
+        listed = "both" if len(labels) == 2 else f"these {len(labels)}"
+        return f"{' or '.join(labels)}: the prediction set at coverage {self.coverage:g} contains {listed}"
+
+    # -- models and channels --------------------------------------------------------------------------
+
+    def require_use(self, model: Model) -> None:
+        """Raise `InvalidValue` for a vote time with a model of impacts, or a dead time with a model of windows."""
+        kind, flag, given = "impact", "--vote", self.vote_time
+        if model.kind == "window":
+            kind, flag, given = "window", "--dead-time", self.dead_time
+        if given is not None:
+            raise InvalidValue(f"{flag} must be left out, this model decides on {kind}s")
+
+    def vote_over(self, model: Model) -> float:
+        """Return the time over which windows vote [s]."""
+        return max(VOTE_TIME if self.vote_time is None else self.vote_time, model.window_time)
+
+    def sensors_for(self, model: Model, channels: Sequence[str]) -> list[str | None]:
+        """Return the sensor of each channel, or of each group of channels that the model uses together.
+
+        Raises `InvalidValue` if the number of sensors does not match, or the model has no sensor of this name.
+        """
+        if not self.sensors:
+            return [None] * len(channels)
+        if len(self.sensors) not in (1, len(channels)):
+            rule = f"given once, or once for each of the {len(channels)} channels" if len(channels) > 1 else "one"
+            raise InvalidValue(
+                f"sensor must be {rule}, got {len(self.sensors)} ({', '.join(self.sensors)}); leave some out"
+            )
+        for sensor in self.sensors:
+            model.equalisation(sensor)
+        return [*self.sensors] * (len(channels) // len(self.sensors))
+
+    # -- gangue fraction ---------------------------------------------------------------------------------
+
+    @property
+    def shares(self) -> ShareSettings:
+        """Settings of the gangue fraction, with the defaults."""
+        window = SHARE_TIME if self.share_time is None else self.share_time
+        return ShareSettings(
+            window=window,
+            step=window / 2 if self.share_step is None else self.share_step,
+            gangue=self.gangue or ("gangue",),
+            dilution_cost=1.0 if self.dilution_cost is None else self.dilution_cost,
+            evidence=0.95 if self.evidence is None else self.evidence,
+            hold=window if self.hold is None else self.hold,
+        )
+
+    @property
+    def blinded_after(self) -> float:
+        """Time without sound samples after which a support is blind [s]."""
+        return BLIND_TIME if self.blind_after is None else self.blind_after
+
+    @property
+    def needs_shares(self) -> bool:
+        """Whether an option requests gangue fractions, so that even a single impact has them."""
+        decides = (self.share_time, self.dilution_cost, self.evidence, self.hold)
+        return bool(self.gangue) or any(one is not None for one in decides)
+
+
+def require_groups(groups: Any) -> tuple[tuple[str, ...], ...]:
+    """Return the groups of channels of one beam; raises `InvalidValue` unless each names two or more, no channel twice.
+
+    >>> require_groups(["1+2", (3, 4)])
+    (('1', '2'), ('3', '4'))
+    """
+    listed = groups if isinstance(groups, list | tuple) else None
+    parts = [one.split("+") if isinstance(one, str) else one for one in listed or ()]
+    if listed is None or not all(isinstance(one, list | tuple) for one in parts):
+        raise InvalidValue(f"same_beam must be groups of channels, as in (('1', '2'), ('3', '4')), got {shown(groups)}")
+    named = tuple(tuple(str(channel).strip() for channel in one) for one in parts)
+    for one in named:
+        if len(one) < 2 or not all(one):
+            raise InvalidValue(
+                f"same_beam must name two or more channels of a beam, as in 1+2, got {'+'.join(one) or 'none'}; a beam "
+                "of one channel needs no group"
+            )
+    channels = [channel for one in named for channel in one]
+    for channel in channels:
+        if channels.count(channel) > 1:
+            raise InvalidValue(
+                f"same_beam must name each channel once, got {channel} twice in {', '.join(map('+'.join, named))}; "
+                "write channels of one beam as one group, such as 1+2+3"
+            )
+    return named
+
+
+def known_columns(known: tuple[str, ...], n_impacts: int, drop_height: ArrayLike | None) -> Floats:
+    """Return the given model inputs, (n_impacts, n_known); the drop height [m] may be one number."""
+    if drop_height is None:
+        if "drop_height" in known:
+            raise MissingOption(
+                "drop_height is required by this model and is not given; give --drop-height METRES, or use a model "
+                "without it"
+            )
+        return np.empty((n_impacts, 0))
+    if "drop_height" not in known:
+        raise InvalidValue(
+            "drop_height must be left out, this model was trained without it; "
+            "or give a model made by cgid train --drop-height"
+        )
+    heights: NDArray[np.float64] = validation.positive("drop_height", drop_height, KNOWN["drop_height"])
+    if heights.shape not in ((), (n_impacts,)):
+        raise InvalidValue(f"drop_height must be one number or one for each impact ({n_impacts}), got {heights.shape}")
+    return np.broadcast_to(heights, (n_impacts,))[:, None]

@@ -1,0 +1,312 @@
+"""Predictions for a recording in blocks: impacts or windows, in batches, in order of time.
+
+Memory use is that of the detector and one batch of impacts, for recordings of any length.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from itertools import chain
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cgid._lib.validation import Floats
+from cgid.errors import BadData, CgidError, InvalidValue
+from cgid.identification.detection.detector import ImpactDetector
+from cgid.identification.detection.events import Event
+from cgid.identification.detection.windows import RunningVote, complete_windows, measure_windows, windows_of
+from cgid.identification.model.model import Model
+from cgid.identification.model.reference import MeanSpectrum, drift
+from cgid.identification.prediction.answers import Answer, answers_from, factor_to, identify_events, unmeasured
+from cgid.identification.prediction.same_beam import SameBeam, Together, pooled, rows_of
+from cgid.identification.prediction.settings import PredictionSettings
+from cgid.measure.features.extraction import FEATURES, require_measurable
+from cgid.measure.features.table import MIN_BANDWIDTH, ImpactKind
+from cgid.measure.filters import Equalisation
+from cgid.signals import channel_name
+
+if TYPE_CHECKING:
+    from cgid.identification.prediction.diagnosis import Change
+    from cgid.identification.prediction.support import Report
+    from cgid.recordings.recording import Channel
+
+#: Minimum sampling rate [Hz]; a lower one is in another unit, or not of an impact recorder.
+SLOWEST = 10.0
+
+
+#: Windows [s], and how many of them make a stretch of 10 s.
+_QUIET_WINDOW, _QUIET_STRETCH = 0.02, 500
+#: Where the noise is reached between impacts, the power at the second of these quantiles is at most this many times
+#: that at the first: 2 in `caving` with 8 and 16 rocks a second, 6 with 40, where four of ten impacts are missed.
+_QUIET_SHARES, _QUIET_RATIO = (0.01, 0.2), 4.0
+#: A channel is quiet again after so many stretches that are.
+_N_QUIET = 3
+_NEVER_QUIET = (
+    "there is no quiet moment in 10 s, so many impacts are missed and the gangue fraction is that of the others; move "
+    "the sensor to a quieter point, or train a model of windows (cgid train MANIFEST --by window)"
+)
+_QUIET_AGAIN = "there are quiet moments again"
+
+
+@dataclass(frozen=True)
+class Step:
+    """The next predictions."""
+
+    answers: list[Answer]  # in order of time
+    until: float  # all predictions before this time have arrived [s]
+    silent: tuple[str, ...] = ()  # at the end, one reason for each channel without predictions
+    warnings: tuple[str, ...] = ()  # at the end, or where a channel begins or ceases to be never quiet
+    upside_down: tuple[str, ...] | None = None  # at the end, the channels whose pulses seem to point downwards
+    reports: Sequence[Report] = ()  # of the supports, up to this time
+    changes: Sequence[Change] = ()  # of the channels
+
+
+def factors_for(model: Model, channels: Sequence[Channel], settings: PredictionSettings, source: str) -> list[float]:
+    """Return the factor of each channel to the unit of the model, negative to invert; raises as `suited`."""
+    sign = -1.0 if settings.invert else 1.0
+    return [
+        sign * factor_to(model, channel.unit, channel_name(source, channel.name), settings.mass) for channel in channels
+    ]
+
+
+def identify_blocks(
+    blocks: Iterable[NDArray[Any]],
+    sampling_rate: float,
+    model: Model,
+    channels: Sequence[str],
+    settings: PredictionSettings,
+    source: str = "signal",
+) -> Iterator[Step]:
+    """Return the predictions for blocks (n_channels, n_samples) in the unit of the model; nan is missing."""
+    # Below this rate, features of vibrations and windows are those of models that were trained there.
+    trained = 0.0 if model.kind == "pulse" else min(2 * MIN_BANDWIDTH, 0.99 * model.sampling_rates[0])
+    needed = max([SLOWEST, trained, *(2 * FEATURES[name].highest_frequency for name in model.measured)])
+    if sampling_rate < needed:
+        raise InvalidValue(
+            f"{source}: the sampling_rate must be at least {math.ceil(needed)} Hz for this model, got "
+            f"{sampling_rate:g} Hz; check it, record faster, or train a model on recordings like this one"
+        )
+    settings.require_use(model)
+    how = _windows if model.kind == "window" else _impacts
+    return how(_read(blocks), sampling_rate, model, channels, settings, source)
+
+
+def _read(blocks: Iterable[NDArray[Any]]) -> Iterator[NDArray[Any]]:
+    """Yield the blocks; an error in reading them names their file."""
+    try:
+        yield from blocks
+    except CgidError as error:
+        error.names_file = True
+        raise
+
+
+@contextmanager
+def _named(source: str) -> Iterator[None]:
+    """Prefix errors with the recording."""
+    try:
+        yield
+    except (BadData, InvalidValue) as error:
+        if error.names_file:
+            raise
+        raise type(error)(f"{source}: {error}") from None
+
+
+def _impacts(
+    blocks: Iterable[NDArray[Any]],
+    sampling_rate: float,
+    model: Model,
+    channels: Sequence[str],
+    settings: PredictionSettings,
+    source: str,
+) -> Iterator[Step]:
+    """Yield the predictions for impacts: when a batch is full, or when no impact is pending."""
+    kind: ImpactKind = "pulse" if model.kind == "pulse" else "vibration"
+    joint, beam = model.together > 1 and not settings.same_beam, None if model.beam is None else model.beam.stream()
+    waiting: list[Event] = []
+    silent, warned = set(range(len(channels))), set[int]()
+    quiet = _Quiet(sampling_rate, len(channels)) if kind == "vibration" else None
+
+    def named(row: int) -> str:
+        return source if list(channels) == ["1"] else f"{source} channel {channels[row]}"
+
+    with _named(source):
+        groups = rows_of(model, channels, settings.same_beam)
+        names = answering_channels(model, channels, settings.same_beam)
+        same_beam = SameBeam(model, channels, settings, sampling_rate, source) if settings.same_beam else None
+        together = Together(sampling_rate, ((row,) for row in range(len(channels)))) if len(channels) > 1 else None
+        detector = ImpactDetector(
+            sampling_rate, len(channels), kind=kind, dead_time=settings.dead_time, joint=joint, gaps=True
+        )
+        require_measurable(model.measured, sampling_rate, detector.n_samples, None, model.beam)
+        for block in chain(blocks, [None]):
+            ended = block is None
+            events = detector.finish() if block is None else detector.feed(block)
+            silent -= set(range(len(channels))) if joint and events else {event.channel for event in events}
+            waiting += (replace(event, channel=0) for event in events) if joint else events
+            loud = warned if quiet is None or block is None else quiet.loud(block) - silent
+            heard = [f"{named(row)}: {_NEVER_QUIET}" for row in sorted(loud - warned)]
+            heard += [f"{named(row)}: {_QUIET_AGAIN}" for row in sorted(warned - loud)]
+            warned = loud
+            if not (ended or heard or not waiting or len(waiting) >= settings.batch):
+                continue
+            until: float = detector.known_until
+            if same_beam is None:
+                answers = identify_events(waiting, model, settings, channels=names, beam=beam)
+                lines = [] if together is None else [f"{source}: {text}" for text in together.feed(waiting, channels)]
+            else:
+                answers, begin, lines = same_beam.identified(waiting, np.inf if ended else until)
+                until = min(until, begin)
+            yield Step(
+                answers,
+                until / sampling_rate,
+                silent=tuple(
+                    f"{named(row)}: {detector.why_silent(row, model.unit)}" for row in sorted(silent) if ended
+                ),
+                warnings=(*heard, *lines),
+                upside_down=tuple(
+                    name
+                    for name, rows in zip(names, groups, strict=True)
+                    if any(detector.is_upside_down(row) for row in rows)
+                )
+                if ended
+                else None,
+            )
+            waiting.clear()
+
+
+class _Quiet:
+    """Find channels that are never quiet: even the quieter windows of a stretch are far above the quietest."""
+
+    def __init__(self, sampling_rate: float, n_channels: int) -> None:
+        self._length = max(round(_QUIET_WINDOW * sampling_rate), 2)
+        self._remaining: Floats = np.empty((n_channels, 0))
+        self._powers: Floats = np.empty((n_channels, 0))
+        self._n_quiet = np.full(n_channels, _N_QUIET)
+
+    def loud(self, block: NDArray[Any]) -> set[int]:
+        """Take a block (n_channels, n) and return the channels that were not quiet in one of the last stretches."""
+        samples = np.concatenate([self._remaining, block], axis=1) if self._remaining.size else block
+        count = samples.shape[1] // self._length
+        windows = samples[:, : count * self._length].reshape(len(samples), count, self._length)
+        self._remaining = samples[:, count * self._length :].copy()
+        self._powers = np.concatenate([self._powers, windows.var(axis=2, dtype=np.float64)], axis=1)
+        while self._powers.shape[1] >= _QUIET_STRETCH:
+            stretch, self._powers = np.split(self._powers, [_QUIET_STRETCH], axis=1)
+            floor, low = np.quantile(stretch, _QUIET_SHARES, axis=1)
+            self._n_quiet = np.where((floor > 0) & (low > _QUIET_RATIO * floor), 0, self._n_quiet + 1)
+        return set(np.flatnonzero(self._n_quiet < _N_QUIET).tolist())
+
+
+def answering_channels(
+    model: Model, channels: Sequence[str], same_beam: Sequence[Sequence[str]] = ()
+) -> tuple[str, ...]:
+    """Return the names of the channels of predictions: each channel, or those of one beam or used together in one."""
+    return tuple("+".join(channels[row] for row in rows) for rows in rows_of(model, channels, same_beam))
+
+
+def independence(model: Model, settings: PredictionSettings) -> float:
+    """Return the weight of one prediction, in (0, 1], since overlapping windows and votes are not independent."""
+    return min(model.hop_time / settings.vote_over(model), 1.0) if model.kind == "window" else 1.0
+
+
+def _windows(
+    blocks: Iterable[NDArray[Any]],
+    sampling_rate: float,
+    model: Model,
+    channels: Sequence[str],
+    settings: PredictionSettings,
+    source: str,
+) -> Iterator[Step]:
+    """Yield the predictions for windows as they complete."""
+    with _named(source):
+        groups = rows_of(model, channels, settings.same_beam)
+        names = answering_channels(model, channels, settings.same_beam)
+        # Each has its own votes and sensor.
+        looks = channels if model.n_channels == 1 else names
+        times = settings.vote_over(model), model.window_time, model.hop_time
+        votes = [RunningVote.over(*times, model.vote_correlation) for _ in looks]
+        sensors = settings.sensors_for(model, looks)
+        equalisations = [None if sensor is None else model.equalisation(sensor) for sensor in sensors]
+        drifts, seen = Drifts(model, sensors, sampling_rate), False
+        for first, windows in windows_of(blocks, sampling_rate, model.window_time, model.hop_time):
+            parts = [windows] if model.n_channels > 1 else [windows[:, [row]] for row in range(len(looks))]
+            predicted = [
+                _predicted(part, sampling_rate, model, settings, vote, equalisation)
+                for part, vote, equalisation in zip(parts, votes, equalisations, strict=True)
+            ]
+            for number, part in enumerate(parts):
+                drifts.see(number, part)
+            length, seen = windows.shape[2], True
+            if settings.same_beam:
+                predicted = [
+                    [pooled(parts, model, settings) for parts in zip(*(predicted[row] for row in rows), strict=True)]
+                    for rows in groups
+                ]
+            answers = [
+                replace(answered[row], time=start / sampling_rate, end=(start + length) / sampling_rate, channel=name)
+                for row, start in enumerate(first.tolist())
+                for name, answered in zip(names, predicted, strict=True)
+            ]
+            yield Step(answers, answers[-1].time)
+        if not seen:
+            yield Step(
+                [],
+                0.0,
+                (f"{source}: a recording must contain a window of {model.window_time:g} s, it is shorter",),
+            )
+        yield Step([], 0.0, warnings=tuple(f"{source}: {warning}" for warning in drifts.warnings()))
+
+
+def _predicted(
+    windows: NDArray[np.floating],
+    sampling_rate: float,
+    model: Model,
+    settings: PredictionSettings,
+    vote: RunningVote,
+    equalisation: Sequence[Equalisation] | None,
+) -> list[Answer]:
+    """Return one prediction for each window (n_windows, n_channels, n_samples); unmeasurable windows have no vote."""
+    n_windows, n_channels, _ = windows.shape
+    table = measure_windows(windows, sampling_rate, model.measured, equalisation).reshape(n_windows, n_channels, -1)
+    inputs = table[:, :, : len(model.features)].reshape(n_windows, -1)
+    guards = table[:, :, len(model.features) :].max(axis=1)
+    sound = np.asarray(np.isfinite(table).all(axis=(1, 2)))
+    answers = answers_from(inputs[sound], guards[sound], model, settings, sampling_rate, vote.feed)
+    silent = unmeasured("the window cannot be measured: it is silent, constant or lacks samples")
+    return [next(answers) if known else silent for known in sound.tolist()]
+
+
+class Drifts:
+    """Drift of known sensors from their reference runs, from the mean spectra of their channels."""
+
+    def __init__(self, model: Model, sensors: Sequence[str | None], sampling_rate: float) -> None:
+        self._model, self._sensors = model, sensors
+        # Overlapping windows are not independent, and would make the spectrum seem more certain than it is.
+        self._every = max(math.ceil(model.window_time / model.hop_time - 1e-9), 1) if model.hop_time else 1
+        self._seen = [0] * len(sensors)
+        self._spectra = [[MeanSpectrum(sampling_rate) for _ in range(model.n_channels)] if s else [] for s in sensors]
+
+    def see(self, number: int, windows: NDArray[np.floating]) -> None:
+        """Take the next windows (n_windows, n_channels, n_samples) of one sensor."""
+        disjoint = windows[-self._seen[number] % self._every :: self._every]
+        disjoint = disjoint[complete_windows(disjoint)]
+        self._seen[number] += len(windows)
+        for channel, spectrum in enumerate(self._spectra[number]):
+            spectrum.feed(disjoint[:, channel])
+
+    def warnings(self) -> tuple[str, ...]:
+        """Return a line for each sensor that has drifted too far."""
+        lines: list[str] = []
+        for sensor, spectra in zip(self._sensors, self._spectra, strict=True):
+            if sensor is None:
+                continue
+            reference_spectrum = self._model.arrays["reference.spectra"][self._model.sensors.index(sensor)]
+            for spectrum, reference in zip(spectra, reference_spectrum, strict=True):
+                if spectrum.n_windows and (warning := drift(spectrum, reference).warning(sensor)):
+                    lines.append(warning)
+        return tuple(dict.fromkeys(lines))

@@ -1,0 +1,324 @@
+"""The state of a support: what is decided, on what ground, and how old it is.
+
+Every output of `cgid monitor` and `cgid predict` is made from these records: rows, JSON, the live page, Modbus, MQTT,
+Prometheus, commands, and the report.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+
+from cgid._lib import validation
+from cgid._lib.validation import UNKNOWN
+from cgid.errors import InvalidValue
+from cgid.identification.model.model import Model
+from cgid.identification.prediction.answers import Answer
+from cgid.identification.prediction.diagnosis import Change, Condition, Diagnosis
+from cgid.identification.prediction.fraction import (
+    Share,
+    ShareWindow,
+    ShutDecision,
+    Switch,
+    answers_of,
+    as_in,
+    separates,
+)
+from cgid.identification.prediction.settings import PredictionSettings
+from cgid.recordings.soundness import SensorWatch
+
+__all__ = ["CavingWatch", "Decision", "Ground", "SupportState"]
+
+
+class Decision(StrEnum):
+    """What is decided for the window of a support; none until the evidence for one side suffices."""
+
+    NONE = "none"
+    DRAW = "draw"
+    SHUT = "shut"
+
+
+class Ground(StrEnum):
+    """What a decision rests on: only a support that is seen has one."""
+
+    SEEN = "seen"
+    BLIND = "blind"  # samples are missing, constant, or far below the channel's own earlier noise
+    WRONG_SCALE = "wrong_scale"  # the levels are not those of the training
+    MOSTLY_UNKNOWN = "mostly_unknown"  # most impacts of the last minutes are unknown
+    STOPPED = "stopped"  # no samples arrive
+
+
+#: Grounds are looked at this often at least [s].
+_LONGEST_STEP = 1.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class SupportState:
+    """The record of one support at one time, computed from the last minutes of its samples and predictions.
+
+    Attributes
+    ----------
+    time : float [s]
+        Time of the record in the stream.
+    decision : Decision
+    ground : Ground
+    since : float [s]
+        Begin of the ground in the stream.
+    reason : str
+        Why the ground is not `SEEN`, in words; else empty.
+    share : Share
+        The gangue fraction of the window that ends at `time`.
+    last_sound : float [s]
+        Time of the last sound sample in the stream; nan before the first.
+    last_identified : float [s]
+        Time of the last identified impact in the stream; nan before the first.
+    """
+
+    time: float
+    share: Share
+    decision: Decision = Decision.NONE
+    ground: Ground = Ground.SEEN
+    since: float = 0.0
+    reason: str = ""
+    last_sound: float = float("nan")
+    last_identified: float = float("nan")
+
+    def content(self) -> dict[str, Any]:
+        """Return the record for JSON; the line adds the wall clock."""
+        share = self.share
+        return {
+            "channel": share.channel,
+            "decision": str(self.decision),
+            "ground": str(self.ground),
+            "ground_since_s": self.since,
+            "reason": self.reason,
+            "gangue_share": share.share,
+            "low": share.low,
+            "high": share.high,
+            "impacts": share.n_impacts,
+            "unknown": share.n_unknown,
+            "last_sound_s": self.last_sound,
+            "last_identified_s": self.last_identified,
+        }
+
+
+class Report(NamedTuple):
+    """A record and why it is told: a regular `share`, a `state` that has changed, or a switch (`shut`, `open`)."""
+
+    kind: Literal["share", "state", "shut", "open"]
+    state: SupportState
+    switch: Switch | None = None
+
+
+class CavingWatch:
+    """Follow the samples and predictions of a recording by support: its gangue fraction, ground and decision.
+
+    Parameters
+    ----------
+    model : Model
+    supports : sequence of str
+        Names of the channels of the predictions; channels that are used together have one name.
+    settings : PredictionSettings
+        Contains the window of the fraction, its step, the labels and the cost of gangue.
+    weight : float, in (0, 1]
+        Weight of one prediction, since overlapping windows are not independent: 1 end to end, 0.5 for half overlap.
+    sensors : SensorWatch, optional
+        Watches the samples; without it no support is blind.
+    channels : sequence of str, optional
+        Names of the channels of `sensors`; by default the supports.
+    diagnosis : Diagnosis, optional
+        Gets the predictions in order of time; by default one of its own.
+    """
+
+    def __init__(
+        self,
+        model: Model,
+        supports: Sequence[str],
+        settings: PredictionSettings,
+        weight: float = 1.0,
+        *,
+        sensors: SensorWatch | None = None,
+        channels: Sequence[str] | None = None,
+        diagnosis: Diagnosis | None = None,
+    ) -> None:
+        shares = settings.shares
+        gangue = as_in(model, shares.gangue)
+        self._gangue, self._blind_after = gangue, settings.blinded_after
+        # Grounds are looked at in between, where the windows advance slowly.
+        self._every = max(math.ceil(shares.step / _LONGEST_STEP), 1)
+        self._step = shares.step / self._every
+        self.diagnosis = Diagnosis(model, live=True) if diagnosis is None else diagnosis
+        #: Fraction above which continuing costs more than shutting; None for a model without gangue or another label.
+        self.threshold: float | None = None
+        rules: list[ShutDecision | None] = [None] * len(supports)
+        if settings.needs_shares:
+            for label in gangue:
+                validation.choice("gangue label", label, model.labels)
+        if separates(gangue, model):
+            self.threshold = 1 / (1 + shares.dilution_cost)
+            rules = [ShutDecision(shares.dilution_cost, shares.evidence, shares.hold) for _ in supports]
+        elif settings.needs_shares:
+            raise InvalidValue(
+                "at least one label must remain besides gangue, got all of the model's: "
+                f"{', '.join(gangue)}; leave one out"
+            )
+        answers = answers_of(model, gangue)
+        self._sensors, self._channels = sensors, list(supports if channels is None else channels)
+        self._supports = {
+            name: _Support(
+                window=ShareWindow(
+                    shares.window,
+                    answers=answers,
+                    weight=weight,
+                    channel=name,
+                    threshold=0.5 if self.threshold is None else self.threshold,
+                ),
+                rule=rule,
+                rows=_rows_of(name, self._channels),
+            )
+            for name, rule in zip(supports, rules, strict=True)
+        }
+        self._waiting: deque[Answer] = deque()
+        self._steps = 0
+        self._is_new = False  # whether predictions have come since the last gangue fraction
+        self._changes: list[Change] = []
+
+    def feed(self, answers: Iterable[Answer], until: float) -> list[Report]:
+        """Add the next predictions, in order of time, and return the reports of completed windows.
+
+        All predictions before `until` [s] have arrived. Only the first of several empty windows is reported.
+        """
+        self._waiting.extend(answers)
+        reports: list[Report] = []
+        while (end := (self._steps + 1) * self._step) <= until:
+            self._steps += 1
+            reports += self._at(end, in_between=bool(self._steps % self._every))
+        return reports
+
+    def finish(self, duration: float) -> list[Report]:
+        """Return the remaining reports at the end of a recording of this duration [s]."""
+        found = self.feed((), duration)
+        return found + list(self._at(duration)) if self._waiting or self._is_new or not self._steps else found
+
+    def stopped(self, reason: str) -> list[Report]:
+        """Return the reports of a stream whose samples have stopped; the next `feed` takes them up again."""
+        time = self._steps * self._step
+        return [
+            report
+            for one in self._supports.values()
+            for report in one.at(one.window.at(time), Ground.STOPPED, time, reason)
+            if report.kind == "state"
+        ]
+
+    def take_changes(self) -> list[Change]:
+        """Return what has begun or ended with the predictions of the channels since the last call."""
+        changes, self._changes = self._changes, []
+        return changes
+
+    def states(self) -> list[SupportState]:
+        """Return the latest record of each support."""
+        return [one.state for one in self._supports.values() if one.state is not None]
+
+    def _at(self, end: float, *, in_between: bool = False) -> Iterator[Report]:
+        while self._waiting and self._waiting[0].time <= end:
+            answer = self._waiting.popleft()
+            self.diagnosis.add((answer,))
+            self._is_new = True
+            support = self._supports[answer.channel]
+            support.window.add(answer.time, self._probability(answer))
+            if answer.label != UNKNOWN:
+                support.last_identified = answer.time
+        if self._sensors is not None:
+            self._sensors.advance(end)
+            if self.diagnosis.model.kind == "pulse":
+                turned = (name for name, one in self._supports.items() if self._sensors.turned[one.rows].any())
+                self.diagnosis.add((), turned)
+        self._changes += self.diagnosis.changes(end)
+        self._is_new = self._is_new and in_between
+        for name, support in self._supports.items():
+            ground, since, reason = self._ground(name, support, end)
+            if not in_between or ground != (Ground.SEEN if support.state is None else support.state.ground):
+                yield from support.at(support.window.at(end), ground, since, reason)
+
+    def _ground(self, name: str, support: _Support, end: float) -> tuple[Ground, float, str]:
+        """Return the ground of a support, its begin if it is new [s], and the reason."""
+        if self._sensors is not None:
+            # A prediction needs sound samples, too, in stretches that are not whole.
+            support.last_sound = float(np.fmax.reduce(self._sensors.last_sound[support.rows], initial=np.nan))
+            seen = np.fmax(np.nan_to_num(support.last_sound), np.nan_to_num(support.last_identified))
+            if end - seen >= self._blind_after:
+                return Ground.BLIND, float(seen), self._sensors.why_blind(support.rows, self._channels)
+        conditions = self.diagnosis.conditions(name)
+        if Condition.WRONG_SCALE in conditions:
+            return Ground.WRONG_SCALE, end, "the levels of its impacts are not those of the training"
+        if Condition.MOSTLY_UNKNOWN in conditions:
+            return Ground.MOSTLY_UNKNOWN, end, "most of its latest impacts are unknown"
+        return Ground.SEEN, end, ""
+
+    def _probability(self, answer: Answer) -> float:
+        """Return the probability of gangue; nan outside of the training range."""
+        if self.threshold is None or not answer.novelty <= 1:
+            return float("nan")
+        return sum(answer.probabilities[label] for label in self._gangue)
+
+
+@dataclass
+class _Support:
+    """The window, the rule and the latest record of one support; `rows` are its channels."""
+
+    window: ShareWindow
+    rule: ShutDecision | None
+    rows: list[int]
+    state: SupportState | None = None
+    last_sound: float = float("nan")
+    last_identified: float = float("nan")
+    is_silent: bool = False
+
+    def at(self, share: Share, ground: Ground, since: float, reason: str) -> Iterator[Report]:
+        """Yield the reports of the window that ends now."""
+        before, switch = self.state, None
+        if before is not None and before.ground != Ground.SEEN and ground == Ground.SEEN:
+            # What came on another ground is no evidence.
+            share = self.window.restart(share.time)
+        if self.rule is not None and ground == Ground.SEEN:
+            switch = self.rule.watch(share)
+        elif self.rule is not None:
+            self.rule.withdraw()
+        shut = None if self.rule is None else self.rule.shut
+        state = SupportState(
+            time=share.time,
+            share=share,
+            decision=Decision.NONE if shut is None else Decision.SHUT if shut else Decision.DRAW,
+            ground=ground,
+            since=before.since if before is not None and before.ground == ground else since,
+            reason=reason,
+            last_sound=self.last_sound,
+            last_identified=self.last_identified,
+        )
+        if before is None and ground == Ground.SEEN:
+            state = replace(state, since=0.0)
+        self.state = state
+        was_silent, self.is_silent = self.is_silent, not share.n_impacts + share.n_unknown
+        if self.rule is not None and not (was_silent and self.is_silent):
+            yield Report("share", state)
+        if switch is not None:
+            yield Report("shut" if switch.shut else "open", state, switch)
+        elif (state.decision, ground) != (
+            (Decision.NONE, Ground.SEEN) if before is None else (before.decision, before.ground)
+        ):
+            yield Report("state", state)
+
+
+def _rows_of(support: str, channels: Sequence[str]) -> list[int]:
+    """Return the numbers of the channels of a support: of itself, or of the names that are joined by +."""
+    if support in channels:
+        return [channels.index(support)]
+    if support == "+".join(channels):
+        return [*range(len(channels))]
+    return [channels.index(name) for name in support.split("+")]

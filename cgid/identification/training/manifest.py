@@ -1,0 +1,576 @@
+"""The manifest of labelled recordings: labels of files or intervals, and the groups they belong to.
+
+A CSV file has one row per interval, with any of `COLUMNS`; a TOML file has one `[[recording]]` per file, and top-level
+values apply to all. A folder whose subfolders are labels is a manifest, too. Paths are relative to the manifest.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+import os
+import re
+import shlex
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+from cgid._lib import validation
+from cgid._lib.files import parse_toml, read_regular
+from cgid._lib.terminal import counted, spreadsheet_cell, text_of_cell
+from cgid._lib.validation import shown
+from cgid.errors import BadData, CannotCreate, CgidError, InvalidValue, NoInput
+from cgid.identification.prediction.settings import require_groups
+from cgid.recordings.chain import Chain, Gain
+from cgid.units import quantity_of
+
+#: The columns of a row.
+COLUMNS = (
+    *("path", "label", "start", "end", "group", "channel", "gain", "sensor", "reference", "rate", "unit"),
+    *("variable", "format", "sensitivity", "full_scale", "invert", "same_beam"),
+)
+#: Name of a column -> its title in a CSV file, where they differ.
+_TITLES = {"start": "start_s", "end": "end_s", "rate": "rate_Hz"}
+#: Columns of a CSV file for the person who labels the rows.
+INFORMATIVE = ("time_s", "peak", "peak_unit", "flags", "content", "note")
+#: Columns of numbers, which a spreadsheet may write with a decimal comma.
+_NUMBERS = ("start", "end", "gain", "rate", "sensitivity", "full_scale")
+#: Names of manifests in a folder, and suffixes of recordings in it.
+_NAMES = ("manifest.csv", "events.csv", "manifest.toml")
+ENDINGS = (
+    *(".csv", ".txt", ".tsv", ".asc", ".dat", ".lvm", ".wav", ".flac", ".ogg", ".npy", ".npz", ".h5", ".hdf5"),
+    *(".hdf", ".mat", ".tdms", ".uff", ".unv", ".parquet", ".w64", ".aif", ".aiff", ".caf", ".au"),
+)
+#: Maximum number of characters of a label, group or sensor.
+_MAX_WORD_LENGTH = 100
+#: Largest size [bytes] and number of keys of a manifest.
+MAX_FILE_SIZE, _MAX_KEYS = 16 << 20, 1_000_000
+#: Length of the beginning of a CSV file that shows whether it is a recording [bytes].
+_HEAD = 1 << 14
+#: A row of numbers and times, in any way that recordings are read.
+_NUMBERS_ONLY = re.compile(r"(?=.*\d)(?:[\d\s.,;:+/\"'-]|[ed][+-]?\d|[ap]m|[tz]|nan|inf)+", re.IGNORECASE)
+#: Keys that may apply to all recordings of a TOML manifest.
+_SHARED = tuple(name for name in COLUMNS if name not in ("path", "label", "start", "end", "reference"))
+#: Columns for a complete recording, and the attributes of annotations for them.
+_OF_RECORDINGS = {
+    **{name: name for name in ("sensitivity", "full_scale", "unit", "variable", "format", "invert", "same_beam")},
+    "gain": "recording_gain",
+    "rate": "sampling_rate",
+}
+#: Maximum number of mistakes reported at once.
+_MAX_MISTAKES = 20
+
+
+# -- rows -------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, kw_only=True)
+class Annotation:
+    """One row of a manifest: a recording, or an interval of it."""
+
+    path: Path
+    written: str  # path as in the manifest
+    label: str = ""  # empty for a reference run
+    group: str = ""  # unit that splits keep together, such as a day or a support; default: the recording
+    start: float = 0.0  # `start`, `end`: [s]; `end` is infinite for the end of the recording
+    end: float = math.inf
+    channels: tuple[int | str, ...] | None = None  # numbers from 1, or names, of the channels of a row; None for all
+    gain: float | None = None  # divisor of the samples of the interval, None if not stated
+    # gain that differs between the channels, or is that of a charge amplifier; for the complete recording
+    recording_gain: tuple[str, ...] | None = None
+    sensor: str = ""  # sensor whose reference run equalises the response; empty for none
+    reference: bool = False  # whether this is the reference run of the sensor
+    invert: bool = False  # whether the samples are inverted, because impacts must point upwards
+    # `sampling_rate`, `unit`, `variable`, `format`, `sensitivity`, `full_scale`: for files without them, see
+    # `cgid.recordings.open_recording`
+    sampling_rate: float | None = None
+    unit: str | None = None
+    variable: str | None = None
+    format: str | None = None
+    sensitivity: tuple[str, ...] | None = None
+    full_scale: tuple[str, ...] | None = None
+    same_beam: tuple[str, ...] = ()  # groups of channels of one beam, such as 1+2, whose impacts are one row
+
+    @property
+    def name(self) -> str:
+        """A unique name: the file, the chosen channels, and the interval."""
+        channels = "" if self.channels is None else f" channel {'+'.join(map(str, self.channels))}"
+        if self.start == 0 and self.end == math.inf:
+            return self.written + channels
+        end = "its end" if self.end == math.inf else f"{self.end:g} s"
+        return f"{self.written}{channels} from {self.start:g} to {end}"
+
+
+def annotation_of(row: Mapping[str, Any], folder: Path, labels: tuple[str, ...] | None) -> Annotation:
+    """Return a checked row; paths are relative to `folder`, and `labels` are the allowed ones, None for any."""
+    path = row.get("path")
+    if not isinstance(path, str) or not path or "\0" in path:
+        raise InvalidValue(f"path must be the name of a file, got {shown(path)}")
+    reference = _truth("reference", row.get("reference", False))
+    sensor, label = _word("sensor", row.get("sensor", "")), _word("label", row.get("label", ""))
+    if reference:
+        if label or not sensor:
+            raise InvalidValue("a reference run must name its sensor and have no label")
+    elif not label:
+        raise InvalidValue("every recording or interval must have a label; add it, or remove the row")
+    else:
+        validation.label("label", label)
+        if labels is not None and label not in labels:
+            validation.choice("label", label, tuple(labels))
+    start, end = _number("start", row.get("start", 0.0), " in s"), _number("end", row.get("end", math.inf), " in s")
+    if not 0 <= start < end:
+        raise InvalidValue(f"start and end must rise from 0 s, got {start:g} and {end:g} s")
+    rate, unit, variable, format_name = (row.get(name) for name in ("rate", "unit", "variable", "format"))
+    if unit is not None:
+        quantity_of(unit if isinstance(unit, str) else repr(unit))
+    gain, sensitivity, full_scale = (_of_channels(row.get(name)) for name in ("gain", "sensitivity", "full_scale"))
+    Chain.of(sensitivity, gain, full_scale)
+    one_gain = Gain.of(gain[0]) if gain is not None and len(gain) == 1 and "=" not in gain[0] else None
+    is_factor = one_gain is not None and not one_gain.is_of_charge
+    return Annotation(
+        path=folder / path,
+        written=path,
+        label=label,
+        group=_word("group", row.get("group", "")) or str(folder / path),
+        start=start,
+        end=end,
+        channels=_channels(row.get("channel")),
+        gain=one_gain.value if one_gain is not None and is_factor else None,
+        recording_gain=None if is_factor else gain,
+        sensor=sensor,
+        reference=reference,
+        invert=_truth("invert", row.get("invert", False)),
+        sampling_rate=None if rate is None else _positive("rate", rate, "Hz"),
+        unit=unit,
+        variable=None if variable is None else _word("variable", variable),
+        format=None if format_name is None else _word("format", format_name),
+        sensitivity=sensitivity,
+        full_scale=full_scale,
+        same_beam=tuple("+".join(group) for group in require_groups(_of_channels(row.get("same_beam")) or ())),
+    )
+
+
+def _word(name: str, value: Any) -> str:
+    text = str(value).strip() if isinstance(value, str | int) and not isinstance(value, bool) else None
+    if text is None or len(text) > _MAX_WORD_LENGTH or not (text.isprintable()):
+        raise InvalidValue(f"{name} must be a word of at most {_MAX_WORD_LENGTH} characters, got {shown(value)}")
+    return text
+
+
+def _number(name: str, value: Any, what: str) -> float:
+    try:
+        number = math.nan if isinstance(value, bool) else float(value)
+    except (TypeError, ValueError, OverflowError):
+        number = math.nan
+    if math.isnan(number):
+        raise InvalidValue(f"{name} must be a number{what}, got {shown(value)}")
+    return number
+
+
+def _positive(name: str, value: Any, unit: str) -> float:
+    number = _number(name, value, f" in {unit}")
+    if not 0 < number < math.inf:
+        raise InvalidValue(f"{name} must be above 0 and finite, got {number:g} {unit}")
+    return number
+
+
+def _of_channels(value: Any) -> tuple[str, ...] | None:
+    """Return the values of a cell: one for all channels, or several NAME=VALUE, in a list or with ; between them."""
+    if value is None:
+        return None
+    listed = value.split(";") if isinstance(value, str) else value if isinstance(value, list) else [value]
+    return tuple(str(one).strip() if not isinstance(one, bool) else repr(one) for one in listed)
+
+
+def _truth(name: str, value: Any) -> bool:
+    words = {"yes": True, "true": True, "1": True, "no": False, "false": False, "0": False}
+    truth = value if isinstance(value, bool) else words.get(str(value).lower())
+    if truth is None:
+        raise InvalidValue(f"{name} must be yes or no, got {shown(value)}")
+    return truth
+
+
+def _channels(value: Any) -> tuple[int | str, ...] | None:
+    """Return the channels of a number or name, a list of these, or a string such as "1+2"."""
+    if value is None:
+        return None
+    listed = value.split("+") if isinstance(value, str) else value if isinstance(value, list) else [value]
+    good = all(isinstance(one, int | str) and not isinstance(one, bool) and str(one).strip() for one in listed)
+    channels = tuple(one.strip() if isinstance(one, str) else one for one in listed) if good else ()
+    if not channels or len({str(one) for one in channels}) != len(channels):
+        raise InvalidValue(f"channel must be a name or a number from 1, or different ones (1+2), got {shown(value)}")
+    return channels
+
+
+def contradictions(annotations: Sequence[Annotation]) -> list[str]:
+    """Return the contradictions between annotations, one line each."""
+    mistakes = []
+    referenced = {one.sensor for one in annotations if one.reference}
+    for sensor in sorted({one.sensor for one in annotations if one.sensor} - referenced):
+        mistakes.append(f"sensor {sensor} must have a reference run (reference = yes), there is none; add it")
+    if referenced and not all(one.sensor for one in annotations):
+        mistakes.append("every recording must have a sensor if one has a reference run; add it to the others")
+    by_file: dict[Path, list[Annotation]] = {}
+    for one in annotations:
+        by_file.setdefault(one.path, []).append(one)
+    for path, of_file in by_file.items():
+        groups = sorted({one.group for one in of_file if not one.reference})
+        if len(groups) > 1:
+            mistakes.append(f"{path}: all of a recording must be in one group, got {' and '.join(groups[:2])}")
+        of_file.sort(key=lambda one: (str(one.channels), one.start))
+        for before, after in pairwise(of_file):
+            for column, name in _OF_RECORDINGS.items():
+                first, second = getattr(before, name), getattr(after, name)
+                if before.channels == after.channels and first != second:
+                    mistakes.append(
+                        f"{path}: a recording must have one {column}, got {_value_text(first)} and "
+                        f"{_value_text(second)}; write "
+                        "the same in all its rows"
+                    )
+            if before.channels == after.channels and after.start < before.end:
+                what = f"{before.label or 'a reference run'} and {after.label or 'a reference run'}"
+                mistakes.append(f"{path}: intervals must not overlap, {what} do at {after.start:g} s")
+    return mistakes
+
+
+def _value_text(value: Any) -> str:
+    """Return a value as in a manifest."""
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    return " and ".join(value) or "none" if isinstance(value, tuple) else "none" if value is None else f"{value}"
+
+
+# -- the file ---------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, kw_only=True)
+class Manifest:
+    """The annotations of a manifest, including reference runs, in the order of the file; `source` is its name."""
+
+    source: str
+    annotations: tuple[Annotation, ...] = ()
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """The distinct labels, sorted."""
+        return tuple(sorted({one.label for one in self.annotations if not one.reference}))
+
+    @property
+    def n_intervals(self) -> int | None:
+        """Number of labelled intervals, such as one for each impact; None if a row is a complete recording."""
+        labelled = [one for one in self.annotations if not one.reference]
+        return len(labelled) if all(one.end < math.inf for one in labelled) else None
+
+    def sample(self, n: int) -> Manifest:
+        """Return a manifest with at most `n` of the labelled rows, evenly spread, and all reference runs."""
+        labelled = [one for one in self.annotations if not one.reference]
+        step = -(-len(labelled) // n)
+        return replace(self, annotations=(*labelled[::step], *(one for one in self.annotations if one.reference)))
+
+
+def is_manifest(path: str | Path) -> bool:
+    """Return whether a file is a manifest: a .csv that is not a recording, or a .toml with recordings."""
+    path = Path(path)
+    if path.suffix.lower() == ".csv":
+        return not (path.is_file() and _is_table_of_numbers(path))
+    if path.suffix.lower() != ".toml" or not path.is_file():
+        return False
+    try:
+        return "recording" in _toml(path)
+    except CgidError:
+        return False
+
+
+def _is_table_of_numbers(path: Path) -> bool:
+    """Return whether the first lines of a CSV file name no column of a manifest and contain numbers or times only."""
+    try:
+        with path.open("rb") as file:
+            lines = file.read(_HEAD).decode("utf-8-sig", "replace").splitlines()
+    except OSError:
+        return False
+    rows = [[cell.strip().strip('"').lower() for cell in re.split("[,;\t]", line)] for line in lines]
+    return not any({"path", "label"} & set(cells) for cells in rows) and any(map(_NUMBERS_ONLY.fullmatch, lines))
+
+
+def read_manifest(path: str | Path) -> Manifest:
+    """Return a checked manifest, without opening its recordings; `BadData` has one line per mistake."""
+    path = Path(path)
+    rows, labels = _csv_rows(path) if path.suffix.lower() == ".csv" else _toml_rows(path)
+    annotations, mistakes = [], []
+    empty = [where for where, row in rows if not row.get("label") and not row.get("reference")]
+    if empty:
+        mistakes.append(
+            f"{path}: every row must have a label, {len(empty)} of {len(rows)} have none (the first is {empty[0]}); "
+            "fill in the column label, or delete these rows"
+        )
+    for where, row in rows:
+        if where in empty:
+            continue
+        try:
+            annotations.append(annotation_of(row, path.parent, labels))
+        except InvalidValue as error:
+            mistakes.append(f"{path}: {where}: {error}")
+    mistakes += [f"{path}: {text}" for text in contradictions(annotations)]
+    if not rows:
+        mistakes.append(f"{path}: a manifest must name recordings, there is none; give a path and a label for each")
+    if mistakes:
+        more = len(mistakes) - _MAX_MISTAKES
+        raise BadData(*mistakes[:_MAX_MISTAKES], *[f"{path}: and {more} more mistakes"] * (more > 0))
+    return Manifest(source=str(path), annotations=_in_one_spelling(str(path), annotations))
+
+
+def _in_one_spelling(source: str, annotations: Sequence[Annotation]) -> tuple[Annotation, ...]:
+    used = validation.one_spelling(source, [one.label for one in annotations if not one.reference])
+    return tuple(replace(one, label=used[one.label]) if one.label in used else one for one in annotations)
+
+
+Row = tuple[str, Mapping[str, Any]]
+
+
+def _text(path: Path) -> str:
+    try:
+        return read_regular(path, "a manifest", MAX_FILE_SIZE).decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise BadData(f"{path}: a manifest must be UTF-8 text, byte {error.start} is not; save it as UTF-8") from None
+
+
+def _csv_table(path: Path) -> tuple[list[list[str]], str]:
+    """Return the cells of a CSV manifest, line by line, empty for comments; and their separator."""
+    # Not `splitlines`, which also splits at other characters that a path may contain.
+    split = re.split("\r\n?|\n", _text(path))
+    lines = [line if line.strip() and not line.lstrip().startswith("#") else "" for line in split]
+    header = next((line for line in lines if line), "")
+    separator = max(",;\t", key=header.count)
+    try:
+        table = list(csv.reader(io.StringIO("\n".join(lines)), delimiter=separator))
+    except csv.Error as error:
+        raise BadData(f"{path}: a manifest must be a CSV table ({error}); save it again") from None
+    return table, separator
+
+
+def _csv_rows(path: Path) -> tuple[list[Row], tuple[str, ...] | None]:
+    """Return the rows of a CSV manifest with their line numbers, and None: it lists no labels."""
+    table, separator = _csv_table(path)
+    by_title = {_TITLES.get(name, name).lower(): name for name in (*COLUMNS, *INFORMATIVE)}
+    names: list[str] = []
+    rows: list[Row] = []
+    for number, cells in enumerate(table, 1):
+        cells = [text_of_cell(cell.strip()) for cell in cells]
+        if not any(cells):
+            continue
+        if not names:
+            names = [by_title.get(cell.lower(), "") for cell in cells]
+            titles = [
+                _TITLES.get(name, name or cell.lower())
+                for name, cell in zip(names, cells, strict=True)
+                if name not in INFORMATIVE
+            ]
+            allowed = tuple(_TITLES.get(name, name) for name in COLUMNS)
+            _check_names(titles, allowed, f"{path}: columns", required="path")
+            continue
+        if len(cells) > len(names):
+            raise BadData(f"{path}: row {number}: must have {len(names)} cells like the header, got {len(cells)}")
+        row = {name: cell for name, cell in zip(names, cells, strict=False) if cell and name not in INFORMATIVE}
+        if separator != ",":
+            row |= {name: _with_points(row[name]) for name in _NUMBERS if name in row}
+        rows.append((f"row {number}", row))
+    return rows, None
+
+
+def _with_points(cell: str) -> str:
+    """Return a cell with decimal points for its commas, except in channel names (NAME=VALUE).
+
+    >>> _with_points("a,b=10,2 mV/g;2=3,1 mV/N")
+    'a,b=10.2 mV/g;2=3.1 mV/N'
+    """
+    parts = (part.rpartition("=") for part in cell.split(";"))
+    return ";".join(f"{name}{equals}{value.replace(',', '.')}" for name, equals, value in parts)
+
+
+def _toml(path: Path) -> dict[str, Any]:
+    try:
+        return parse_toml(_text(path), _MAX_KEYS)
+    except CgidError:
+        raise
+    except ValueError as error:
+        raise BadData(f"{path}: a manifest must be TOML: {error}; correct it there") from None
+
+
+def _toml_rows(path: Path) -> tuple[list[Row], tuple[str, ...] | None]:
+    """Return the rows of a TOML manifest with their positions in the file, and the allowed labels."""
+    content = _toml(path)
+    recordings = content.get("recording")
+    if not isinstance(recordings, list) or not all(isinstance(one, dict) for one in recordings):
+        raise BadData(f"{path}: a manifest must list its recordings as [[recording]]; see cgid train --help")
+    _check_names(list(content), (*_SHARED, "labels", "recording"), f"{path}: keys")
+    labels = content.get("labels")
+    if labels is not None and not (isinstance(labels, list) and all(isinstance(one, str) for one in labels)):
+        raise BadData(f'{path}: labels must be a list of words, such as ["coal", "gangue"], got {shown(labels)}')
+    shared = {name: content[name] for name in _SHARED if name in content}
+    rows: list[Row] = []
+    for number, recording in enumerate(recordings, 1):
+        where = f"recording {number}"
+        _check_names(list(recording), (*COLUMNS, "intervals"), f"{path}: {where}: keys", required="path")
+        intervals = recording.pop("intervals", [{}])
+        if not isinstance(intervals, list) or not all(isinstance(one, dict) for one in intervals):
+            raise BadData(
+                f"{path}: {where}: intervals must be a list of {{ start, end, label }}, got {intervals!r:.80}"
+            )
+        for interval in intervals:
+            _check_names(list(interval), ("start", "end", "label"), f"{path}: {where}: keys of an interval")
+            rows.append((where, {**shared, **recording, **interval}))
+    return rows, None if labels is None else tuple(labels)
+
+
+def _check_names(names: Sequence[str], allowed: tuple[str, ...], what: str, required: str | None = None) -> None:
+    for name in names:
+        if name not in allowed or names.count(name) > 1:
+            fault = f"{name!r} is there twice"
+            if name not in allowed:
+                fault = f"got {name!r}{validation.suggestion(name, allowed)}"
+            raise BadData(f"{what} must be out of {', '.join(allowed)}, {fault}")
+    if required is not None and required not in names:
+        raise BadData(f"{what} must include {required}, got {', '.join(names) or 'none'}")
+
+
+# -- folders, and files to fill in ------------------------------------------------------------------------
+
+
+def folder_manifest(folder: str | Path) -> Manifest:
+    """Return the manifest of a folder: the file in it, else one whose labels are the names of subfolders."""
+    # Files of a deeper folder are one group, such as a day.
+    folder = Path(folder)
+    manifests = [folder / name for name in _NAMES if (folder / name).is_file()]
+    if len(manifests) > 1:
+        raise BadData(
+            f"{folder}: several manifests in this folder, {' and '.join(one.name for one in manifests)}; name one"
+        )
+    if manifests:
+        return read_manifest(manifests[0])
+    rows = [row_of(file, folder) for file in recordings_in(folder)]
+    loose = [row["path"] for row in rows if not row["label"]]
+    if loose:
+        raise BadData(f"{folder}: {unlabelled(loose[0], str(folder))}")
+    annotations = []
+    for row in rows:
+        try:
+            annotations.append(annotation_of(row, folder, None))
+        except InvalidValue as error:
+            raise BadData(f"{folder}: {row['path']}: {error}") from None
+    return Manifest(source=str(folder), annotations=_in_one_spelling(str(folder), annotations))
+
+
+def row_of(file: Path, folder: Path) -> dict[str, str]:
+    """Return path, label and group of a recording in a folder; outside subfolders it has no label."""
+    parts = file.relative_to(folder).parts
+    return {"path": "/".join(parts), "label": "".join(parts[:-1][:1]), "group": "/".join(parts[1:-1])}
+
+
+def recordings_in(folder: Path) -> list[Path]:
+    """Return the files in a folder and its subfolders with suffixes of recordings, sorted."""
+    try:
+        all_files = sorted(file for file in folder.rglob("*") if file.suffix.lower() in ENDINGS and file.is_file())
+    except OSError as error:
+        raise NoInput(f"{folder}: the folder cannot be read ({error.strerror}); check its rights") from None
+    hidden = {file for file in all_files if any(part.startswith(".") for part in file.relative_to(folder).parts)}
+    files = [file for file in all_files if file not in hidden and not is_manifest(file)]
+    if not files:
+        what = "its files have other suffixes" if any(folder.iterdir()) else "it is empty"
+        raise BadData(f"{folder}: a folder must contain recordings ({', '.join(ENDINGS)}), {what}; choose another one")
+    return files
+
+
+def recordings_of(files: Sequence[str]) -> list[str]:
+    """Return files, for a folder that is no dataset the recordings in it."""
+    every: list[str] = []
+    for file in files:
+        if Path(file).is_dir():
+            from cgid.store.folder import is_dataset_folder
+
+            every += [file] if is_dataset_folder(Path(file)) else map(str, recordings_in(Path(file)))
+        else:
+            every.append(file)
+    return every
+
+
+def joined(manifests: Sequence[Manifest]) -> Manifest:
+    """Return one manifest of the rows of several, such as one table of `events` for each day."""
+    if len(manifests) == 1:
+        return manifests[0]
+    source, annotations = (
+        " + ".join(one.source for one in manifests),
+        [row for one in manifests for row in one.annotations],
+    )
+    if mistakes := contradictions(annotations):
+        raise BadData(*(f"{source}: {text}" for text in mistakes[:_MAX_MISTAKES]))
+    return Manifest(source=source, annotations=tuple(annotations))
+
+
+def unlabelled(name: str, given: str) -> str:
+    """Return the error for a recording without a label, with the commands to label `given`."""
+    return (
+        f"{name} must have labels for training and has none; run cgid events {shlex.quote(given)} -o events.csv for a "
+        "row per impact, fill in the column label, then cgid train events.csv -o mine.npz"
+    )
+
+
+def manifest_text(rows: Sequence[Mapping[str, Any]], columns: Sequence[str] = ()) -> str:
+    """Return the content of a CSV manifest, without empty columns other than path, label and `columns`."""
+    order = dict.fromkeys(("path", "channel", "start", "end", "label", *INFORMATIVE, *COLUMNS))
+    required = ("path", "label", *columns)
+    columns = [name for name in order if name in required or any(row.get(name) for row in rows)]
+    stream = io.StringIO()
+    writer = csv.writer(stream, lineterminator="\n")
+    writer.writerow([_TITLES.get(name, name) for name in columns])
+    writer.writerows([spreadsheet_cell(str(row.get(name) or "")) for name in columns] for row in rows)
+    return stream.getvalue()
+
+
+def path_from(folder: Path, file: str | Path) -> str:
+    """Return the path of a file as in a manifest in a folder."""
+    try:
+        path = Path(os.path.relpath(file, folder)).as_posix()
+    except ValueError:  # another drive
+        path = Path(file).absolute().as_posix()
+    # A comment begins with #, and blanks around a cell do not count.
+    return f"./{path}" if path.startswith("#") or path != path.lstrip() else path
+
+
+def named_recordings(item: Path) -> list[Path]:
+    """Return the recordings that a manifest, or a folder of recordings, names, as far as it can be read."""
+    manifests = [item / name for name in _NAMES if (item / name).is_file()] if item.is_dir() else [item]
+    if not manifests:
+        return recordings_in(item)
+    found: list[Path] = []
+    for path in manifests:
+        rows = [cells for cells in _csv_table(path)[0] if any(cells)] if path.suffix.lower() == ".csv" else []
+        titles = [cell.strip().lower() for cell in rows[0]] if rows else []
+        if "path" in titles:
+            column = titles.index("path")
+            found += [path.parent / text_of_cell(row[column].strip()) for row in rows[1:] if len(row) > column]
+        elif not rows:
+            found += [path.parent / str(row.get("path")) for _, row in _toml_rows(path)[0]]
+    return found
+
+
+def require_labels_kept(path: Path, rows: Sequence[Mapping[str, Any]] = ()) -> None:
+    """Raise `CannotCreate` if `rows`, written over an existing table, would lose labels that a person filled in."""
+    try:
+        table = [cells for cells in _csv_table(path)[0] if any(cells)]
+    except CgidError:
+        return  # there is none, or it is no table
+    titles = [cell.strip().lower() for cell in table[0]] if table else []
+    if not {"path", "label"} <= set(titles):
+        return
+    at = titles.index("path"), titles.index("label")
+    filled = [tuple(text_of_cell(cells[k].strip()) for k in at) for cells in table[1:] if len(cells) > max(at)]
+    kept = {(row["path"], row["label"]) for row in rows}
+    lost = [label for file, label in filled if label and (file, label) not in kept]
+    if lost:
+        raise CannotCreate(
+            f"{path}: must not contain labels to be replaced, got {counted(len(lost), 'label')}, the first is "
+            f"{shown(lost[0])}; choose another name, or remove the table first"
+        )

@@ -1,0 +1,638 @@
+"""Measure labelled recordings: open the files of a manifest, cut them into windows or impacts, extract features.
+
+Memory holds one block of a recording at a time.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from bisect import bisect_right
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import chain, compress, groupby, product
+from typing import Any, NamedTuple, NoReturn
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cgid._lib.files import require_regular
+from cgid._lib.validation import Floats
+from cgid.errors import BadData, CgidError, InvalidValue, MissingOption, NoInput
+from cgid.identification.detection.detector import ImpactDetector
+from cgid.identification.detection.events import Event, frames_alike
+from cgid.identification.detection.silence import Silence, silence_of
+from cgid.identification.detection.windows import (
+    WINDOW_TIME,
+    Grid,
+    NoisyCopies,
+    complete_windows,
+    measure_windows,
+    windows_of,
+)
+from cgid.identification.inversion.through_beam import ThroughBeam
+from cgid.identification.model.model import Model
+from cgid.identification.model.reference import Equalisations, MeanSpectrum, equalisations_of
+from cgid.identification.prediction.same_beam import Rocks, agreeing, behind_each_sensor, grouped, joined, pulse_columns
+from cgid.identification.prediction.settings import require_groups
+from cgid.identification.training.manifest import Annotation, Manifest
+from cgid.identification.training.rows import Rows, Slicing, default_guards, sets_for, union_of
+from cgid.measure.features.extraction import (
+    FEATURES,
+    choose,
+    extract_array,
+    kind_for,
+    kind_of,
+    require_supported,
+    supported,
+)
+from cgid.measure.features.table import LEAST_SAMPLES, LOW_WINDOW_TIME, MIN_BANDWIDTH, Kind
+from cgid.recordings import MAX_STREAM, RecordingFile, open_recording
+from cgid.recordings.chain import Statement, require_measured
+from cgid.recordings.recording import clear_errors
+from cgid.units import UNITS, quantity_of
+
+
+@dataclass(frozen=True, kw_only=True)
+class Reading:
+    """Settings for reading recordings: metadata that files and manifest lack, and the handling of unreadable files."""
+
+    # If `strict`, the first unreadable recording raises; else `failed` receives its error and the others are read.
+
+    sampling_rate: float | None = None
+    unit: str | None = None
+    channels: tuple[int | str, ...] | None = None
+    same_beam: tuple[str, ...] = ()
+    strict: bool = False
+    sensitivity: Statement | None = None
+    gain: Statement | None = None
+    full_scale: Statement | None = None
+    format: str | None = None
+    failed: Callable[[CgidError], object] = lambda error: None
+
+    def note(self, error: CgidError, failures: list[CgidError]) -> None:
+        """Record the error of a recording, or raise it if strict."""
+        if self.strict:
+            raise error
+        failures.append(error)
+
+
+# -- files ------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, kw_only=True)
+class AnnotatedFile:
+    """An open recording with the annotations of one selection of its channels."""
+
+    annotations: tuple[Annotation, ...]  # sorted by start, without overlap
+    recording: RecordingFile
+    unit: str
+    digest: str  # SHA-256 of the file
+    groups: list[tuple[int, ...]]  # rows of the channels of each beam
+
+    @property
+    def is_grouped(self) -> bool:
+        """Whether channels share a beam."""
+        return len(self.groups) < len(self.recording.channels)
+
+    @property
+    def upright(self) -> float:
+        """1, or -1 to invert the samples."""
+        return -1.0 if self.annotations[0].invert else 1.0
+
+    def blocks(self) -> Iterator[NDArray[Any]]:
+        """Yield the samples, nan in gaps; raise `BadData` at the end if an annotation starts after it."""
+        count = 0
+        for block in self.recording.blocks_with_gaps():
+            count += block.shape[1]
+            yield block
+        self.require_inside(count)
+
+    def require_inside(self, n_samples: int | None) -> None:
+        """Raise `BadData` if the last annotation starts after the end of the recording, if known."""
+        last, rate = self.annotations[-1], self.recording.sampling_rate
+        if n_samples is not None and last.start * rate >= n_samples:
+            raise BadData(
+                f"{last.name}: start must be inside the recording, which lasts {n_samples / rate:g} s, got "
+                f"{last.start:g} s; correct it, or the path"
+            )
+
+    def scale(self, annotation: Annotation, unit: str) -> float:
+        """Return the factor from the file's values to a unit, with the recorder's gain divided out."""
+        units = UNITS[quantity_of(unit)]
+        return units[self.unit] / units[unit] / (annotation.gain or 1.0)
+
+
+def open_all(
+    manifest: Manifest, reading: Reading, failures: list[CgidError], *, references: bool = False
+) -> list[AnnotatedFile]:
+    """Open the labelled recordings of a manifest, or its reference runs; all of one quantity and number of channels."""
+    files: list[AnnotatedFile] = []
+    for rows in _by_channels([one for one in manifest.annotations if one.reference == references]):
+        try:
+            file = _opened(rows, reading)
+            first = (files or [file])[0]
+            require_alike(file.recording, first.recording, counts=not (file.is_grouped or first.is_grouped))
+            files.append(file)
+        except CgidError as error:
+            reading.note(error, failures)
+    if not files and not references:
+        raise BadData(
+            f"{manifest.source}: at least one recording must be readable, there is none"
+            + "".join(f"; {error}" for error in failures[:1])
+        )
+    first_with: dict[str, AnnotatedFile] = {}
+    for file in files:
+        first = first_with.setdefault(file.digest, file)
+        if first.annotations[0].group != file.annotations[0].group:  # one would train, the other test
+            raise BadData(
+                f"{file.recording.source}: recordings of different groups must differ, this one equals "
+                f"{first.recording.source}; remove one, or give both one group"
+            )
+        if first is not file and _overlap(first.annotations, file.annotations):
+            raise BadData(
+                f"{file.recording.source}: intervals must not overlap, this recording equals {first.recording.source}; "
+                "remove one"
+            )
+    return files
+
+
+def _overlap(some: Sequence[Annotation], others: Sequence[Annotation]) -> bool:
+    """Return whether two annotations of the same channels share time."""
+    pairs = product(some, others) if some[0].channels == others[0].channels else ()
+    return any(one.start < other.end and other.start < one.end for one, other in pairs)
+
+
+def annotated_blocks(file: AnnotatedFile, unit: str) -> Iterator[tuple[Annotation, Iterator[NDArray[np.floating]]]]:
+    """Yield each annotation with its blocks, in a unit, gain divided out; consume them before taking the next one."""
+    rate = file.recording.sampling_rate
+    bounds = [(round(one.start * rate), one.end * rate) for one in file.annotations]
+    for k, parts in groupby(_cut(file.blocks(), bounds), lambda part: part[0]):
+        scale = file.upright * file.scale(file.annotations[k], unit)
+        yield file.annotations[k], (samples * scale for _, samples in parts)
+
+
+def _cut(blocks: Iterator[NDArray[Any]], bounds: Sequence[tuple[int, float]]) -> Iterator[tuple[int, NDArray[Any]]]:
+    """Yield interval number and samples of the parts of blocks within intervals, which rise and do not overlap."""
+    start = k = 0
+    for block in blocks:
+        end = start + block.shape[1]
+        while k < len(bounds) and bounds[k][0] < end:
+            first, last = max(bounds[k][0] - start, 0), round(min(bounds[k][1], end)) - start
+            if first < last:
+                yield k, block[:, first:last]
+            if bounds[k][1] > end:
+                break
+            k += 1
+        start = end
+
+
+def _by_channels(annotations: Sequence[Annotation]) -> list[tuple[Annotation, ...]]:
+    """Group the annotations by file and channels, each group sorted by start."""
+    together: dict[tuple[str, str], list[Annotation]] = {}
+    for one in annotations:
+        together.setdefault((str(one.path), str(one.channels)), []).append(one)
+    return [tuple(sorted(rows, key=lambda one: one.start)) for rows in together.values()]
+
+
+def _opened(annotations: tuple[Annotation, ...], reading: Reading) -> AnnotatedFile:
+    first = annotations[0]
+    with clear_errors(str(first.path)):  # a manifest may name anything, even a pipe, which would be copied
+        require_regular(first.path, "a recording of a manifest", MAX_STREAM)
+    recording = open_recording(
+        first.path,
+        sampling_rate=first.sampling_rate or reading.sampling_rate,
+        unit=first.unit or reading.unit,
+        channel=first.channels or reading.channels,
+        variable=first.variable,
+        sensitivity=first.sensitivity or reading.sensitivity,
+        # The gain of an annotation applies only to its interval.
+        gain=first.recording_gain or (None if any(one.gain is not None for one in annotations) else reading.gain),
+        full_scale=first.full_scale or reading.full_scale,
+        format=first.format or reading.format,
+    )
+    unit = unit_of(recording)
+    try:
+        with first.path.open("rb") as content:
+            digest = hashlib.file_digest(content, "sha256").hexdigest()
+    except OSError as error:
+        raise NoInput(f"{first.path}: the file cannot be read ({error.strerror}); check it") from None
+    named = recording.named(require_groups(first.same_beam or reading.same_beam), "same_beam", all_read=False)
+    groups = grouped([channel.name for channel in recording.channels], named)
+    file = AnnotatedFile(annotations=annotations, recording=recording, unit=unit, digest=digest, groups=groups)
+    file.require_inside(recording.n_samples)
+    return file
+
+
+def unit_of(recording: RecordingFile) -> str:
+    """Return the unit of all channels; raises `MissingOption` if it is not known, `BadData` if there are several."""
+    units = {channel.unit for channel in recording.channels}
+    unit = recording.channels[0].unit
+    if unit is None:
+        raise MissingOption(
+            f"{recording.source}: the file does not state the unit; give it with --unit U, such as --unit g"
+        )
+    for channel in recording.channels:
+        require_measured(channel.unit, recording.source)
+    if len(units) > 1:
+        got = " and ".join(sorted(str(unit) for unit in units))
+        raise BadData(f"{recording.source}: channels must be in one unit, got {got}; choose with --channel")
+    return unit
+
+
+def require_alike(recording: RecordingFile, first: RecordingFile, *, counts: bool = True) -> None:
+    """Raise `BadData` unless two recordings can train one model, one quantity and, if `counts`, number of channels."""
+    units = [unit_of(one) for one in (recording, first)]
+    got, required = (f"{quantity_of(unit)} [{unit}]" for unit in units)
+    if quantity_of(units[0]) != quantity_of(units[1]):
+        raise BadData(
+            f"{recording.source}: recordings must be of one quantity, got {got} after {required} of {first.source}; "
+            "train apart"
+        )
+    n_channels, n_first = len(recording.channels), len(first.channels)
+    if counts and n_channels != n_first:
+        raise BadData(
+            f"{recording.source}: recordings must have equally many channels, got {n_channels} after {n_first} of "
+            f"{first.source}; choose with --channel, or channel in the manifest"
+        )
+
+
+def _require_single(files: Sequence[AnnotatedFile], reading: Reading) -> None:
+    """Raise `InvalidValue` if several channels are named for single impacts, which use one channel."""
+    for file in files:
+        named = file.annotations[0].channels or reading.channels
+        if named and len(file.groups) > 1:
+            raise InvalidValue(
+                f"{file.recording.source}: channel must be one for single impacts, got {'+'.join(map(str, named))}; "
+                "name one, leave channel out for a row per channel, give --same-beam if they are on one beam, or --by "
+                "window to combine several"
+            )
+
+
+def reference_spectra(files: Sequence[AnnotatedFile], labelled: AnnotatedFile, window_time: float) -> dict[str, Floats]:
+    """Return the mean spectrum of each sensor, (n_channels, n_bands), over the windows of all its reference runs."""
+    spectra: dict[str, list[MeanSpectrum]] = {}
+    for file in files:
+        source, n_channels = file.recording.source, len(labelled.recording.channels)
+        if quantity_of(file.unit) != quantity_of(labelled.unit) or len(file.recording.channels) != n_channels:
+            raise BadData(
+                f"{source}: a reference run must match the recordings, {quantity_of(labelled.unit)} in {n_channels} "
+                f"channels, got {quantity_of(file.unit)} in {len(file.recording.channels)}; record it in the same way"
+            )
+        rate = file.recording.sampling_rate
+        for annotation, blocks in annotated_blocks(file, labelled.unit):
+            spectra_of_sensor = spectra.setdefault(annotation.sensor, [MeanSpectrum(rate) for _ in range(n_channels)])
+            if spectra_of_sensor[0].sampling_rate != rate:
+                raise BadData(f"{source}: the reference runs of a sensor must have one sampling rate; remove one")
+            for _, windows in windows_of(blocks, rate, window_time, window_time):
+                is_complete = complete_windows(windows)
+                for channel, spectrum in enumerate(spectra_of_sensor):
+                    spectrum.feed(windows[is_complete, channel])
+    return {
+        sensor: np.stack([spectrum.levels for spectrum in spectra_of_sensor])
+        for sensor, spectra_of_sensor in spectra.items()
+    }
+
+
+# -- rows -------------------------------------------------------------------------------------------------
+
+
+def record(
+    manifest: Manifest,
+    features: Sequence[str] | None = None,
+    *,
+    slicing: Slicing | None = None,
+    reading: Reading | None = None,
+    level_free: bool = False,
+    augment: bool = False,
+    model: Model | None = None,
+    progress: Callable[[int], object] | None = None,
+) -> Rows:
+    """Return the rows of annotated recordings: the features of their windows or impacts."""
+    # If `augment`, windows have noisy copies (`Rows.snr`), from which a model learns the effect of noise. With a
+    # `model` of impacts, rows are what it measures: its features and guards, in its unit, through its beam.
+    slicing, reading = slicing or Slicing(), reading or Reading()
+    failures: list[CgidError] = []
+    files = open_all(manifest, reading, failures)
+    for failure in failures:
+        reading.failed(failure)
+    n_reported = len(failures)
+    if model is not None:
+        features, slicing = model.measured, replace(slicing, by="impact")
+        _require_quantity(files[0], model)
+    slicing, notes, warnings = _decided(files, slicing, features)
+    if slicing.by == "impact":
+        _require_single(files, reading)
+    elif grouped_file := next((file for file in files if file.is_grouped), None):
+        raise InvalidValue(
+            f"{grouped_file.recording.source}: same_beam must be left out for windows, which use their channels "
+            "together; or give --by impact"
+        )
+    names = _names(features, files, slicing, level_free)
+    if model is None:
+        names += tuple(name for name in default_guards(names) if name not in names)
+    runs = open_all(manifest, replace(reading, strict=True), failures, references=True)
+    references = reference_spectra(runs, files[0], slicing.window_time)
+    unit = files[0].unit if model is None else model.unit
+    cutting = _Cutting(names, slicing, unit, equalisations_of(references), augment, model)
+    measured: list[tuple[AnnotatedFile, list[Piece]]] = []
+    for file in files:
+        try:
+            measured.append((file, list(_pieces(file, cutting, progress))))
+        except CgidError as error:
+            reading.note(error, failures)
+    if not any(np.isfinite(piece.features).all(axis=1).any() for _, parts in measured for piece in parts):
+        first_failure = "".join(f"; {error}" for error in failures[:1])
+        raise BadData(
+            f"{manifest.source}: recordings must contain a {slicing.by} with a label, there is none{first_failure}; "
+            f"correct start and end, or give --by {'impact' if slicing.by == 'window' else 'window'}"
+        )
+    for failure in failures[n_reported:]:
+        reading.failed(failure)
+    rows = _joined(measured, cutting)
+    return replace(
+        rows, references=references, failures=tuple(failures), notes=notes, warnings=(*warnings, *rows.warnings)
+    )
+
+
+def _require_quantity(file: AnnotatedFile, model: Model) -> None:
+    quantity = quantity_of(file.unit)
+    if quantity != model.quantity:
+        raise BadData(
+            f"{file.recording.source}: the quantity must be the model's, {model.quantity} [{model.unit}], got "
+            f"{quantity} [{file.unit}]; give another --from, or correct --unit"
+        )
+
+
+def _decided(
+    files: Sequence[AnnotatedFile], slicing: Slicing, features: Sequence[str] | None
+) -> tuple[Slicing, tuple[str, ...], tuple[str, ...]]:
+    """Return the slicing by impact or by window, a note with the reason if it was chosen here, and warnings."""
+    rate = min(file.recording.sampling_rate for file in files)
+    if slicing.window_time == WINDOW_TIME and rate < 2 * MIN_BANDWIDTH:
+        time = max(LOW_WINDOW_TIME, LEAST_SAMPLES / rate)
+        slicing = replace(slicing, window_time=time, hop_time=slicing.hop_time * time / WINDOW_TIME)
+    if slicing.by == "impact":
+        return slicing, (), ()
+    if slicing.by is None and features is not None:
+        return replace(slicing, by="window" if kind_of(choose(features)) == "window" else "impact"), (), ()
+    silence = _silence(files, slicing)
+    if slicing.by is None and silence.has_single_impacts:
+        return replace(slicing, by="impact"), (f"trained on impacts, because {silence}; --by window for windows",), ()
+    if slicing.by is None:
+        note = f"trained on windows of {slicing.window_time:g} s, because only {silence}; --by impact for impacts"
+        return replace(slicing, by="window"), (note,), ()
+    if not silence.has_single_impacts or silence.is_cut:
+        return slicing, (), ()
+    return slicing, (), (f"most windows contain no impact, {silence}; leave out --by, or give --by impact",)
+
+
+def _silence(files: Sequence[AnnotatedFile], slicing: Slicing) -> Silence:
+    """Return the impacts and silence of all files; unreadable files are reported later."""
+    silence = Silence()
+    for file in files:
+        with suppress(CgidError):
+            intervals = [(one.start, one.end) for one in file.annotations]
+            kind = kind_for(quantity_of(file.unit))
+            silence += silence_of(file.recording, kind, intervals, slicing.dead_time, invert=file.upright < 0)
+    return silence
+
+
+def _joined(measured: Sequence[tuple[AnnotatedFile, list[Piece]]], cutting: _Cutting) -> Rows:
+    """Return the complete rows of all files, and warnings of the damage of files and of annotations without a row."""
+    recordings = [file.recording for file, _ in measured]
+    pieces = [piece for _, parts in measured for piece in parts]
+    features = np.concatenate([piece.features for piece in pieces])
+    snr = np.concatenate([piece.snr for piece in pieces])
+    complete = np.isfinite(features).all(axis=1)
+    annotations = list(compress((piece.annotation for piece in pieces for _ in piece.times), complete))
+    sources, source = _numbered([one.name for one in annotations])
+    groups, group = _numbered([one.group for one in annotations])
+    rates = [recording.sampling_rate for recording in recordings]
+    warnings, measured_sources = [], set(sources)
+    for file, _ in measured:
+        empty = [one.name for one in file.annotations if one.name not in measured_sources]
+        message = (f"{name}: there must be {cutting.slicing.by}s that can be measured, there is none" for name in empty)
+        warnings += [*file.recording.warnings, *(f"{text}; check start and end" for text in message)]
+    return Rows(
+        names=cutting.names,
+        features=features[complete],
+        labels=np.array([one.label for one in annotations]),
+        group=group,
+        source=source,
+        sources=sources,
+        groups=groups,
+        digests=tuple(file.digest for file, _ in measured),
+        unit=cutting.unit,
+        sampling_rates=(min(rates), max(rates)),
+        n_channels=len(recordings[0].channels) if cutting.slicing.by == "window" else 1,
+        slicing=cutting.slicing,
+        time=np.concatenate([piece.times for piece in pieces])[complete],
+        file=np.repeat(np.arange(len(measured)), [sum(piece.n_rows for piece in parts) for _, parts in measured])[
+            complete
+        ],
+        channel=np.repeat([piece.channel for piece in pieces], [piece.n_rows for piece in pieces])[complete],
+        snr=snr[complete] if cutting.augment and cutting.slicing.by == "window" else np.empty(0),
+        left_out=int((~complete & (snr == np.inf)).sum()),
+        warnings=tuple(warnings),
+    )
+
+
+def _numbered(words: list[str]) -> tuple[tuple[str, ...], NDArray[np.intp]]:
+    """Return the distinct words in order of appearance, and the number of each word."""
+    numbers = {word: number for number, word in enumerate(dict.fromkeys(words))}
+    return tuple(numbers), np.array([numbers[word] for word in words], np.intp)
+
+
+def _names(
+    features: Sequence[str] | None, files: list[AnnotatedFile], slicing: Slicing, level_free: bool
+) -> tuple[str, ...]:
+    """Return the features to measure: the given ones, or those of all sets that every recording supports."""
+    rate = min(file.recording.sampling_rate for file in files)
+    kind: Kind = "window" if slicing.by == "window" else kind_for(quantity_of(files[0].unit))
+    if features is not None:
+        selected = choose(features)
+        if (kind_of(selected) == "window") != (slicing.by == "window"):
+            raise InvalidValue(
+                f"features must be those of a {slicing.by}, got those of a {kind_of(selected)}; choose others, or "
+                "another --by"
+            )
+        require_supported(selected, rate, _length(kind_of(selected), rate, slicing))
+        return selected
+    names_of_sets = union_of(sets_for(kind, rate, level_free=level_free))
+    if not names_of_sets:
+        raise InvalidValue(f"features of a {kind} must be named, there is no set of level-free ones; or allow all")
+    names = supported(names_of_sets, rate, _length(kind, rate, slicing))
+    if not names:
+        _refuse(names_of_sets, rate, slicing)
+    return names
+
+
+def _refuse(names: Sequence[str], rate: float, slicing: Slicing) -> NoReturn:
+    """Raise the error that the rate [Hz] or the window is too small for all features."""
+    slowest = min(2 * FEATURES[name].highest_frequency for name in names)
+    if rate < slowest:
+        raise BadData(
+            f"recordings must be sampled at {math.ceil(slowest)} Hz at least to have a feature, got {rate:g} Hz; "
+            "sample faster"
+        )
+    shortest = min(FEATURES[name].shortest_frame for name in names if 2 * FEATURES[name].highest_frequency <= rate)
+    raise InvalidValue(
+        f"window must last {math.ceil(shortest * rate) / rate:.6g} s at least to have a feature at {rate:g} Hz, got "
+        f"{slicing.window_time:g} s; give a longer --window"
+    )
+
+
+def _length(kind: Kind, rate: float, slicing: Slicing) -> int:
+    """Return the number of samples of a row."""
+    if kind == "window":
+        return Grid.at(rate, slicing.window_time, slicing.hop_time).length
+    return ImpactDetector(rate, kind="pulse" if kind == "pulse" else "vibration").n_samples
+
+
+@dataclass(frozen=True)
+class _Cutting:
+    """Settings to cut rows from a file and measure them."""
+
+    names: tuple[str, ...]
+    slicing: Slicing
+    unit: str
+    equalisations: Equalisations
+    augment: bool = False
+    model: Model | None = None
+
+    @cached_property
+    def beams(self) -> list[ThroughBeam | None]:
+        """The beam behind each sensor of the model."""
+        assert self.model is not None
+        return [look.beam for look in behind_each_sensor(self.model)]
+
+    def beam(self, file: AnnotatedFile, channel: int) -> ThroughBeam | None:
+        """Return the beam behind a channel."""
+        if self.model is None or not file.is_grouped:
+            return None if self.model is None else self.model.beam
+        rows = next(rows for rows in file.groups if channel in rows)
+        return self.beams[rows.index(channel) % len(self.beams)]
+
+
+class Piece(NamedTuple):
+    """Some rows of an annotation: times, features, power over that of added noise [dB], and the channel of impacts."""
+
+    annotation: Annotation
+    times: Floats
+    features: Floats
+    snr: Floats
+    channel: str = ""
+
+    @property
+    def n_rows(self) -> int:
+        """Number of rows."""
+        return len(self.times)
+
+
+def _pieces(file: AnnotatedFile, cutting: _Cutting, progress: Callable[[int], object] | None) -> Iterator[Piece]:
+    for piece in (_windows if cutting.slicing.by == "window" else _impacts)(file, cutting):
+        yield piece
+        if progress is not None:
+            progress(int(np.sum(piece.snr == np.inf)))
+
+
+def _windows(file: AnnotatedFile, cutting: _Cutting) -> Iterator[Piece]:
+    """Yield annotation, times and features of the windows completely inside annotated intervals."""
+    rate, slicing = file.recording.sampling_rate, cutting.slicing
+    for annotation, blocks in annotated_blocks(file, cutting.unit):
+        equalisation = cutting.equalisations.get(annotation.sensor)
+        copies = NoisyCopies((int(file.digest[:8], 16), round(annotation.start * rate)))
+        for first, windows in windows_of(blocks, rate, slicing.window_time, slicing.hop_time):
+            times = annotation.start + first / rate
+            features = measure_windows(windows, rate, cutting.names, equalisation)
+            yield Piece(annotation, times, features, np.full(len(times), np.inf))
+            for time, (snr, noisy) in zip(times, copies.of(windows) if cutting.augment else (), strict=False):
+                features = measure_windows(noisy, rate, cutting.names, equalisation)
+                yield Piece(annotation, np.full(len(snr), time), features, snr)
+
+
+def _impacts(file: AnnotatedFile, cutting: _Cutting) -> Iterator[Piece]:
+    """Yield annotation, times and features of the impacts in annotated intervals; the detector gets all samples."""
+    # As in prediction, channels are separate sensors: an impact gives a row for each channel that measures it, or one
+    # for those of a beam.
+    recording = file.recording
+    names = [channel.name for channel in recording.channels]
+    rocks: Rocks[_Part] = Rocks(file.groups, recording.sampling_rate)
+    sign = file.upright
+    detector = ImpactDetector(
+        recording.sampling_rate,
+        len(recording.channels),
+        kind="vibration" if kind_of(cutting.names) == "vibration" else "pulse",
+        dead_time=cutting.slicing.dead_time,
+        gaps=True,
+    )
+    for block in chain(file.blocks(), [None]):
+        pieces = _measured_events(detector.finish() if block is None else detector.feed(sign * block), file, cutting)
+        if not file.is_grouped:
+            for annotation, channel, times, features in pieces:
+                yield Piece(annotation, times, features, np.full(len(times), np.inf), names[channel])
+            continue
+        parts = [
+            _Part(channel, round(time * recording.sampling_rate), annotation, time, row)
+            for annotation, channel, times, features in pieces
+            for time, row in zip(times.tolist(), features, strict=True)
+        ]
+        known_until = np.inf if block is None else detector.known_until
+        for rock in rocks.feed(sorted(parts, key=lambda part: part.onset), known_until):
+            rows = next(rows for rows in file.groups if rock[0].channel in rows)
+            features, name = _of_rock(rock, cutting.names)[None], "+".join(names[row] for row in rows)
+            yield Piece(rock[0].annotation, np.array([rock[0].time]), features, np.array([np.inf]), name)
+
+
+class _Part(NamedTuple):
+    """What one channel measures of a rock."""
+
+    channel: int
+    onset: int
+    annotation: Annotation
+    time: float
+    values: Floats
+
+
+def _of_rock(rock: Sequence[_Part], names: tuple[str, ...]) -> Floats:
+    """Return the features of a rock from those of its channels, nan if none could be measured."""
+    measured = [part.values for part in rock if np.isfinite(part.values).all()]
+    if len(measured) < 2:
+        return (measured or [rock[0].values])[0]
+    values = np.stack(measured)
+    if columns := pulse_columns(names):
+        # What a channel leaves unexplained tells which of two is wrong.
+        misfit = values[:, names.index("beam_unexplained")] if "beam_unexplained" in names else np.zeros(len(values))
+        values = values[agreeing(values[:, columns], misfit.tolist())]
+    return joined(values, names)
+
+
+def _measured_events(
+    events: list[Event], file: AnnotatedFile, cutting: _Cutting
+) -> Iterator[tuple[Annotation, int, Floats, Floats]]:
+    """Yield annotation, channel, times and features of the impacts in annotated intervals."""
+    starts = [one.start for one in file.annotations]
+    inside: dict[tuple[int, int], list[Event]] = {}
+    for event in events:
+        k = bisect_right(starts, event.time) - 1
+        if k >= 0 and event.time < file.annotations[k].end:
+            inside.setdefault((k, event.channel), []).append(event)
+    for (k, channel), its_events in sorted(inside.items()):
+        annotation = file.annotations[k]
+        for numbers, frames in frames_alike(its_events):
+            some = [its_events[number] for number in numbers]
+            features = extract_array(
+                frames * file.scale(annotation, cutting.unit),
+                file.recording.sampling_rate,
+                cutting.names,
+                pre_trigger=some[0].pre_trigger,
+                invalid="nan",
+                detection_limit=some[0].detection_limit,
+                equalisation=cutting.equalisations[annotation.sensor][channel] if annotation.sensor else None,
+                beam=cutting.beam(file, channel),
+            )
+            features[[bool(event.problem) for event in some]] = np.nan
+            yield annotation, channel, np.array([event.time for event in some]), features
