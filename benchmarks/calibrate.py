@@ -26,6 +26,9 @@ import numpy as np
 from scipy.interpolate import RectBivariateSpline
 from threadpoolctl import threadpool_limits
 
+from cgid.calibration import calibrate
+from cgid.calibration.learning import learn
+from cgid.calibration.modes import mean_evidence, prepare_impacts, uncertain
 from cgid.errors import BadData
 from cgid.identification.inversion.through_beam import ThroughBeam
 from cgid.identification.model import Model
@@ -37,9 +40,6 @@ from cgid.scene import Scene, load_scene, parse_scene, synthesise
 from cgid.scene.file.sections import rows_of
 from cgid.scene.synthesis.impacts import beam_modes
 from cgid.scene.synthesis.through_beam import beam_of
-from cgid.site import calibrate
-from cgid.site.calibration import mean_evidence, prepare_impacts, uncertain
-from cgid.site.learning import learn
 
 #: Modes that a 10 kHz anti-alias filter passes [Hz].
 HEARD = 10e3

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from cgid import load_model, load_scene
-from cgid.export_c import c_source
+from cgid.export import c_source
 from cgid.identification.model import Model
 from cgid.scene import plan
 from cgid.scene.synthesis.synthesis import columns_of

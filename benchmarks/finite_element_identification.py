@@ -16,10 +16,10 @@ from pathlib import Path
 import numpy as np
 
 from cgid import shipped
-from cgid.identification.estimation import estimate
 from cgid.identification.model import Model
 from cgid.identification.training import measure
 from cgid.identification.training.metrics import evaluate
+from cgid.impactor.estimation import estimate
 from cgid.measure.fit.template import curve
 from cgid.physics import Elastic, HalfSpace, HuntCrossley, Impact, Material, Sphere, Viscoelastic
 from cgid.physics.contact.sampled import SampledPulses, shares_of_contact

@@ -26,10 +26,10 @@ from through_beam import changed as with_keys
 from cgid._lib.validation import Floats
 from cgid.identification.detection import find_impacts
 from cgid.identification.detection.events import frames_alike
-from cgid.identification.estimation import cramer_rao_bound, estimate
 from cgid.identification.inversion.through_beam import ThroughBeam
 from cgid.impactor import ImpactorEstimates, MeasuredPulses, population_of, size_distribution
 from cgid.impactor.columns import detection_of, match_times
+from cgid.impactor.estimation import cramer_rao_bound, estimate
 from cgid.impactor.population import impact_beam
 from cgid.impactor.posterior import QUANTITIES
 from cgid.impactor.recognition import of_material, through_beam

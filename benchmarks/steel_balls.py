@@ -19,10 +19,10 @@ import numpy as np
 
 from cgid._lib.validation import Floats
 from cgid.identification.detection import find_impacts
-from cgid.identification.estimation import Estimates, estimate
 from cgid.identification.prediction import load_model, predict
 from cgid.identification.prediction.fraction import wilson_interval
 from cgid.impactor import MeasuredPulses, population_of
+from cgid.impactor.estimation import Estimates, estimate
 from cgid.recordings import read_recording
 from cgid.scene import parse_scene
 from cgid.signals import Signal

@@ -25,8 +25,8 @@ import numpy as np
 from scipy.io import loadmat
 from scipy.signal import butter, hilbert, sosfiltfilt
 
+from cgid.calibration import TapTest, tap_test
 from cgid.errors import BadData
-from cgid.site import TapTest, tap_test
 from tests.tapped import DAMPING, FREQUENCY, PARTICIPATION, taps
 
 RATE = 25_600.0

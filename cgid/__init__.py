@@ -9,18 +9,17 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from cgid import calibration as calibration
     from cgid import errors as errors
-    from cgid import export_c as export_c
+    from cgid import export as export
     from cgid import identification as identification
     from cgid import impactor as impactor
-    from cgid import learn as learn
+    from cgid import learning as learning
     from cgid import measure as measure
     from cgid import physics as physics
     from cgid import plots as plots
-    from cgid import public as public
     from cgid import recordings as recordings
     from cgid import scene as scene
-    from cgid import site as site
     from cgid import store as store
     from cgid.identification.detection.detector import ImpactDetector as ImpactDetector
     from cgid.identification.detection.detector import find_impacts as find_impacts
@@ -32,8 +31,8 @@ if TYPE_CHECKING:
     from cgid.identification.training.training import train_on_groups as train_on_groups
     from cgid.identification.training.training import train_on_specimens as train_on_specimens
     from cgid.impactor import estimate_impactors as estimate_impactors
-    from cgid.learn import ImpactFeatures as ImpactFeatures
-    from cgid.learn import stream as stream
+    from cgid.learning.transformer import ImpactFeatures as ImpactFeatures
+    from cgid.learning.transformer import stream as stream
     from cgid.measure.features.extraction import extract as extract
     from cgid.measure.filters import fft_filter as fft_filter
     from cgid.physics.contact.bodies import RIGID as RIGID
@@ -52,20 +51,20 @@ if TYPE_CHECKING:
     from cgid.scene.synthesis.synthesis import synthesise as synthesise
     from cgid.signals import Batch as Batch
     from cgid.signals import Signal as Signal
-    from cgid.store import Dataset as Dataset
+    from cgid.store.reading import Dataset as Dataset
 
 __version__ = "0.2.0"
 
 #: Public name -> module that defines it.
 _HOMES = {
     "Batch": "cgid.signals",
-    "Dataset": "cgid.store",
+    "Dataset": "cgid.store.reading",
     "Elastic": "cgid.physics.contact.laws",
     "HalfSpace": "cgid.physics.contact.bodies",
     "HuntCrossley": "cgid.physics.contact.laws",
     "Impact": "cgid.physics.contact.impact",
     "ImpactClassifier": "cgid.identification.training.classifier",
-    "ImpactFeatures": "cgid.learn",
+    "ImpactFeatures": "cgid.learning.transformer",
     "ImpactDetector": "cgid.identification.detection.detector",
     "Material": "cgid.physics.contact.materials",
     "Model": "cgid.identification.model.model",
@@ -85,7 +84,7 @@ _HOMES = {
     "open_recording": "cgid.recordings",
     "predict": "cgid.identification.prediction.prediction",
     "read_recording": "cgid.recordings",
-    "stream": "cgid.learn",
+    "stream": "cgid.learning.transformer",
     "synthesise": "cgid.scene.synthesis.synthesis",
     "train_on_groups": "cgid.identification.training.training",
     "train_on_specimens": "cgid.identification.training.training",
@@ -93,8 +92,8 @@ _HOMES = {
 
 #: Public modules.
 _MODULES = (
-    *("errors", "export_c", "identification", "impactor", "learn", "measure"),
-    *("physics", "plots", "public", "recordings", "scene", "site", "store"),
+    *("calibration", "errors", "export", "identification", "impactor", "learning"),
+    *("measure", "physics", "plots", "recordings", "scene", "store"),
 )
 
 __all__ = sorted([*_HOMES, "__version__"])  # pyright: ignore[reportUnsupportedDunderAll]

@@ -16,7 +16,7 @@ train. The card also compares the families (`models/selection.py`), and says how
 The model of acceleration looks through the beam of `tail_beam` at the contact force. It trains on blows all over that
 beam (`EVERYWHERE`), in many noises (`BEAM_RIGS`), and on impacts as found in streams like `caving`, where rocks
 bounce, overlap and ring. It is judged on the blows of `tail_beam`, and finished on further streams
-(`cgid.site.streams`). Its card compares it with a model of force on the same impacts (`models/beside_force.py`).
+(`cgid.learning.streams`). Its card compares it with a model of force on the same impacts (`models/beside_force.py`).
 """
 
 import argparse
@@ -46,10 +46,10 @@ from cgid.identification.training.rows import (
     Rows,
     measure,
 )
+from cgid.learning.streams import StreamRows, finished, rows_of_streams, variations
 from cgid.measure.modal.beam import Beam
 from cgid.scene import Scene, load_scene, parse_scene, synthesise
 from cgid.scene.synthesis.through_beam import beam_of
-from cgid.site.streams import StreamRows, finished, rows_of_streams, variations
 
 HERE = Path(__file__).parent
 #: Where blows fall on the tail beam in the training of the model of acceleration: not only where the window opens.

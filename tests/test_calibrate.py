@@ -7,6 +7,17 @@ import numpy as np
 import pytest
 from scipy.special import ndtri
 
+from cgid.calibration import calibrate
+from cgid.calibration.dimensions import dimension_errors, learn_dimensions, with_dimensions
+from cgid.calibration.learning import ImpactFrames, System, newton, search_valleys
+from cgid.calibration.modes import (
+    check_scene,
+    count_crossings,
+    prepare_impacts,
+    table_beside,
+    uncertain,
+    usable_impacts,
+)
 from cgid.cli.main import run
 from cgid.errors import BadData, InvalidValue
 from cgid.identification.inversion.inversion import Inversion
@@ -19,10 +30,6 @@ from cgid.scene import generate, load_scene, parse_scene, record, synthesise
 from cgid.scene.file.sections import rows_of
 from cgid.scene.synthesis.impacts import beam_modes
 from cgid.scene.synthesis.through_beam import beam_of, through_modes
-from cgid.site import calibrate
-from cgid.site.calibration import check_scene, count_crossings, prepare_impacts, table_beside, uncertain, usable_impacts
-from cgid.site.dimensions import dimension_errors, learn_dimensions, with_dimensions
-from cgid.site.learning import ImpactFrames, System, newton, search_valleys
 from tests.plan_scenes import toml
 
 RATE, BEFORE = 6400.0, 64

@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 from scipy import signal
 
+from cgid.calibration import calibrated
 from cgid.errors import BadData, CgidError, InvalidValue
 from cgid.physics import STEEL, YANG2018_SPHERES, HalfSpace, HuntCrossley, Impact, Sphere, free_fall_velocity
-from cgid.scene import calibrated, parse_scene, synthesise, varied
+from cgid.scene import parse_scene, synthesise, varied
 from cgid.signals import Signal
 from cgid.units import STANDARD_GRAVITY
 

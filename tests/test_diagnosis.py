@@ -20,6 +20,8 @@ from scipy.signal import resample_poly
 from scipy.stats import binom
 
 from cgid import predict
+from cgid.calibration import SiteCalibration
+from cgid.calibration.modes import FEWEST, uncertain
 from cgid.cli.hints import Hints
 from cgid.cli.main import run
 from cgid.identification.model import Model
@@ -41,8 +43,6 @@ from cgid.identification.training.rows import DEFAULT_VIBRATION_FEATURES, Rows
 from cgid.measure.features.extraction import supported
 from cgid.scene import Scene, load_scene, parse_scene, synthesise, varied
 from cgid.scene.output.recordings import parts_of_recording
-from cgid.site import SiteCalibration
-from cgid.site.calibration import FEWEST, uncertain
 from tests import few
 from tests.ringing import ringing_batch
 from tests.streams_of_pulses import RATE, ROOT, stream
@@ -436,7 +436,7 @@ def test_every_command_of_a_hint_works(
     def run_one(arguments: list[str]) -> int:
         return run([*arguments, *["-n", "600"] * (arguments[:2] == ["train", "site.toml"])])
 
-    monkeypatch.setattr("cgid.site.calibration.calibrate", unlearned)
+    monkeypatch.setattr("cgid.calibration.modes.calibrate", unlearned)
     monkeypatch.chdir(tmp_path)
     cause, options = recordings_with_hints(tmp_path)[name]
     assert run(["predict", name, *options, "--json"]) == 0

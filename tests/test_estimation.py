@@ -5,7 +5,7 @@ import pytest
 from scipy import stats
 
 from cgid.errors import BadData, InvalidValue
-from cgid.identification.estimation import Prior, cramer_rao_bound, estimate, posterior
+from cgid.impactor.estimation import Prior, cramer_rao_bound, estimate, posterior
 from cgid.measure.features.extraction import extract_array
 from cgid.measure.features.pulses import PulseBatch
 from cgid.measure.filters import fft_filter

@@ -18,7 +18,7 @@ from cgid import load_model
 from cgid._lib.validation import UNKNOWN
 from cgid.cli.main import run
 from cgid.errors import BadData, InvalidValue
-from cgid.export_c import c_source
+from cgid.export import c_source
 from cgid.identification.model import Model
 from cgid.identification.model.conformal import COVERAGES, Conformal
 from cgid.identification.model.families import Standardiser

@@ -18,7 +18,7 @@ from sklearn.utils.estimator_checks import check_estimator
 import cgid
 from cgid import ImpactClassifier, ImpactFeatures, extract, synthesise
 from cgid.errors import BadData
-from cgid.learn import TrainingBatch
+from cgid.learning.transformer import TrainingBatch
 from cgid.scene import Scene
 from tests.test_docs import blocks_of
 

@@ -12,9 +12,9 @@ from urllib.parse import unquote
 
 import pytest
 
-from cgid import public
 from cgid.cli.main import run
 from cgid.errors import BadData, CannotCreate, NoInput
+from cgid.recordings import public
 
 CONTENT = {"data/6mm/a b.txt": b"first " * 400, "data/10mm/c.txt": b"second " * 300}
 

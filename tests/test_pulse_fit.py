@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import linalg, optimize
 
-from cgid.identification.estimation import estimate
+from cgid.impactor.estimation import estimate
 from cgid.measure.features.extraction import extract_array, extract_truncated
 from cgid.measure.fit.ar_noise import ORDER, ARNoise, ar_noise_of
 from cgid.measure.fit.residual import N_SHAPES

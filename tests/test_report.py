@@ -18,14 +18,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cgid import report as page
 from cgid import shipped
 from cgid.identification.model import Model
 from cgid.identification.prediction import Answer
 from cgid.identification.prediction.fraction import ShareWindow, ShutDecision
 from cgid.measure.overview import OverviewStream
+from cgid.plots import report as page
+from cgid.plots.report import Report, model_facts, recording_facts, report_page
 from cgid.recordings import open_recording
-from cgid.report import Report, model_facts, recording_facts, report_page
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 #: A name that would do harm wherever it is not escaped.

@@ -14,7 +14,7 @@ from pydantic import BaseModel, TypeAdapter
 from scipy import stats
 
 import cgid
-from cgid import shipped, site
+from cgid import calibration, shipped
 from cgid.errors import BadData, CgidError, InvalidValue, NoInput
 from cgid.scene import Scene, load_scene, parse_scene, record, synthesise
 from cgid.scene.file.distributions import LIMITS, MAX_UNIFORM, MIN_UNIFORM, Distribution, Quantity, quantity_of
@@ -432,7 +432,7 @@ def test_identity_depends_on_every_number():
 
 def takes_a_scene():
     """Return the public functions whose first parameter is a scene, by name."""
-    public = {name: getattr(home, name) for home in (cgid, cgid.scene, site) for name in home.__all__}
+    public = {name: getattr(home, name) for home in (cgid, cgid.scene, calibration) for name in home.__all__}
     functions = {name: one for name, one in public.items() if inspect.isfunction(one)}
     return {name: one for name, one in functions.items() if next(iter(inspect.signature(one).parameters)) == "scene"}
 

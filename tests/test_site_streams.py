@@ -9,23 +9,17 @@ import numpy as np
 import pytest
 
 from cgid import shipped
+from cgid.calibration.modes import uncertain
 from cgid.identification.model import Model
 from cgid.identification.model.confusion import MIN_SCATTER
 from cgid.identification.prediction import PredictionSettings
 from cgid.identification.prediction.stream import identify_blocks
 from cgid.identification.prediction.support import CavingWatch
 from cgid.identification.training.rows import BEAM_FEATURES, BEAM_GUARDS, Rows
+from cgid.learning import streams
+from cgid.learning.streams import StreamRows, finished, rows_of_streams, train_on_streams, variations
 from cgid.scene import Scene, load_scene, parse_scene, record
 from cgid.scene.synthesis.impacts import beam_modes
-from cgid.site import streams
-from cgid.site.calibration import uncertain
-from cgid.site.streams import (
-    StreamRows,
-    finished,
-    rows_of_streams,
-    train_on_streams,
-    variations,
-)
 
 NAMES = (*BEAM_FEATURES, *BEAM_GUARDS)
 

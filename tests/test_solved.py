@@ -9,9 +9,9 @@ import pytest
 
 from cgid import shipped
 from cgid.errors import BadData, InvalidValue
-from cgid.identification.estimation import estimate
 from cgid.identification.model import Model
 from cgid.identification.training import measure
+from cgid.impactor.estimation import estimate
 from cgid.physics import STEEL, Elastic, HalfSpace, HertzRangeWarning, Impact, Material, Sphere, Viscoelastic
 from cgid.physics.contact.sampled import SampledPulses, shares_of_contact, smoothed
 from cgid.scene.synthesis.given_pulses import MAKING, PARAMETERS, SolvedImpacts, radii

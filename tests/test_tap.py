@@ -7,15 +7,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from cgid.calibration import Flaw, tap_test
+from cgid.calibration.matching import matched
+from cgid.calibration.poles import poles_of
 from cgid.cli.main import run
 from cgid.errors import BadData
 from cgid.measure.modal.modes import LEARNED_COLUMNS, read_modes
 from cgid.scene import load_scene
 from cgid.scene.synthesis.impacts import beam_modes
 from cgid.shipped import scene_path
-from cgid.site import Flaw, tap_test
-from cgid.site.matching import matched
-from cgid.site.poles import poles_of
 from tests.tapped import DAMPING, FREQUENCY, PARTICIPATION, taps
 
 RATE = 25_600.0

@@ -62,7 +62,7 @@ def test_a_user_of_scenes() -> None:
     for batch in batches:
         assert batch.signals.shape[0] == len(cgid.extract(batch.signals, batch.sampling_rate, ["peak_force"]))
         cgid.fft_filter(batch.signals, batch.sampling_rate, high=20e3)
-    assert_type(cgid.stream(scene, n_signals=8), cgid.learn.TrainingStream)
+    assert_type(cgid.stream(scene, n_signals=8), cgid.learning.TrainingStream)
     learners = cgid.ImpactFeatures(200e3), cgid.ImpactClassifier()
     assert_type(learners, tuple[cgid.ImpactFeatures, cgid.ImpactClassifier])
     training = cgid.train_on_specimens(cgid.synthesise(scene, 2048), features=["peak_force", "contact_duration"])
@@ -99,7 +99,8 @@ def test_public_modules_need_no_import_of_their_own(monkeypatch: pytest.MonkeyPa
             module = importlib.import_module(f"{package.__name__}.{name}")
             assert vars(package)["__getattr__"](name) is module
     written = (
-        "import cgid; cgid.measure.modal.Modes, cgid.learn.TrainingStream, cgid.scene.calibrated, cgid.physics.Impact"
+        "import cgid; cgid.measure.modal.Modes, "
+        "cgid.learning.TrainingStream, cgid.calibration.calibrated, cgid.physics.Impact"
     )
     subprocess.run([sys.executable, "-c", written], check=True)
 
@@ -108,7 +109,7 @@ def test_public_modules_need_no_import_of_their_own(monkeypatch: pytest.MonkeyPa
     ("typed", "offered"),
     [
         ("cgid.pre", "predict"),
-        ("cgid.learn.Train", "TrainingStream"),
+        ("cgid.learning.Train", "TrainingStream"),
         ("cgid.load_model().lab", "labels"),
         ("cgid.open_recording('a.csv').chan", "channels"),
         ("cgid.Impact().peak_f", "peak_force"),

@@ -12,10 +12,10 @@ from cgid import Impact, Signal, Sphere, extract, fft_filter
 from cgid._lib import validation
 from cgid.errors import InvalidValue
 from cgid.identification.detection import ImpactDetector
-from cgid.identification.estimation import estimate, posterior
 from cgid.identification.model.reference import MeanSpectrum
-from cgid.identification.prior import Prior
-from cgid.measure.likelihood import cramer_rao_bound
+from cgid.impactor.estimation import estimate, posterior
+from cgid.impactor.likelihood import cramer_rao_bound
+from cgid.impactor.prior import Prior
 from cgid.measure.overview import OverviewStream
 from cgid.physics import RIGID, STEEL, Elastic, HuntCrossley, Material, ThinPlate
 from cgid.recordings import open_recording

@@ -25,10 +25,10 @@ from cgid.identification.prediction.stream import identify_blocks
 from cgid.identification.prediction.support import CavingWatch
 from cgid.identification.training import train_on_specimens
 from cgid.identification.training.rows import BEAM_FEATURES, BEAM_GUARDS, Rows, measure
+from cgid.learning.streams import finished, rows_of_streams
 from cgid.scene import synthesise
 from cgid.scene.synthesis.through_beam import full_beam
 from cgid.signals import Batch
-from cgid.site.streams import finished, rows_of_streams
 from studies.ceilings.limit import ceiling
 
 _AT_ONCE = 512

@@ -28,13 +28,13 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
+    from cgid.calibration import SiteCalibration
     from cgid.identification.detection import Event
     from cgid.scene import Scene
-    from cgid.site import SiteCalibration
 
 
 def _modes_beside(path: Path) -> list[Path]:
-    from cgid.site.calibration import table_beside
+    from cgid.calibration.modes import table_beside
 
     return [table_beside(path)]
 
@@ -108,11 +108,11 @@ def calibrate(
     """
     from cgid._lib import validation
     from cgid._lib.files import check_new
+    from cgid.calibration import calibrate as calibrated
+    from cgid.calibration import dimensions
+    from cgid.calibration.learning import MAX_ROUNDS
+    from cgid.calibration.modes import FEWEST, check_numbers, check_scene, table_beside
     from cgid.scene import load_scene
-    from cgid.site import dimensions
-    from cgid.site.calibration import FEWEST, check_numbers, check_scene, table_beside
-    from cgid.site.calibration import calibrate as calibrated
-    from cgid.site.learning import MAX_ROUNDS
 
     path = check_new(Path(output), "a site", (".toml",), overwrite=overwrite)
     check_new(table_beside(path), "a table of modes", (".csv",), overwrite=overwrite)
@@ -154,7 +154,7 @@ def _frames(recordings: tuple[str, ...], scene: Scene, reading: Reading) -> tupl
     """Return frames of all usable impacts in the unit of the scene's sensor, their rate, and samples before onset."""
     import numpy as np
 
-    from cgid.site.calibration import FEWEST, frames_of, usable_impacts
+    from cgid.calibration.modes import FEWEST, frames_of, usable_impacts
 
     if any(reading.wants_complete_dataset(path) for path in recordings):
         if len(recordings) > 1:
@@ -182,9 +182,9 @@ def _frames(recordings: tuple[str, ...], scene: Scene, reading: Reading) -> tupl
 
 def _found(recording: Any, scene: Scene, reading: Reading) -> list[Event]:
     """Return the impacts of a recording in the unit of a scene's sensor."""
+    from cgid.calibration.modes import check_scene
     from cgid.cli.events import found_impacts
     from cgid.identification.training.recordings import unit_of
-    from cgid.site.calibration import check_scene
     from cgid.units import UNITS, quantity_of
 
     if len(recording.channels) != 1:

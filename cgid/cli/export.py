@@ -53,8 +53,8 @@ def export_model(model: str, to: str, output: str, overwrite: bool) -> None:
     from pathlib import Path
 
     from cgid._lib.files import check_new, write_whole
-    from cgid.export_c import c_source
-    from cgid.export_onnx import onnx_bytes
+    from cgid.export import c_source
+    from cgid.export.onnx import onnx_bytes
     from cgid.identification.prediction import load_model
 
     path = check_new(Path(output), f"a model in {to.upper()}", (f".{to}",), overwrite=overwrite)

@@ -18,7 +18,7 @@ def fetch(name: str | None, output: str, mirror: str | None) -> None:
 
     Each file is checked by its size and SHA-256. Existing files are kept. No other command downloads anything.
     """
-    from cgid import public
+    from cgid.recordings import public
 
     if name is None:
         for one in public.PUBLIC.values():

@@ -36,9 +36,9 @@ if TYPE_CHECKING:
     from cgid.identification.prediction import Answer, PredictionSettings
     from cgid.impactor import ImpactorColumns
     from cgid.measure.overview import Overview
+    from cgid.plots.report import Report
     from cgid.recordings import RecordingFile
     from cgid.recordings.recording import Channel
-    from cgid.report import Report
     from cgid.signals import Batch, Signal
 
 
@@ -51,7 +51,7 @@ def _report(
     rows: RecordingRows,
 ) -> Report:
     """Return the page content of a recording: its pictures, and the printed predictions."""
-    from cgid.report import Report, model_facts, recording_facts
+    from cgid.plots.report import Report, model_facts, recording_facts
 
     return Report(
         source=recording.source,
@@ -344,7 +344,7 @@ def predict(
         files = (*files, str(shipped.path_of("datasets", name)))
     if report is not None:
         from cgid.plots.figure import new_picture
-        from cgid.report import ENDINGS
+        from cgid.plots.report import ENDINGS
 
         new_picture(report, "a report", ENDINGS, overwrite=overwrite)
     files = tuple(recordings_of(files))
@@ -371,7 +371,7 @@ def predict(
                 else:
                     prediction.recording(reading.recording(path))
     if report is not None and prediction.reports:
-        from cgid.report import write_report
+        from cgid.plots.report import write_report
 
         write_report(report, prediction.reports, overwrite=overwrite)
         say(f"wrote {report}", err=True)

@@ -25,7 +25,7 @@ from cgid.errors import BadData, InvalidValue
 
 if TYPE_CHECKING:
     from cgid._lib.validation import Floats
-    from cgid.site.tapping import TapTest
+    from cgid.calibration import TapTest
 
 
 @click.command(
@@ -88,7 +88,7 @@ def tap(
     tail_beam.modes of a scene and, with --scene, for tail_beam.learned.
     """
     from cgid._lib.files import check_new
-    from cgid.site.tapping import read_times, save_learned, tap_test
+    from cgid.calibration.taps import read_times, save_learned, tap_test
 
     path = check_new(Path(output), "a table of modes", (".csv",), overwrite=overwrite)
     drawing = None
@@ -119,7 +119,7 @@ def tap(
     if modes is None:
         test.save(path, overwrite=overwrite)
     else:
-        from cgid.site.matching import matched
+        from cgid.calibration.matching import matched
 
         learned, known = matched(test, *modes, error)
         save_learned(learned, path, overwrite=overwrite)
@@ -155,9 +155,9 @@ def _read(path: str, hammer: str | None, reading: Reading) -> tuple[Floats, Floa
     """Return the response (n_channels, n), the hammer's force or None, their rate and the response's quantity."""
     import numpy as np
 
+    from cgid.calibration.taps import factor_of
     from cgid.identification.training.recordings import unit_of
     from cgid.recordings import is_dataset, open_recording
-    from cgid.site.tapping import factor_of
     from cgid.units import UNITS, quantity_of
 
     if path == "-":

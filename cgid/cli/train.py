@@ -302,7 +302,7 @@ def _from_signals(data: list[str], options: dict[str, Any]) -> tuple[Any, list[A
     given = _given(options, *_COMMON, "test_share", "calibration_share")
     n_signals = options["n_signals"]
     if scene is not None and not (options["features"] or options["drop_height"] or options["sensors"]):
-        from cgid.site.streams import is_streamable, numbers_of_streams, train_on_streams
+        from cgid.learning.streams import is_streamable, numbers_of_streams, train_on_streams
 
         if is_streamable(scene):
             with progress_bar(sum(numbers_of_streams(scene, n_signals)), "simulated streams", "measuring") as progress:
@@ -512,7 +512,7 @@ def _sources(data: list[str], start_error: float | None = None) -> list[Any]:
     sources: list[Any] = [load_scene(item) if _means_scene(item) else Dataset(item) for item in data]
     if start_error is None:
         return sources
-    from cgid.site.calibration import uncertain
+    from cgid.calibration.modes import uncertain
 
     return [uncertain(scene, start_error) for scene in sources]
 

@@ -10,10 +10,11 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from types import ModuleType
 
-    from cgid.identification import detection, estimation, model, prediction, training
+    from cgid.identification import detection, model, prediction, training
 
 #: The rooms and modules with public names, loaded on first use.
-__all__ = ["detection", "estimation", "model", "prediction", "training"]
+#: The rooms and modules with public names, loaded on first use.
+__all__ = ["detection", "model", "prediction", "training"]
 
 
 if not TYPE_CHECKING:

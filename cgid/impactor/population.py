@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from cgid._lib.validation import Floats
 from cgid.errors import InvalidValue
-from cgid.identification.estimation import estimate
 from cgid.identification.inversion.inversion import ForceEstimate
 from cgid.identification.inversion.through_beam import ThroughBeam
+from cgid.impactor.estimation import estimate
 from cgid.impactor.posterior import ImpactorPopulation
 from cgid.measure.fit.template import relative_times
 from cgid.measure.modal.beam import FINE, TOUCH, filtered, respond

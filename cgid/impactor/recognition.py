@@ -14,8 +14,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from cgid._lib.validation import Floats, require_rate
 from cgid.errors import InvalidValue
-from cgid.identification.estimation import estimate
 from cgid.identification.inversion.through_beam import ThroughBeam
+from cgid.impactor.estimation import estimate
 from cgid.impactor.measured import MeasuredPulses
 from cgid.impactor.population import impact_beam, population_of, uses_beam
 from cgid.impactor.posterior import LEVELS, SPEED_POWER, TIME_POWER, ImpactorEstimates, ImpactorPopulation
@@ -58,7 +58,7 @@ def estimate_impactors(
     target : HalfSpace or RIGID
         Target of a sphere of one material; a scene specifies it.
     pre_trigger : int, optional
-        Samples before onset, as in `cgid.identification.estimation.estimate`.
+        Samples before onset, as in `cgid.impactor.estimation.estimate`.
     **options
         Other arguments of `estimate`, for forces: noise, clip_level, bandwidth and others.
 

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 from cgid._lib.lazy import on_first_use
 
 if TYPE_CHECKING:
-    from cgid.scene.calibration import Calibration, calibrated
     from cgid.scene.file.schema import Scene, load_scene, parse_scene, varied
     from cgid.scene.file.sensor import Sensor
     from cgid.scene.output.changes import changed
@@ -20,7 +19,6 @@ if TYPE_CHECKING:
 
 #: Module -> the public names that it defines.
 _NAMES = {
-    "calibration": ("Calibration", "calibrated"),
     "file.schema": ("Scene", "load_scene", "parse_scene", "varied"),
     "file.sensor": ("Sensor",),
     "output.changes": ("changed",),
@@ -33,12 +31,10 @@ _NAMES = {
 }
 
 __all__ = [
-    "Calibration",
     "Plan",
     "Scene",
     "Sensor",
     "SolvedImpacts",
-    "calibrated",
     "changed",
     "generate",
     "generate_recordings",

@@ -2,29 +2,27 @@
 
 from __future__ import annotations
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from cgid._lib.lazy import on_first_use
 
 if TYPE_CHECKING:
+    from cgid.store.dataset import export
     from cgid.store.description import FORMAT, SCHEMA_VERSION
     from cgid.store.reading import Dataset
     from cgid.store.table import Table, read_table
+    from cgid.store.verification import Verified, remedy, verify
 
-__all__ = ["FORMAT", "SCHEMA_VERSION", "Dataset", "Table", "read_table"]
-
-#: Where each public name lives.
-_HOMES = dict.fromkeys(__all__, "table") | {
-    "FORMAT": "description",
-    "SCHEMA_VERSION": "description",
-    "Dataset": "reading",
+#: Module -> the public names that it defines.
+_NAMES = {
+    "dataset": ("export",),
+    "description": ("FORMAT", "SCHEMA_VERSION"),
+    "reading": ("Dataset",),
+    "table": ("Table", "read_table"),
+    "verification": ("Verified", "remedy", "verify"),
 }
 
+__all__ = ["FORMAT", "SCHEMA_VERSION", "Dataset", "Table", "Verified", "export", "read_table", "remedy", "verify"]
 
-def __getattr__(name: str) -> Any:
-    if name not in _HOMES:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(f"cgid.store.{_HOMES[name]}"), name)
-
-
-def __dir__() -> list[str]:
-    return sorted({*globals(), *_HOMES})
+if not TYPE_CHECKING:  # else a name that does not exist would have a type
+    __getattr__, __dir__ = on_first_use(__name__, _NAMES)

@@ -25,7 +25,7 @@ PAGES: dict[str, tuple[str, tuple[str, ...]]] = {
         "Recordings: cgid.recordings",
         (
             "cgid.recordings",
-            "cgid.public",
+            "cgid.recordings.public",
         ),
     ),
     "measure": (
@@ -43,24 +43,22 @@ PAGES: dict[str, tuple[str, tuple[str, ...]]] = {
             "cgid.identification.model",
             "cgid.identification.prediction",
             "cgid.identification.training",
-            "cgid.export_c",
-            "cgid.learn",
         ),
     ),
-    "store": (
-        "Datasets on disk: cgid.store",
+    "learning": (
+        "Own learners, other machines: cgid.learning, cgid.export",
         (
-            "cgid.store",
-            "cgid.store.verification",
-            "cgid.store.dataset",
+            "cgid.learning",
+            "cgid.export",
         ),
     ),
-    "site": ("The beam of a site: cgid.site", ("cgid.site",)),
+    "store": ("Datasets on disk: cgid.store", ("cgid.store",)),
+    "calibration": ("The beam of a site: cgid.calibration", ("cgid.calibration",)),
     "impactor": (
         "What struck: cgid.impactor",
         (
             "cgid.impactor",
-            "cgid.identification.estimation",
+            "cgid.impactor.estimation",
         ),
     ),
     "output": ("Pictures: cgid.plots", ("cgid.plots",)),

@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 
 from cgid._lib.validation import Floats
 from cgid.errors import InvalidValue
+from cgid.impactor.likelihood import Profile, profile
 from cgid.measure.filters import mixing_matrix
 from cgid.measure.fit.fit_samples import by_length, tied
 from cgid.measure.fit.least_squares import solve_scaled
@@ -35,7 +36,6 @@ from cgid.measure.fit.template import (
     relative_times,
     shape_deviation,
 )
-from cgid.measure.likelihood import Profile, profile
 from cgid.scene import Scene
 from cgid.scene.synthesis.draws import COLOURED
 from cgid.scene.synthesis.noise import Coloured, ar_noise_of
@@ -365,7 +365,7 @@ def profile_in(
     n_nodes: int,
     onset_between: tuple[float, float] | None,
 ) -> Profile:
-    """Return the likelihood along the shape, as `cgid.measure.likelihood.profile`.
+    """Return the likelihood along the shape, as `cgid.impactor.likelihood.profile`.
 
     `near` (n, 5) holds pulses near the most likely ones, such as the true ones: (peak, ln width, place, s, 0).
     """

@@ -21,13 +21,13 @@ from numpy.typing import NDArray
 from cgid._lib import validation
 from cgid._lib.validation import Floats
 from cgid.errors import InvalidValue
-from cgid.identification.prior import Prior
+from cgid.impactor.likelihood import Profile, profile
+from cgid.impactor.prior import Prior
 from cgid.measure.features.extraction import extract_array
 from cgid.measure.features.pulses import PULSE_FEATURES
 from cgid.measure.features.table import Feature
 from cgid.measure.filters import low_pass_response
 from cgid.measure.fit.template import parameters_of, relative_times
-from cgid.measure.likelihood import Profile, profile
 from cgid.scene import Scene, load_scene, parse_scene, synthesise
 from cgid.scene.synthesis.draws import BLOCK
 from cgid.scene.synthesis.impacts import draws

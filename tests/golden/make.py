@@ -135,8 +135,8 @@ def numbers_of_card() -> list[float]:
 
 def calibrated() -> dict[str, list[float]]:
     """Return the modes of the site file of a panel that is truly 1 % thicker, from 40 impacts."""
+    from cgid.calibration import calibrate
     from cgid.scene import load_scene, parse_scene, synthesise
-    from cgid.site import calibrate
 
     panel = load_scene(HERE / "panel.toml")
     content = json.loads(panel.text)

@@ -21,7 +21,7 @@ from cgid.scene.synthesis.impacts import beam_modes, draw, pulses_of_block
 from cgid.scene.synthesis.plan import highest_frequency, plan
 from cgid.scene.synthesis.synthesis import batch_of, blocks, make_frames, require_count, require_frames
 from cgid.signals import Batch
-from cgid.store import Dataset
+from cgid.store.reading import Dataset
 
 #: Pulses drawn for the principal shapes, in blocks of 256, their seed, and the number of shapes.
 _BLOCKS, _SEED, N_SHAPES = 12, 0x5EED_0002_C9D1, 18

@@ -15,12 +15,12 @@ from typing import Any
 import numpy as np
 
 from cgid._lib.validation import Floats
+from cgid.calibration.learning import ImpactFrames, System, newton
 from cgid.errors import InvalidValue
 from cgid.identification.inversion.inversion import Inversion
 from cgid.measure.modal.beam import Beam
 from cgid.scene.file.schema import Scene, parse_scene
 from cgid.scene.synthesis.through_beam import through_modes
-from cgid.site.learning import ImpactFrames, System, newton
 
 #: Dimensions of a [tail_beam] that may be learned.
 DAMPING = "damping_ratio"

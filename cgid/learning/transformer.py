@@ -28,7 +28,7 @@ from cgid.scene.file.schema import Scene, load_scene
 from cgid.scene.synthesis.draws import require_seed
 from cgid.scene.synthesis.synthesis import require_count, require_frames, synthesise
 from cgid.scene.synthesis.through_beam import shared_beam
-from cgid.store import Dataset
+from cgid.store.reading import Dataset
 
 __all__ = ["TrainingStream"]
 

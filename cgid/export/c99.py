@@ -299,7 +299,7 @@ def _part(name: str, **filled: object) -> str:
 
 @cache
 def _parts() -> dict[str, str]:
-    text = (resources.files("cgid") / "export_c.c").read_text(encoding="ascii")
+    text = (resources.files("cgid.export") / "c99.c").read_text(encoding="ascii")
     _, *parts = re.split(r"^//: (.+)\n", text, flags=re.MULTILINE)
     return dict(zip(parts[::2], parts[1::2], strict=True))
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from cgid import __version__
 from cgid.errors import optional
-from cgid.export_c import require_small
+from cgid.export.c99 import require_small
 from cgid.identification.model.families import Network, Standardiser
 from cgid.identification.model.model import Model
 from cgid.identification.model.model_file import STANDARDISER

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from cgid._lib.validation import Floats
+from cgid.calibration.taps import TapTest
 from cgid.measure.modal.modes import Modes
-from cgid.site.tapping import TapTest
 
 #: A mode of a scene matches one of the taps within this many standard deviations; an unmatched one costs their square.
 _FITTING = 3.0

@@ -350,7 +350,7 @@ def _swatch(colour: str) -> str:
 
 
 def _resource(name: str) -> str:
-    return (resources.files("cgid") / name).read_text(encoding="utf-8")
+    return (resources.files("cgid.plots") / name).read_text(encoding="utf-8")
 
 
 def _hash(text: str) -> str:

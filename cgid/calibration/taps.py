@@ -19,12 +19,12 @@ from cgid._lib import validation
 from cgid._lib.files import check_new, read_cells, write_whole
 from cgid._lib.terminal import counted
 from cgid._lib.validation import Floats
+from cgid.calibration.poles import Complexes, Poles, poles_of
 from cgid.errors import BadData, InvalidValue
 from cgid.identification.detection.detector import ImpactDetector
 from cgid.identification.detection.events import Event
 from cgid.measure.modal.modes import Modes, residues, text_of_table
 from cgid.physics.structure.response import DERIVATIVES
-from cgid.site.poles import Complexes, Poles, poles_of
 from cgid.units import UNITS, quantity_of
 
 #: Contact time of a hammer without a hammer channel, and the ringing of its filter after the force has ended [s].

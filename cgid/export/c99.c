@@ -1,4 +1,4 @@
-/* The C of `cgid.export_c`, in parts that each follow a line with their name. An exported file has those parts that its
+/* The C of `cgid.export`, in parts that each follow a line with their name. An exported file has those parts that its
    model needs; %(name)s is filled in where a part has it. */
 //: types
 #ifndef CGID_REAL

@@ -15,6 +15,8 @@ from threadpoolctl import threadpool_limits
 from cgid._lib import validation
 from cgid._lib.files import check_new, write_together
 from cgid._lib.validation import Floats
+from cgid.calibration.dimensions import Dimension, dimension_errors, learn_dimensions
+from cgid.calibration.learning import ImpactFrames, evidence_of, learn
 from cgid.errors import BadData, InvalidValue
 from cgid.identification.detection.detector import ImpactDetector
 from cgid.identification.inversion.inversion import Inversion
@@ -29,8 +31,6 @@ from cgid.scene.synthesis.impacts import beam_modes
 from cgid.scene.synthesis.stream import parts_of_recording
 from cgid.scene.synthesis.synthesis import synthesise
 from cgid.scene.synthesis.through_beam import beam_of, spread_over, through_modes
-from cgid.site.dimensions import Dimension, dimension_errors, learn_dimensions
-from cgid.site.learning import ImpactFrames, evidence_of, learn
 
 if TYPE_CHECKING:
     from cgid.identification.detection.events import Event
@@ -170,8 +170,8 @@ def calibrate(
         Relative standard deviation of the modes' participations; with 0, they are not learned.
     dimension_error : float or mapping of str to float
         Relative standard deviation of each dimension of the beam and of the sensor's position, or of those that a
-        mapping names (`cgid.site.dimensions.DIMENSIONS`). With 0, they are exact. Otherwise they are learned first,
-        with the damping ratio, and `start_error` is the remaining error.
+        mapping names (`cgid.calibration.dimensions.DIMENSIONS`). With 0, they are exact. Otherwise they are learned
+        first, with the damping ratio, and `start_error` is the remaining error.
     max_impacts : int
         Maximum number of impacts, 20 or more.
     progress : callable, optional
