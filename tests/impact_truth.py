@@ -1,4 +1,4 @@
-"""Noiseless caving streams and the truth of their impacts, for tests and `benchmarks/detection.py`.
+"""Noiseless caving streams and the truth of their impacts, for tests and `benchmarks/identification/detection.py`.
 
 **Noise** in dB: mean square of the whole noiseless recording over that of the added noise.
 

@@ -252,7 +252,7 @@ def test_lines_of_json_have_the_keys_of_their_page(capsys: pytest.CaptureFixture
 
 
 def test_named_programs_exist() -> None:
-    program = re.compile(r"(?<![\w/])(?:benchmarks|datasets|models|tests)/\w+\.\w+\b")
+    program = re.compile(r"(?<![\w/])(?:benchmarks|datasets|models|tests)/[\w/]+\.\w+\b")
     named = {(page.name, name) for page in PAGES for name in program.findall(page.read_text(encoding="utf-8"))}
     assert len(named) > 30
     assert not [(page, name) for page, name in named if not (ROOT / name).exists()]

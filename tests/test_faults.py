@@ -1,4 +1,4 @@
-"""What becomes of files when the disk does not obey; the long form is benchmarks/faults.py."""
+"""What becomes of files when the disk does not obey; the long form is benchmarks/safety/faults.py."""
 
 import errno
 import os
@@ -13,7 +13,7 @@ import h5py
 import numpy as np
 import pytest
 
-from benchmarks.faults import COMMANDS, FAULTS, Server, Trial, files_in, inputs, load, sweep
+from benchmarks.safety.faults import COMMANDS, FAULTS, Server, Trial, files_in, inputs, load, sweep
 from cgid._lib.files import whole_file, write_together
 from cgid.cli.main import run
 from cgid.errors import WriteFailed

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from benchmarks.fuzz_recordings import fuzz
+from benchmarks.safety.fuzz_recordings import fuzz
 from cgid.cli import cli
 from cgid.errors import BadData, CgidError, InvalidValue, MissingOption
 from cgid.recordings import Blocks, from_sep005, open_recording, read_recording, to_sep005
@@ -97,8 +97,8 @@ def test_a_file_cut_off_is_refused_or_warned_of(specimen, tmp_path):
 @pytest.mark.filterwarnings("ignore")
 @pytest.mark.parametrize("n", few([21, 63]))
 def test_damaged_files_are_never_more_than_refused(tmp_path, monkeypatch, n):
-    # The longest form: python benchmarks/fuzz_recordings.py
-    monkeypatch.setattr("benchmarks.fuzz_recordings.TIME_LIMIT", 120.0)  # however busy the machine is
+    # The longest form: python benchmarks/safety/fuzz_recordings.py
+    monkeypatch.setattr("benchmarks.safety.fuzz_recordings.TIME_LIMIT", 120.0)  # however busy the machine is
     found = fuzz(n, seed=11, folder=tmp_path, n_samples=1500)
     for name, rows in found.items():
         for mutation, outcome, _ in rows:

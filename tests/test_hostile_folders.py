@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.bit_flips import small_scene
+from benchmarks.safety.bit_flips import small_scene
 from cgid.cli.main import run
 from cgid.scene import generate
 from cgid.store.folder import sums_text

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.fuzz_recordings import MUTATIONS
+from benchmarks.safety.fuzz_recordings import MUTATIONS
 from cgid import shipped
 from cgid.cli.main import run
 from cgid.cli.output import print_json

@@ -1,19 +1,21 @@
-"""The independent beam of `benchmarks/independent_beam.py` and its finite elements.
+"""The independent beam of `benchmarks/beam/independent_beam.py` and its finite elements.
 
 It judges the package, so first it is judged itself: by closed forms, a finer mesh, the balance of energy, Newmark's
 method on the full matrices, and the package's own physics, which it shares nothing with.
 """
 
-import sys
 import tempfile
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy import linalg, signal, sparse, stats
 from scipy.sparse.linalg import splu
 
+from benchmarks.beam import independent_beam, independent_modes
+from benchmarks.beam.independent_beam import Attached, Variant
+from benchmarks.beam.independent_contact import Contact, Stepped, residual
+from benchmarks.beam.independent_modes import Beam, lowest, model
 from cgid.measure.modal import Modes as MeasuredModes
 from cgid.physics import (
     STEEL,
@@ -30,16 +32,6 @@ from cgid.physics import (
 )
 from cgid.scene import load_scene
 from cgid.scene.synthesis.draws import drawn_block
-
-BENCHMARKS = Path(__file__).parents[1] / "benchmarks"
-if str(BENCHMARKS) not in sys.path:
-    sys.path.append(str(BENCHMARKS))
-
-import independent_beam  # noqa: E402
-import independent_modes  # noqa: E402
-from independent_beam import Attached, Variant  # noqa: E402
-from independent_contact import Contact, Stepped, residual  # noqa: E402
-from independent_modes import Beam, lowest, model  # noqa: E402
 
 
 def frequencies(beam, highest):

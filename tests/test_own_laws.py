@@ -12,7 +12,7 @@ import pytest
 from numba import njit
 from scipy.integrate import solve_ivp
 
-from benchmarks import own_laws as referee
+from benchmarks.impact import own_laws as referee
 from cgid.cli.main import run
 from cgid.errors import BadData, CannotCreate, InvalidValue
 from cgid.physics import (

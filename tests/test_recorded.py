@@ -577,7 +577,7 @@ def test_windows_drowned_in_noise_are_unknown(n_channels: int, tmp_path: Path, c
 @pytest.mark.long
 def test_few_recordings_are_as_sure_as_they_are_right(real_data: Path, tmp_path: Path) -> None:
     """The first two recordings of each material of the ramp teach, the third judges: as it is, and in white noise."""
-    from benchmarks.ramp import fold
+    from benchmarks.identification.ramp import fold
 
     files = sorted((real_data / "bulk_ramp").glob("*_[123].wav"))
     for cells in fold(files, "3", 1, 0, tmp_path):

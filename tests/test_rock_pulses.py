@@ -1,29 +1,22 @@
-"""The independent impacts of `benchmarks/rock_pulses.py`.
+"""The independent impacts of `benchmarks/impact/rock_pulses.py`.
 
 They judge the package, so first they are judged themselves: by closed forms, by DOP853 away from the nodes of the
 tables, and by the package's own physics, which they share nothing with.
 """
 
-import sys
 from dataclasses import replace
 from itertools import pairwise
-from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.integrate import quad, solve_ivp
 
+from benchmarks.identification import rock
+from benchmarks.impact import rock_pulses
+from benchmarks.impact.rock_pulses import CASES, LAWS, RATE, record, viscous
 from cgid import shipped
 from cgid.identification.model import Model
 from cgid.physics import STEEL, HalfSpace, HuntCrossley, Impact, Material, Sphere, Thornton, Viscoelastic, WaltonBraun
-
-BENCHMARKS = Path(__file__).parents[1] / "benchmarks"
-if str(BENCHMARKS) not in sys.path:
-    sys.path.append(str(BENCHMARKS))
-
-import rock  # noqa: E402
-import rock_pulses  # noqa: E402
-from rock_pulses import CASES, LAWS, RATE, record, viscous  # noqa: E402
 
 
 def test_hunt_crossley_has_its_exact_restitution():

@@ -75,7 +75,7 @@ def path(tmp_path):
 @pytest.mark.parametrize("kills", few([2, 12]))
 def test_killed_runs_go_on_to_the_same_bytes(kills):
     """The short form of the benchmark, in a process of its own: it forks."""
-    command = [sys.executable, "benchmarks/kills.py", "--kills", str(kills), "--with-workers", "0"]
+    command = [sys.executable, "benchmarks/safety/kills.py", "--kills", str(kills), "--with-workers", "0"]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
     assert done.returncode == 0, done.stdout + done.stderr
     assert done.stdout.count("| nothing |") == 4

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.streamed_training import made, trained_within
+from benchmarks.identification.streamed_training import made, trained_within
 
 
 @pytest.mark.long

@@ -13,7 +13,7 @@ import h5py
 import numpy as np
 import pytest
 
-from benchmarks.bit_flips import flipped, judge, small_scene, some, subjects
+from benchmarks.safety.bit_flips import flipped, judge, small_scene, some, subjects
 from cgid.cli.main import run
 from cgid.errors import BadData, CannotCreate, NoInput
 from cgid.scene import generate, generate_recordings, parse_scene, plan
@@ -88,8 +88,8 @@ def resumed(path: Path) -> bool:
 
 @pytest.mark.long
 def test_no_flipped_bit_and_no_length_is_a_silent_change(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The long form: python benchmarks/bit_flips.py."""
-    monkeypatch.setattr("benchmarks.bit_flips.TIME_LIMIT", 300.0)  # however busy the machine is
+    """The long form: python benchmarks/safety/bit_flips.py."""
+    monkeypatch.setattr("benchmarks.safety.bit_flips.TIME_LIMIT", 300.0)  # however busy the machine is
     for subject in subjects(tmp_path, bits=80, lengths=20, large_bits=25, verified_bits=20):
         outcomes = judge(subject.file, subject.read, subject.damages)
         assert outcomes.total() == len(subject.damages)

@@ -33,7 +33,7 @@ _FIRST, _BETWEEN, _LAST, _MAX_SEARCHES = 8, 2, 10, 6
 _BANDS, _BEYOND = (0.12, 0.24, 0.4, 0.6, 0.8, 1.0), 1.15
 #: With frequency errors below this fraction of the damping ratio, the complete band is learned at once.
 _NARROW = 0.7
-#: Factor of the standard deviations for the nonlinearity in the poles; measured by benchmarks/calibrate.py.
+#: Factor of the standard deviations for the nonlinearity in the poles; measured by benchmarks/beam/calibrate.py.
 _BEYOND_LINEAR = 1.1
 #: Maximum number of rounds.
 MAX_ROUNDS = len(_BANDS) * (_FIRST + _MAX_SEARCHES * _BETWEEN) + _LAST

@@ -21,13 +21,13 @@ OVERLOAD_LIMIT = 1.0
 #: Above this misfit a pulse is not of the family, and widening cannot make it an estimate.
 HOPELESS = 400.0
 #: ln peak, ln width and shape of pulses of the laws of Thornton, Walton and Kuwabara, minus those of the damped Hertz
-#: pulse of the same sphere and speed: mean and standard deviation in scene `rock` (`benchmarks/impactor.py`). Peak and
-#: width vary together, because their product is the impulse, `(1 + e) m v`: with this correlation.
+#: pulse of the same sphere and speed: mean and standard deviation in scene `rock` (`benchmarks/beam/impactor.py`). Peak
+#: and width vary together, because their product is the impulse, `(1 + e) m v`: with this correlation.
 OTHER_LAWS, OTHER_DEVIATIONS, OTHER_CORRELATION = (-0.51, 0.49, 0.99), (0.44, 0.39, 0.40), -0.98
 #: Smallest and largest accepted standard deviation of the logarithms.
 _FINEST, _COARSEST = 1e-4, 3.0
 #: Standard deviations of ln peak, ln width and shape by which pulses fitted through a beam differ from the closest ones
-#: of the family when waves of the beam return during contact (`benchmarks/impactor.py`).
+#: of the family when waves of the beam return during contact (`benchmarks/beam/impactor.py`).
 _THROUGH_BEAM = (0.005, 0.01, 0.08)
 #: Error of ln peak due to the unexplained energy, over the root of its fraction; its maximum; errors of ln peak, ln
 #: width and shape over it; and the fraction from which on it is reported. With these the intervals of scene `caving`

@@ -88,7 +88,7 @@ _ALL = (
         "f3230a1a271a7249f9a494840facc533ed04a55c",
         "MIT",
         "99 impacts of steel balls of 6 and 10 mm on concrete: displacement near the impact, 625 kHz, 5 ms",
-        "contact times and sizes of impactors on real signals (benchmarks/steel_balls.py)",
+        "contact times and sizes of impactors on real signals (benchmarks/identification/steel_balls.py)",
     ),
     PublicData(
         "bulk-ramp",

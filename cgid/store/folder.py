@@ -7,7 +7,7 @@
 
 If the first sum is not that of the description, all are void. A file is complete if its sum fits, or, without a sum, if
 its digest, number and checksums do. All of these are untrusted: they are checked before use. `python
-benchmarks/kills.py` kills runs at any moment.
+benchmarks/safety/kills.py` kills runs at any moment.
 """
 
 from __future__ import annotations

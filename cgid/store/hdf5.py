@@ -13,7 +13,7 @@ dimension scales of all that is above, so xarray (engine h5netcdf) opens a shard
 A shard is built in memory, which is faster. Recordings and tables may exceed memory and are written to the disk
 directly (`hdf5_on_disk`). Only signals of shards are compressed: `gzip` is HDF5's shuffle and deflate, which h5dump,
 MATLAB and LabVIEW read; `zstd` and `blosc2` (filters 32015 and 32026 of HDF5's registry) need plugins, in Python
-hdf5plugin. `python benchmarks/store.py` measures size and speed.
+hdf5plugin. `python benchmarks/speed/store.py` measures size and speed.
 """
 
 from __future__ import annotations

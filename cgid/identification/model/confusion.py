@@ -37,7 +37,7 @@ _ADDED = 2.0
 #: Length of the windows for the scatter of predictions [s].
 _WINDOW = 10.0
 #: Minimum standard deviation of the fraction from stream to stream (assumed): a mine differs from its simulation.
-#: Another seam and location move the fraction by this much (`benchmarks/streams.py`).
+#: Another seam and location move the fraction by this much (`benchmarks/identification/streams.py`).
 MIN_SCATTER = 0.035
 
 

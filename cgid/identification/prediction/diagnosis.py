@@ -50,14 +50,14 @@ MIN_LEVELS, _MAX_LEVELS = 10, 10_000
 #: A live stream is tested at these numbers of levels, and then whenever so many more have come, by so many latest ones.
 _TESTS, _EVERY, _LATEST_LEVELS = (10, 30, 90, 270, 810), 5, (20, 30, 200)
 #: Tests go on for days, so chance may have this many times the variance; and from so many levels on, where chance is
-#: small, recordings may differ by this many times theirs (benchmarks/watch.py).
+#: small, recordings may differ by this many times theirs (benchmarks/plant/watch.py).
 _ENDLESS, _MANY, _WIDE = 3.5, 90, 2.0
 #: Levels count up to so many standard deviations from their median; the upper end of n levels, their mean and standard
 #: deviation together, is about this one in the training. In standard deviations of the training.
 _CLIPPED, _UPPER = 2.0, 0.85
 #: The upper end of n levels lies above and below that by more than sqrt(a / n + b) in less than one of 200 recordings
-#: each, by simulation (benchmarks/wrong_scale.py): (a, b) above and below, for a force and for what a beam gives. Slow
-#: rebounds on a beam only lower the level.
+#: each, by simulation (benchmarks/plant/wrong_scale.py): (a, b) above and below, for a force and for what a beam gives.
+#: Slow rebounds on a beam only lower the level.
 _SPREAD = {False: ((7.0, 0.10), (10.0, 0.12)), True: ((3.5, 0.05), (15.0, 0.34))}
 #: Between these factors g and m/s^2 may have been confused.
 _LIKE_G = (5.0, 20.0)

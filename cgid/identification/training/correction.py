@@ -3,7 +3,7 @@
 Ten to fifty impacts determine only a few parameters, each with a prior: the bias of each label (standard deviation
 0.7), ln of the slope of the scores (0.3), and ln of the gain of the sensor (0.2), which divides features with the unit
 of the signal. With prior probability 3/4 no correction is needed; the result is the mean over the alternatives,
-weighted by their evidence. `benchmarks/site_correction.py` checks these assumed numbers.
+weighted by their evidence. `benchmarks/identification/site_correction.py` checks these assumed numbers.
 
 The corrected probabilities are softmax(a s + b) of the scores s at the corrected features, folded into temperature,
 last intercepts and standardiser, so a corrected model is an ordinary model.

@@ -1,0 +1,329 @@
+"""How far a model of acceleration sees through its beam: places, forces, labels; other recorders, ringing, other beams.
+
+    python benchmarks/beam/through_beam.py                                  # the shipped model, 4096 impacts a case
+    python benchmarks/beam/through_beam.py MODEL -n 8192 --cases tail_beam quarters
+    python benchmarks/beam/through_beam.py --cases sensors                  # one, two and three accelerometers
+    python benchmarks/beam/through_beam.py --cases changed -n 512           # how often a changed beam is noticed
+    python benchmarks/beam/through_beam.py --cases independent              # beams of finite elements
+
+The impacts are from a seed that no training uses. An impact that cannot be measured counts as wrong, and as unknown.
+Accuracy is that of the most probable label, whether the answer is unknown or not; "answered" is that of the others.
+"""
+
+import argparse
+import json
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from cgid import shipped
+from cgid.identification.inversion.through_beam import ThroughBeam
+from cgid.identification.model import Model
+from cgid.identification.prediction import load_model
+from cgid.identification.prediction.diagnosis import CHANGED, ChannelAnswers
+from cgid.measure.features.extraction import extract_array
+from cgid.measure.features.vibration import VibrationBatch
+from cgid.measure.modal.beam import Beam, corrected
+from cgid.measure.modal.modes import Modes, NodeShapes, nodes
+from cgid.scene import Scene, load_scene, parse_scene, synthesise
+from cgid.scene.synthesis.through_beam import beam_of, moved
+from cgid.signals import Batch
+
+SEED = 777_000_003
+#: Sampling rates [kHz] with the edge of the anti-alias filter [kHz].
+RATES = ((12.8, 5.0), (48.0, 18.75), (51.2, 20.0), (102.4, 40.0))
+#: Places of accelerometers [m]: that of the scene and others; the middle line of the beam is y = .7 m.
+SENSORS = {
+    "off the middle line": ((0.5, 0.45),),
+    "another": ((1.1, 1.0),),
+    "both": ((0.5, 0.45), (1.1, 1.0)),
+    "both and a third": ((0.5, 0.45), (1.1, 1.0), (0.9, 0.2)),
+    "on the middle line": ((0.5, 0.7),),
+    "two on the middle line": ((0.5, 0.7), (1.1, 0.7)),
+    "one on, one off the middle line": ((0.5, 0.7), (1.1, 1.0)),
+}
+#: How long before an impact another one strikes [s].
+GAPS = (10e-3, 30e-3)
+#: Shares by which modes change, and numbers of impacts after which it may be noticed.
+CHANGES, SIZES = (0.0, 0.003, 0.01, 0.03), (30, 100, 300)
+#: A place that is wrong by more is far off [m].
+FAR = 0.05
+_CHUNK = 256
+
+
+def changed(**changes: Any) -> Scene:
+    """Return the scene tail_beam with other keys, `section.key` or `section.sub.key`; None removes one."""
+    content = json.loads(load_scene(shipped.scene_path("tail_beam")).text)
+    for path, value in changes.items():
+        *sections, key = path.split("__")
+        inner = content
+        for section in sections:
+            inner = inner.setdefault(section, {})
+        inner.pop(key, None)
+        if value is not None:
+            inner[key] = value
+    return parse_scene(content | {"name": "tail_beam, changed"})
+
+
+def at_rate(rate: float, edge: float) -> Scene:
+    samples = round(80 * rate)
+    return changed(
+        sampling__sampling_rate=f"{rate} kHz",
+        sampling__samples=samples,
+        sampling__pre_trigger=samples // 16,
+        sensor__anti_alias__frequency=f"{edge} kHz",
+    )
+
+
+def cases(n: int) -> Iterator[tuple[str, str, Callable[[], Iterator[Batch]]]]:
+    """Yield the kind and name of each case, and what makes its impacts."""
+    own = changed()
+    yield "tail_beam", "tail_beam", lambda: synthesise(own, n, SEED)
+    for rate, edge in RATES:
+        scene = at_rate(rate, edge)
+        yield "rates", f"at {rate:g} kHz", lambda scene=scene: synthesise(scene, n, SEED)
+    quiet = {"sensor__noise_density": None, "sensor__range": None, "sensor__bits": None, "sensor__relative_noise": 0.03}
+    for name, more in (
+        ("white noise, 3 % of the peak", {}),
+        ("pink noise, 3 %", {"sensor__noise_exponent": 1.0}),
+        ("white noise, 3 %, clipped at .7 of the peak", {"sensor__relative_range": 0.7}),
+    ):
+        scene = changed(**quiet, **more)
+        yield "noise", name, lambda scene=scene: synthesise(scene, n, SEED)
+    for gap in GAPS:
+        yield "ringing", f"{1e3 * gap:g} ms after another", lambda gap=gap: after_another(synthesise(own, n, SEED), gap)
+
+
+def after_another(batches: Iterator[Batch], gap: float) -> Iterator[Batch]:
+    before = None
+    for batch in batches:
+        if before is not None and len(before.signals) == len(batch.signals):
+            tail = before.signals[:, round(gap * batch.sampling_rate) :]
+            signals = batch.signals.copy()
+            signals[:, : tail.shape[1]] += tail
+            yield replace(batch, signals=signals)
+        before = batch
+
+
+def together(points: Sequence[tuple[float, float]], n: int) -> Iterator[Batch]:
+    """Yield the same impacts as several accelerometers record them, signals (n, n_sensors, n_samples).
+
+    Each has white noise of its own, as loud as that of the scene.
+    """
+    own = changed()
+    quiet = changed(sensor__noise_density=None, sensor__bits=None)
+    noise = float(own.sensor.noise_level(np.zeros(1), own.sampling.sampling_rate)[0])
+    random, scenes = np.random.default_rng(SEED), [moved(quiet, point) for point in points]
+    for batches in zip(*(synthesise(scene, n, SEED) for scene in scenes), strict=True):
+        first = batches[0]
+        assert all((one.parameters["peak_force"] == first.parameters["peak_force"]).all() for one in batches)
+        signals = np.stack([one.signals for one in batches], axis=1)
+        signals = signals + random.normal(0, noise, signals.shape)
+        yield replace(first, signals=signals if len(points) > 1 else signals[:, 0])
+
+
+def several(model: Model, n: int) -> Iterator[tuple[str, dict[str, Any]]]:
+    scene = changed()
+    for name, points in SENSORS.items():
+        through = replace(model)
+        through.__dict__["beam"] = ThroughBeam(beam_of(scene, sensors=points))
+        yield f"{len(points)}, {name}", judged(through, together(points, n))
+
+
+def changes(model: Model, n: int) -> Iterator[str]:
+    """Yield rows of accuracy, unexplained share, and how often the hint of a changed beam comes, by the change.
+
+    Frequencies are off by that share, dampings by ten times as much, each mode by its own draw; three beams each.
+    """
+    assert model.beam is not None
+    own, random = model.beam.beam, np.random.default_rng(SEED)
+    beams = [(share, off(own, share, random)) for share in CHANGES for _ in range(3 if share else 1)]
+    quiet = {"sensor__noise_density": None, "sensor__range": None, "sensor__bits": None}
+    scenes = {"tail_beam": changed()}
+    for share in (0.003, 0.03, 0.1, 0.3):
+        scenes[f"white noise, {100 * share:g} % of the peak"] = changed(**quiet, sensor__relative_noise=share)
+    scenes["pink noise, 3 %"] = changed(**quiet, sensor__relative_noise=0.03, sensor__noise_exponent=1.0)
+    scenes["clipped at .7 of the peak"] = changed(**quiet, sensor__relative_noise=0.003, sensor__relative_range=0.7)
+    for rate, edge in (RATES[0], RATES[2]):
+        scenes[f"at {rate:g} kHz"] = at_rate(rate, edge)
+    scenes["rocks of 8 to 20 cm from .2 to 1 m"] = slow_rocks()
+    for name, scene in scenes.items():
+        batches = list(synthesise(scene, n, SEED))
+        cells = []
+        for share in CHANGES:
+            left, hits = [], []
+            for beam in (ThroughBeam(beam) for other, beam in beams if other == share):
+                for batch in batches:
+                    seen = beam.measured(VibrationBatch(batch.signals, batch.sampling_rate, batch.pre_trigger))
+                    left.append(seen["beam_unexplained"])
+                    likely = model.probabilities(np.column_stack([seen[name] for name in model.features]))
+                    hits.append(np.array(model.labels)[likely.argmax(axis=1)] == batch.labels)
+            parts = np.split(np.concatenate(left), len(left) // len(batches))
+            noticed = [[is_noticed(random.choice(part, size)) for part in parts for _ in range(500)] for size in SIZES]
+            told = f"{np.mean(np.concatenate(hits)):.3f}, {np.median(parts):.2f} %"
+            cells.append(f"{told} | " + " / ".join(f"{np.mean(one):.3f}" for one in noticed))
+        yield f"| {name} | " + " | ".join(cells) + " |"
+
+
+def is_noticed(unexplained: Any) -> bool:
+    """Return whether the hint comes for impacts that leave these shares of their energy unexplained [%]."""
+    channel = ChannelAnswers()
+    channel.unexplained.extend(unexplained.tolist())
+    return channel.median_unexplained()[0] > CHANGED
+
+
+def off(beam: Beam, share: float, random: np.random.Generator) -> Beam:
+    normal = random.normal(size=(2, len(beam.poles)))
+    return corrected(beam, np.stack([share * normal[0], 10 * share * normal[1], np.zeros(len(beam.poles))]))
+
+
+def slow_rocks() -> Scene:
+    content = json.loads(changed().text)
+    for population in content["populations"]:
+        population["radius"] = {"distribution": "uniform", "lowest": 0.08, "highest": 0.2}
+        population["drop_height"] = {"distribution": "uniform", "lowest": 0.2, "highest": 1.0}
+    return parse_scene(content)
+
+
+def judged(model: Model, batches: Iterator[Batch]) -> dict[str, Any]:
+    assert model.beam is not None
+    found: list[Any] = []
+    spent = 0.0
+    for batch in batches:
+        start = time.process_time()
+        values = extract_array(
+            batch.signals, batch.sampling_rate, model.measured, pre_trigger=batch.pre_trigger, invalid="nan",
+            beam=model.beam,
+        )  # fmt: skip
+        spent += time.process_time() - start
+        sound = np.isfinite(values).all(axis=1)
+        inputs, guards = np.split(values[sound], [len(model.features)], axis=1)
+        likely = np.full((len(batch), 2), 0.5)
+        likely[sound] = model.probabilities(inputs)
+        novelty = np.full(len(batch), np.inf)
+        novelty[sound] = model.novelty(inputs, guards)
+        rows = batch.signals.reshape(-1, batch.signals.shape[-1])
+        looked, contact = model.beam.look(VibrationBatch(rows, batch.sampling_rate, batch.pre_trigger))
+        told = batch.parameters
+        apart = np.hypot(looked.x - told["impact_x"], looked.y - told["impact_y"])
+        force = np.abs(np.log(contact.peak / told["peak_force"]))
+        energy = np.square(batch.signals).reshape(len(batch), -1).sum(axis=1)
+        hit = np.array(model.labels)[likely.argmax(axis=1)] == batch.labels
+        found.append(np.column_stack([hit & sound, novelty > 1, likely.max(axis=1), apart, force, energy]))
+    hit, unknown, sure, apart, force, energy = np.concatenate(found).T
+    return {
+        "n": len(hit),
+        "accuracy": hit.mean(),
+        "answered": hit[unknown == 0].mean() if (unknown == 0).any() else np.nan,
+        "unknown": unknown.mean(),
+        "calibration": calibration(sure, hit),
+        "place": np.median(apart),
+        "far": np.mean(apart > FAR),
+        "peak": np.median(force),
+        "us": 1e6 * spent / len(hit),
+        "quarters": [hit[part].mean() for part in np.array_split(np.argsort(energy), 4)],
+    }
+
+
+def calibration(sure: Any, hit: Any) -> float:
+    number = np.clip(((sure - 0.5) * 20).astype(int), 0, 9)
+    bins = [number == k for k in range(10) if (number == k).any()]
+    return float(sum(abs(hit[own].mean() - sure[own].mean()) * own.mean() for own in bins))
+
+
+def independent(model: Model, n: int, variants: Sequence[str]) -> Iterator[tuple[str, dict[str, Any]]]:
+    """Yield the answers on beams of finite elements: through the model's beam, and through the beam's own modes."""
+    from benchmarks.beam import independent_beam as other
+
+    assert model.beam is not None
+    beam = model.beam.beam
+    for name in variants:
+        variant = other.VARIANTS[name]
+        modes = other.modes_for(variant)
+        damping = other.damping_ratios(modes.frequency, variant.damping)
+        shape = beam.participation.shape[1:]
+        x, y = (
+            side.ravel()
+            for side in np.meshgrid(nodes(shape[0], *beam.region[:2]), nodes(shape[1], *beam.region[2:]), indexing="ij")
+        )
+        at = modes.shape(x, y) * modes.shape(*(np.array([place]) for place in other.SENSOR))
+        exact = replace(
+            beam,
+            modes=Modes(
+                frequency=modes.frequency,
+                damping_ratio=np.broadcast_to(damping, modes.frequency.shape),
+                at_impact=NodeShapes(np.ascontiguousarray(at.T.reshape(-1, *shape)), beam.region),
+                at_sensor=np.ones((1, modes.frequency.size)),
+            ),
+        )
+        made = other.generate(n, SEED, name)
+        for told, looked in (("the model's beam", model.beam), ("its own modes", ThroughBeam(exact))):
+            through = replace(model)
+            through.__dict__["beam"] = looked
+            yield f"{name}, through {told}", judged(through, batches_of(made))
+
+
+def batches_of(made: dict[str, Any]) -> Iterator[Batch]:
+    names = ("impact_x", "impact_y", "peak_force")
+    for first in range(0, len(made["labels"]), _CHUNK):
+        part = slice(first, first + _CHUNK)
+        yield Batch(
+            signals=made["acceleration"][part],
+            labels=made["labels"][part],
+            specimen=np.arange(first, first + len(made["labels"][part]), dtype=np.uint64),
+            parameters={name: made[name][part] for name in names},
+            sampling_rate=float(made["sampling_rate"]),
+            pre_trigger=int(made["pre_trigger"]),
+            unit="m/s^2",
+            source="independent beam",
+        )
+
+
+def printed(rows: list[tuple[str, dict[str, Any]]]) -> None:
+    print(
+        "| impacts | number | accuracy | answered | unknown | calibration error | place, median | far off | "
+        "peak, median | us |"
+    )
+    print("|---|---|---|---|---|---|---|---|---|---|")
+    for name, row in rows:
+        print(
+            f"| {name} | {row['n']} | {row['accuracy']:.3f} | {row['answered']:.3f} | {row['unknown']:.3f} | "
+            f"{row['calibration']:.3f} | {1e3 * row['place']:.1f} mm | {row['far']:.3f} | {row['peak']:.1%} | "
+            f"{row['us']:.0f} |"
+        )
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("model", nargs="?", default="default-acceleration")
+    parser.add_argument("-n", "--signals", type=int, default=4096)
+    kinds = ["tail_beam", "rates", "noise", "ringing", "sensors", "changed", "independent"]
+    parser.add_argument("--cases", nargs="+", default=kinds[:4], choices=kinds)
+    parser.add_argument("--variants", nargs="+", default=["0.001 mindlin", "0.01 mindlin", "0.1 mindlin", "plain"])
+    arguments = parser.parse_args()
+    model = load_model(arguments.model)
+    rows = []
+    for kind, name, make in cases(arguments.signals):
+        if kind in arguments.cases:
+            rows.append((name, judged(model, make())))
+            if kind == "tail_beam":
+                quarters = ", ".join(f"{share:.3f}" for share in rows[-1][1]["quarters"])
+                print(f"accuracy by quarter of the signal's energy, weakest first: {quarters}\n")
+    if "sensors" in arguments.cases:
+        rows += several(model, arguments.signals)
+    if "changed" in arguments.cases:
+        print("| impacts | " + " | ".join(f"{share:.1%} off | hint of 30 / 100 / 300" for share in CHANGES) + " |")
+        print("|" + "---|" * (1 + 2 * len(CHANGES)))
+        for line in changes(model, arguments.signals):
+            print(line, flush=True)
+    if "independent" in arguments.cases:
+        rows += independent(model, arguments.signals, arguments.variants)
+    if rows:
+        printed(rows)
+
+
+if __name__ == "__main__":
+    main()
