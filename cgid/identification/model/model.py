@@ -17,6 +17,7 @@ from cgid._lib import validation
 from cgid._lib.files import read_regular
 from cgid._lib.validation import Floats
 from cgid.errors import BadData, InvalidValue
+from cgid.identification.model.anchor import SeamNetworks
 from cgid.identification.model.conformal import Conformal
 from cgid.identification.model.confusion import Confusion
 from cgid.identification.model.families import (
@@ -179,7 +180,7 @@ class Model:
         check_training(self)
         self.neighbourhood.check()
         # They check their arrays.
-        _ = self._classifier, self.conformal, self.contrast, self.beam, self.confusion, self._level_weights
+        _ = self._classifier, self.conformal, self.contrast, self.beam, self.confusion, self.seams, self._level_weights
 
     def __repr__(self) -> str:
         n_more = len(self.inputs) - 4
@@ -345,6 +346,11 @@ class Model:
     def confusion(self) -> Confusion | None:
         """The confusion of rocks in streams; None if the model was not finished on streams."""
         return Confusion.from_arrays(self.arrays)
+
+    @cached_property
+    def seams(self) -> SeamNetworks | None:
+        """The networks for fractions of gangue in any seam; None if the model was not trained on simulated seams."""
+        return SeamNetworks.from_arrays(self.arrays)
 
     @cached_property
     def _level_weights(self) -> tuple[Floats, float] | None:

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from cgid._lib import validation
 from cgid.errors import BadData
 from cgid.identification.detection.windows import require_times
+from cgid.identification.model.anchor import SeamNetworks, pulse_names
 from cgid.identification.model.confusion import Confusion
 from cgid.identification.model.families import BY_NAME, MIN_DIVISOR, Boosting, Contrast, Linear, Network, Standardiser
 from cgid.identification.model.reference import equalisations_of
@@ -337,6 +338,7 @@ def _check_arrays(model: Model) -> None:
     known |= {f"family.{name}" for name in BY_NAME[model.family].AXES} | {f"beam.{name}" for name in Beam.ARRAYS}
     known |= {Confusion.PREFIX + name for name in Confusion.ARRAYS}
     known |= {Contrast.PREFIX + name for name in (*Standardiser.NAMES, *Network.AXES, *Linear.AXES, "limit")}
+    known |= {SeamNetworks.PREFIX + name for name in SeamNetworks.ARRAYS}
     for name, array in arrays.items():
         if name not in known:
             raise BadData(f"array {name!r} must be left out, a model of family {model.family} has no such array")
@@ -347,6 +349,10 @@ def _check_arrays(model: Model) -> None:
             raise BadData(f"array {name} must contain finite numbers, got {array.dtype}")
     if n_classes != 2 and any(name.startswith(Confusion.PREFIX) for name in arrays):
         raise BadData(f"arrays of a share must be left out, they are for two labels, got {n_classes}")
+    if any(name.startswith(SeamNetworks.PREFIX) for name in arrays) and (
+        n_classes != 2 or "gangue" not in model.labels or not pulse_names(model.features)
+    ):
+        raise BadData("arrays of seams must be left out, they are for pulses of gangue and one other label")
     Standardiser.from_arrays(arrays, STANDARDISER)  # checks its scale and floor
     if any_through_beam(model.measured) != any(name.startswith("beam.") for name in arrays):
         raise BadData("a model must have the arrays of a beam if and only if features need it")

@@ -13,6 +13,7 @@ from cgid._lib.validation import UNKNOWN, Floats
 from cgid.errors import BadData, InvalidValue, MissingOption
 from cgid.identification.detection.detector import find_impacts
 from cgid.identification.detection.events import Event, frames_alike
+from cgid.identification.model.anchor import pulse_names
 from cgid.identification.model.model import Model
 from cgid.identification.prediction.diagnosis import Cause, causes_of, with_frames
 from cgid.identification.prediction.settings import PredictionSettings, known_columns
@@ -66,6 +67,9 @@ class Answer:
         Fraction of its energy not explained by the model's beam [%]; nan without a beam or a measurement.
     level : float
         Logarithm of its peak force over the expectation of the training for such a pulse; nan without one.
+    pulse : tuple of float or None
+        Peak force, width [s] and restitution of the contact, if these are features of the model; None without a
+        measurement.
     impactor : mapping or None
         The impactor, where the settings ask for it.
     """
@@ -86,6 +90,7 @@ class Answer:
     cause: Cause | None = None
     unexplained: float = float("nan")
     level: float = float("nan")
+    pulse: tuple[float, ...] | None = None
     impactor: Mapping[str, Any] | None = None
 
     def __repr__(self) -> str:
@@ -414,6 +419,7 @@ def answers_from(
     cause_of = dict(zip(outliers.tolist(), causes, strict=True))
     column = guards.T[model.guards.index("beam_unexplained")] if "beam_unexplained" in model.guards else None
     levels = model.levels(inputs)
+    pulses = inputs[:, [model.features.index(name) for name in pulse_names(model.features)]].tolist()
     untrained = "" if model.covers(sampling_rate) else f"not trained at {sampling_rate:g} Hz"
     for row, (label, labels) in enumerate(zip(*settings.labels(model, probabilities), strict=True)):
         novelty = float(novelties[row])
@@ -429,6 +435,7 @@ def answers_from(
             cause=cause_of.get(row),
             unexplained=float("nan") if column is None else float(column[row]),
             level=float(levels[row]),
+            pulse=tuple(pulses[row]) or None,
         )
 
 

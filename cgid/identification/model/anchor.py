@@ -1,0 +1,240 @@
+"""The fraction of gangue in a seam that nobody described, from the coal with which a caving window begins.
+
+No single impact tells its seam: a hard coal looks like a soft gangue. But a window begins with coal. The predictions
+for this coal, the anchor, and those of the present window are summarised, and a network gives the density of the
+fraction. It was trained on thousands of simulated seams (`cgid.site.seams`), so it has seen which coals and gangues
+look like this beside such an anchor. A second network sees the window alone: its density is as wide as the seams of the
+training allow. A third one tells whether the window can be a mixture with the coal of the anchor.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+from itertools import product
+from typing import Any, ClassVar, NamedTuple, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cgid._lib.validation import Floats
+from cgid.errors import BadData
+from cgid.identification.model.confusion import logit
+from cgid.identification.model.families import MIN_DIVISOR, Network, softmax
+
+#: Peak, width and restitution of a pulse among the features of a model: through a beam, or of a force.
+PULSES = (
+    ("beam_peak_force", "beam_pulse_width", "beam_restitution"),
+    ("fitted_peak", "fitted_width", "shrunken_restitution"),
+)
+#: Minimum number of identified impacts of an anchor.
+MIN_ANCHOR = 10
+#: Classes of the fraction, evenly spaced in the angle of fraction = sin^2(angle): finer towards 0 and 1.
+N_CLASSES = 24
+#: Quantiles of a summary, and the edges of its histogram of log-odds.
+_QUANTILES = np.array([0.1, 0.25, 0.5, 0.75, 0.9])
+_EDGES = np.array([-4.0, -2.5, -1.5, -0.75, 0.0, 0.75, 1.5, 2.5, 4.0])
+#: Number of quantities with quantiles, and of all numbers of a summary besides the cells.
+_QUANTITIES = 7
+N_SUMMARY = _QUANTITIES * _QUANTILES.size + 2 + _EDGES.size + 1 + 2
+#: Numbers of impacts outside of this range count as its ends, which the training reached.
+_COUNTS = 3, 200
+#: Standardised inputs are clipped at this.
+_FARTHEST = 6.0
+_MAX_CELLS = 1000
+
+
+def pulse_names(features: Sequence[str]) -> tuple[str, ...]:
+    """Return which features are the peak, width and restitution of a pulse; none without all three."""
+    return next((names for names in PULSES if set(names) <= set(features)), ())
+
+
+class Impacts(NamedTuple):
+    """The identified impacts of a window or an anchor, and the number of unknown ones."""
+
+    pulses: Floats  # (n, 3) ln of peak, width and restitution
+    logits: Floats  # (n,) of the probability of gangue
+    n_unknown: int = 0
+
+
+def summary(impacts: Impacts, cells: Floats, scale: Floats) -> Floats:
+    """Return the summary of at least one impact, (N_SUMMARY + n_cells,), with a histogram of pulses over `cells`."""
+    pulses, logits = impacts.pulses, impacts.logits
+    n, (peak, width, _) = len(logits), pulses.T
+    # Peak over squared width hardly depends on the size of a rock.
+    columns = np.column_stack([pulses, logits, peak - width, peak + width, peak - 2 * width])
+    columns.sort(axis=0)
+    place = _QUANTILES * (n - 1)
+    below = place.astype(np.intp)
+    above = np.minimum(below + 1, n - 1)
+    quantiles = columns[below] + (place - below)[:, None] * (columns[above] - columns[below])
+    counts = (
+        np.bincount(_nearest(pulses / scale, cells), minlength=len(cells)),
+        np.bincount(np.searchsorted(_EDGES, logits), minlength=_EDGES.size + 1),
+    )
+    return np.concatenate(
+        [
+            quantiles.T.ravel(),
+            [logits.mean(), np.mean(1 / (1 + np.exp(-logits)))],
+            *(np.sqrt(one / n) for one in counts),
+            [impacts.n_unknown / (n + impacts.n_unknown), np.log(np.clip(n, *_COUNTS))],
+        ]
+    )
+
+
+def _nearest(points: Floats, centres: Floats) -> NDArray[np.intp]:
+    """Return the number of the centre nearest to each point, (n,)."""
+    return np.asarray((np.square(centres).sum(axis=1) / 2 - points @ centres.T).argmin(axis=1))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SeamNetworks:
+    """What simulated seams taught about the fraction of gangue in a window."""
+
+    cells: Floats  # (n_cells, 3) centres of the histogram of pulses, in units of `cell_scale`
+    cell_scale: Floats  # (3,)
+    mean: Floats  # of the inputs, (3 n_summary,): window, anchor, window - anchor
+    scale: Floats
+    limit: float  # score of `foreign` above which the anchor is not of this seam
+    anchored: Network
+    alone: Network
+    foreign: Network
+
+    PREFIX: ClassVar = "seams."
+    NUMBERS: ClassVar = ("cells", "cell_scale", "mean", "scale")
+    NETWORKS: ClassVar = ("anchored", "alone", "foreign")
+    ARRAYS: ClassVar = (*NUMBERS, "limit", *map(".".join, product(NETWORKS, Network.AXES)))
+
+    @classmethod
+    def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> Self | None:
+        """Return the networks in the arrays of a model; None without them. Raise `BadData` if they do not fit."""
+        stored = {name.removeprefix(cls.PREFIX): a for name, a in arrays.items() if name.startswith(cls.PREFIX)}
+        if not stored:
+            return None
+        if missing := {*cls.NUMBERS, "limit"} - stored.keys():
+            raise BadData(f"array {cls.PREFIX}{min(missing)} is missing")
+        cells, cell_scale, mean, scale = (stored[name] for name in cls.NUMBERS)
+        if cells.ndim != 2 or cells.shape[1] != 3 or len(cells) > _MAX_CELLS:
+            raise BadData(f"array {cls.PREFIX}cells must be rows of 3 numbers, at most {_MAX_CELLS}")
+        n = N_SUMMARY + len(cells)
+        for name, shape in {"cell_scale": (3,), "mean": (3 * n,), "scale": (3 * n,), "limit": (1,)}.items():
+            if stored[name].shape != shape:
+                raise BadData(f"array {cls.PREFIX}{name} must have shape {shape}, got {stored[name].shape}")
+        if min(cell_scale.min(), scale.min()) < MIN_DIVISOR:
+            raise BadData(f"arrays {cls.PREFIX}scale and {cls.PREFIX}cell_scale must be at least {MIN_DIVISOR:g}")
+
+        def network(name: str, n_inputs: int, n_classes: int) -> Network:
+            own = {part.removeprefix(f"{name}."): a for part, a in stored.items() if part.startswith(f"{name}.")}
+            return Network(own, n_inputs, n_classes)
+
+        return cls(
+            cells=cells,
+            cell_scale=cell_scale,
+            mean=mean,
+            scale=scale,
+            limit=float(stored["limit"][0]),
+            anchored=network("anchored", 3 * n, N_CLASSES),
+            alone=network("alone", n, N_CLASSES),
+            foreign=network("foreign", 3 * n, 2),
+        )
+
+    @property
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """The arrays in a model file."""
+        stored = {name: getattr(self, name) for name in self.NUMBERS} | {"limit": np.array([self.limit])}
+        for name in self.NETWORKS:
+            stored |= {f"{name}.{part}": array for part, array in getattr(self, name).arrays.items()}
+        return {self.PREFIX + name: np.ascontiguousarray(array) for name, array in stored.items()}
+
+    def summary(self, impacts: Impacts) -> Floats:
+        """Return the summary of at least one impact, (n_summary,)."""
+        return summary(impacts, self.cells, self.cell_scale)
+
+    def density(self, window: Floats, anchor: Floats | None = None) -> Floats:
+        """Return the probability of each class of the fraction, (n, N_CLASSES), of one or more summaries."""
+        if anchor is None:
+            n = window.shape[-1]
+            return softmax(self.alone.scores(np.atleast_2d(_clipped(window, self.mean[:n], self.scale[:n]))))
+        return softmax(self.anchored.scores(np.atleast_2d(inputs_of(window, anchor, self.mean, self.scale))))
+
+    def foreignness(self, window: Floats, anchor: Floats) -> Floats:
+        """Return a score that is above 0 where a window is hardly a mixture with the coal of the anchor."""
+        inputs = inputs_of(window, anchor, self.mean, self.scale)
+        return np.asarray(self.foreign.scores(np.atleast_2d(inputs)) - self.limit)
+
+
+def inputs_of(window: Floats, anchor: Floats, mean: Floats, scale: Floats) -> Floats:
+    """Return the standardised inputs of summaries, (..., 3 n_summary)."""
+    return _clipped(np.concatenate([window, anchor, window - anchor], axis=-1), mean, scale)
+
+
+class Basis(StrEnum):
+    """What a fraction rests on."""
+
+    TRAINED = "trained_seam"  # the rates of the seam of the training, or the probabilities as they are
+    ANCHOR = "anchor"  # the coal with which this cycle began
+    ANY_SEAM = "any_seam"  # no coal is stated: the interval covers the seams of the simulation
+    PENDING = "anchor_pending"  # its coal is still coming
+    TOO_FEW = "anchor_too_few"  # its coal gave fewer than `MIN_ANCHOR` identified impacts
+    FOREIGN = "anchor_foreign"  # the windows are hardly mixtures with its coal
+
+
+class Anchor:
+    """The impacts of the coal with which a caving cycle begins.
+
+    Parameters
+    ----------
+    coal_until : float [s]
+        Only coal falls for so long from the begin of a cycle on.
+    cycle_pause : float, optional [s]
+        The first impact after such a pause begins another cycle; None: the recording is one cycle.
+    """
+
+    def __init__(self, coal_until: float, cycle_pause: float | None = None) -> None:
+        self._length = self.until = coal_until
+        self._pause, self._last = cycle_pause, np.inf
+        self._begin(0.0)
+
+    def _begin(self, time: float) -> None:
+        self.until = time + self._length
+        self._impacts: list[tuple[float, tuple[float, ...] | None]] = []
+        self.summary: Floats | None = None  # by the networks, once the coal is complete
+        self.is_foreign = False
+
+    def add(self, time: float, probability: float, pulse: tuple[float, ...] | None) -> None:
+        """Add an impact at a time [s], in order; the probability of gangue is nan if it is unknown."""
+        if self._pause is not None and time - self._last > self._pause:
+            self._begin(time)
+        self._last = time
+        if time <= self.until:
+            self._impacts.append((probability, pulse))
+
+    @property
+    def impacts(self) -> Impacts:
+        """Its impacts up to now."""
+        return impacts_of(self._impacts)
+
+    def basis(self, time: float) -> Basis:
+        """Return the basis of a window that ends at a time [s]."""
+        if time < self.until:
+            return Basis.PENDING
+        if len(self.impacts.logits) < MIN_ANCHOR:
+            return Basis.TOO_FEW
+        return Basis.FOREIGN if self.is_foreign else Basis.ANCHOR
+
+
+def impacts_of(answers: Sequence[tuple[float, tuple[float, ...] | None]]) -> Impacts:
+    """Return the impacts of probabilities of gangue, nan if unknown, and their pulses."""
+    known = [(probability, pulse) for probability, pulse in answers if np.isfinite(probability)]
+    pulses = np.array([pulse or (1.0, 1.0, 1.0) for _, pulse in known]).reshape(-1, 3)
+    return Impacts(np.log(pulses), logit(np.array([one for one, _ in known])), len(answers) - len(known))
+
+
+def _clipped(inputs: Floats, mean: Floats, scale: Floats) -> Floats:
+    return np.clip((inputs - mean) / scale, -_FARTHEST, _FARTHEST)
+
+
+def class_edges() -> Floats:
+    """Return the edges of the classes of the fraction, (N_CLASSES + 1,)."""
+    return np.asarray(np.sin(np.linspace(0.0, np.pi / 2, N_CLASSES + 1)) ** 2)

@@ -1,0 +1,164 @@
+"""The fraction of gangue from the coal of a seam: summaries, networks in a model file, anchors and cycles."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from cgid.errors import BadData
+from cgid.identification.model.anchor import (
+    MIN_ANCHOR,
+    N_CLASSES,
+    N_SUMMARY,
+    Anchor,
+    Basis,
+    Impacts,
+    SeamNetworks,
+    class_edges,
+    impacts_of,
+    inputs_of,
+    pulse_names,
+    summary,
+)
+from cgid.identification.model.families import Network
+from cgid.identification.model.model import Model
+from cgid.shipped import DEFAULT_MODEL, path_of
+
+PULSE = (2e3, 3e-4, 0.4)
+
+
+def drawn(n: int, seed: int = 0) -> Impacts:
+    rng = np.random.default_rng(seed)
+    return Impacts(rng.normal((8.0, -8.0, -1.0), (1.0, 0.5, 0.3), (n, 3)), rng.normal(0, 2, n), 3)
+
+
+def networks(seed: int = 1, n_cells: int = 5) -> SeamNetworks:
+    """Return networks of random numbers."""
+    rng, n = np.random.default_rng(seed), N_SUMMARY + n_cells
+
+    def network(n_inputs: int, n_classes: int) -> Network:
+        sizes = n_inputs, 6, 4, 1 if n_classes == 2 else n_classes
+        arrays = {f"weights_{k + 1}": rng.normal(size=sizes[k : k + 2]) for k in range(3)}
+        arrays |= {f"biases_{k + 1}": rng.normal(size=sizes[k + 1]) for k in range(3)}
+        return Network(arrays, n_inputs, n_classes)
+
+    return SeamNetworks(
+        cells=rng.normal((8.0, -16.0, -3.0), 1.0, (n_cells, 3)),
+        cell_scale=np.array([1.0, 0.5, 0.3]),
+        mean=rng.normal(size=3 * n),
+        scale=rng.uniform(0.5, 2.0, 3 * n),
+        limit=1.5,
+        anchored=network(3 * n, N_CLASSES),
+        alone=network(n, N_CLASSES),
+        foreign=network(3 * n, 2),
+    )
+
+
+def test_a_summary_holds_quantiles_histograms_and_counts() -> None:
+    impacts, own = drawn(37), networks()
+    found = summary(impacts, own.cells, own.cell_scale)
+    (peak, width, restitution), logits = impacts.pulses.T, impacts.logits
+    quantities = [peak, width, restitution, logits, peak - width, peak + width, peak - 2 * width]
+    expected = [np.quantile(one, q) for one in quantities for q in (0.1, 0.25, 0.5, 0.75, 0.9)]
+    assert found[:35] == pytest.approx(expected)
+    assert found[35:37] == pytest.approx([logits.mean(), np.mean(1 / (1 + np.exp(-logits)))])
+    nearest = [np.argmin([np.sum((row / own.cell_scale - cell) ** 2) for cell in own.cells]) for row in impacts.pulses]
+    counts = found[37:42] ** 2 * 37
+    assert counts == pytest.approx([nearest.count(k) for k in range(5)])
+    assert found[42:52] @ found[42:52] == pytest.approx(1)
+    assert found[42] ** 2 == pytest.approx(np.mean(logits <= -4))
+    assert found[52:] == pytest.approx([3 / 40, np.log(37)])
+
+
+def test_a_summary_of_one_impact_is_finite() -> None:
+    assert np.isfinite(networks().summary(drawn(1))).all()
+
+
+def test_networks_return_from_a_model_file() -> None:
+    model, own = Model.load(path_of("models", DEFAULT_MODEL)), networks()
+    stored = {name: array for name, array in model.arrays.items() if not name.startswith(SeamNetworks.PREFIX)}
+    with_networks = Model.from_bytes(with_arrays(model, {**stored, **own.arrays}).to_bytes())
+    assert with_networks.seams is not None
+    window, anchor = own.summary(drawn(30, 1)), own.summary(drawn(50, 2))
+    for again, one in (
+        (with_networks.seams.density(window, anchor), own.density(window, anchor)),
+        (with_networks.seams.density(window), own.density(window)),
+        (with_networks.seams.foreignness(window, anchor), own.foreignness(window, anchor)),
+    ):
+        assert again.tolist() == one.tolist()
+    assert own.density(window, anchor).sum() == pytest.approx(1)
+    assert (
+        own.foreignness(window, anchor)
+        == own.foreign.scores(inputs_of(window, anchor, own.mean, own.scale)[None]) - 1.5
+    )
+
+
+def with_arrays(model: Model, arrays: dict[str, np.ndarray]) -> Model:
+    return replace(model, arrays=arrays)
+
+
+@pytest.mark.parametrize(
+    ("name", "array", "words"),
+    [
+        ("limit", None, "seams.limit is missing"),
+        ("cells", np.zeros((5, 2)), "rows of 3"),
+        ("cell_scale", np.zeros(3), "at least 1e-30"),
+        ("mean", np.zeros(7), "seams.mean must have shape"),
+        ("alone.weights_1", np.zeros((7, 6)), "weights_1 must have shape"),
+        ("anchored.biases_3", None, "biases_3 is missing"),
+        ("cells", np.full((5, 3), np.nan), "finite"),
+        ("more", np.zeros(3), "seams.more"),
+    ],
+)
+def test_networks_that_do_not_fit_are_refused(name: str, array: np.ndarray | None, words: str) -> None:
+    model, arrays = Model.load(path_of("models", DEFAULT_MODEL)), networks().arrays
+    arrays[SeamNetworks.PREFIX + name] = array if array is not None else np.zeros(1)
+    if array is None:
+        del arrays[SeamNetworks.PREFIX + name]
+    with pytest.raises(BadData, match=words):
+        with_arrays(model, {**model.arrays, **arrays})
+
+
+def test_pulses_are_those_of_the_model() -> None:
+    assert pulse_names(("beam_restitution", "beam_peak_force", "beam_pulse_width", "other"))[0] == "beam_peak_force"
+    assert pulse_names(("fitted_peak", "fitted_width")) == ()
+
+
+def test_classes_fill_the_fractions() -> None:
+    edges = class_edges()
+    assert (edges[0], edges[-1], len(edges)) == (0, 1, N_CLASSES + 1)
+    assert edges + edges[::-1] == pytest.approx(np.ones(N_CLASSES + 1))
+
+
+def test_unknown_impacts_are_counted_alone() -> None:
+    found = impacts_of([(0.2, PULSE), (float("nan"), None), (0.9, (1e3, 1e-4, 0.5))])
+    assert found.n_unknown == 1
+    assert np.exp(found.pulses) == pytest.approx(np.array([PULSE, (1e3, 1e-4, 0.5)]))
+    assert found.logits == pytest.approx([np.log(0.2 / 0.8), np.log(0.9 / 0.1)])
+
+
+def test_an_anchor_waits_for_its_coal_and_needs_ten_impacts() -> None:
+    anchor = Anchor(20.0)
+    for k in range(MIN_ANCHOR - 1):
+        anchor.add(float(k), 0.1, PULSE)
+    anchor.add(9.5, float("nan"), None)
+    assert anchor.basis(15.0) == Basis.PENDING
+    assert anchor.basis(20.0) == Basis.TOO_FEW
+    anchor.add(20.0, 0.1, PULSE)
+    assert anchor.basis(20.0) == Basis.ANCHOR
+    anchor.add(20.1, 0.9, PULSE)  # after its coal
+    assert len(anchor.impacts.logits) == MIN_ANCHOR
+
+
+def test_a_pause_begins_another_cycle() -> None:
+    anchor = Anchor(10.0, cycle_pause=60.0)
+    for k in range(30):
+        anchor.add(float(k), 0.1, PULSE)
+    anchor.is_foreign = True
+    assert anchor.basis(30.0) == Basis.FOREIGN
+    anchor.add(29.0 + 60.0, 0.2, PULSE)  # as long as the pause, not longer
+    assert anchor.basis(90.0) == Basis.FOREIGN
+    anchor.add(150.0, 0.3, PULSE)
+    assert anchor.basis(159.0) == Basis.PENDING
+    assert anchor.basis(160.0) == Basis.TOO_FEW
+    assert (len(anchor.impacts.logits), anchor.until) == (1, 160.0)
