@@ -137,9 +137,9 @@ def _measured(settings: tuple[int, tuple[str, ...], Beam], numbered: tuple[int, 
     signal, truth = record(scene, seed, number)
     events = find_impacts(signal, kind="vibration")
     with threadpool_limits(1):
-        features = _features(events, names, beam)
+        features = detected_features(events, names, beam)
     time = np.array([event.time for event in events])
-    impact = _impact_of(time, truth["time"], truth["peak_force"])
+    impact = impact_of(time, truth["time"], truth["peak_force"])
     is_known = np.isfinite(features).all(axis=1) & (impact >= 0) & np.array([not event.problem for event in events])
     first = truth["bounce"] == 0
     labels = labels_of(scene)
@@ -169,7 +169,7 @@ def _share_of(scene: Scene, label: str) -> float:
     return float(np.mean(scene.stream.mixture.shares[label]))
 
 
-def _features(events: Sequence[Event], names: tuple[str, ...], beam: Beam) -> Floats:
+def detected_features(events: Sequence[Event], names: tuple[str, ...], beam: Beam) -> Floats:
     """Return the features of detected impacts, (n, n_names); nan if one cannot be measured."""
     features = np.full((len(events), len(names)), np.nan)
     for numbers, frames in frames_alike(events):
@@ -186,7 +186,7 @@ def _features(events: Sequence[Event], names: tuple[str, ...], beam: Beam) -> Fl
     return features
 
 
-def _impact_of(detected: Floats, onset: Floats, peak: Floats) -> NDArray[np.intp]:
+def impact_of(detected: Floats, onset: Floats, peak: Floats) -> NDArray[np.intp]:
     """Return the number of the true impact of each detected one, -1 for none, (n,)."""
     first, last = np.searchsorted(onset, detected - _BEFORE), np.searchsorted(onset, detected + _AFTER)
     numbers = [a + int(np.argmax(peak[a:b])) if b > a else -1 for a, b in zip(first, last, strict=True)]
