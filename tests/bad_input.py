@@ -701,6 +701,13 @@ _COMMANDS = r"""
 65 | predict good.csv --evidence nan | --evidence
 65 | monitor - --hold -3 | --hold
 65 | predict good.csv --hold inf | --hold
+65 | predict good.csv --coal-until 0 | --coal-until
+65 | monitor - --coal-until -5s | --coal-until
+2 | predict good.csv --coal-until soon | --coal-until
+2 | monitor - --coal-until 3kg | --coal-until
+65 | predict good.csv --cycle-pause 60 | --coal-until
+65 | monitor - --coal-until 30s --cycle-pause 0 | --cycle-pause
+65 | predict good.csv --trained-seam --coal-until 3 | trained_seam
 65 | monitor - --give-up 0 | --give-up
 65 | predict good.csv --give-up nan | --give-up
 65 | monitor - --dilution-cost 0 | --dilution-cost

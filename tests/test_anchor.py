@@ -1,10 +1,13 @@
 """The fraction of gangue from the coal of a seam: summaries, networks in a model file, anchors and cycles."""
 
+import json
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from cgid.cli.main import run
 from cgid.errors import BadData
 from cgid.identification.model.anchor import (
     MIN_ANCHOR,
@@ -23,6 +26,7 @@ from cgid.identification.model.anchor import (
 from cgid.identification.model.families import Network
 from cgid.identification.model.model import Model
 from cgid.shipped import DEFAULT_MODEL, path_of
+from tests.streams_of_pulses import stream
 
 PULSE = (2e3, 3e-4, 0.4)
 
@@ -162,3 +166,73 @@ def test_a_pause_begins_another_cycle() -> None:
     assert anchor.basis(159.0) == Basis.PENDING
     assert anchor.basis(160.0) == Basis.TOO_FEW
     assert (len(anchor.impacts.logits), anchor.until) == (1, 160.0)
+
+
+# -- at the command line ----------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a folder with a stream of impacts, and models whose networks take any anchor, or none."""
+    out = tmp_path_factory.mktemp("anchor")
+    samples = stream(["coal"] * 30 + ["gangue"] * 30, 0.05)
+    np.save(out / "stream.npy", samples.astype("f4"))
+    samples.astype("<f4").tofile(out / "stream.raw")
+    model, own = Model.load(path_of("models", DEFAULT_MODEL)), networks()
+    for name, limit in (("any", 1e3), ("none", -1e3)):
+        arrays = {**model.arrays, **replace(own, limit=limit).arrays}
+        (out / f"{name}.npz").write_bytes(with_arrays(model, arrays).to_bytes())
+    return out
+
+
+def lines_of(
+    folder: Path, capsys: pytest.CaptureFixture[str], command: str, *options: str, model: str = "any"
+) -> tuple[list[dict], str]:
+    how = ["stream.npy", "--rate", "200000", "--unit", "N"]
+    if command == "monitor":
+        how = ["stream.raw", "--rate", "200000", "--channels", "1", "--sample-format", "f32le", "--unit", "N"]
+    how[0] = str(folder / how[0])
+    model_file = str(folder / f"{model}.npz")
+    assert run([command, *how, "--json", "--window", "0.5", "--model", model_file, *options]) == 0
+    out, err = capsys.readouterr()
+    return [json.loads(line) for line in out.splitlines()], err
+
+
+@pytest.mark.parametrize("command", ["predict", "monitor"])
+def test_records_say_what_the_fraction_rests_on(command: str, folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for options, expected in (
+        ((), {"any_seam"}),
+        (("--trained-seam",), {"trained_seam"}),
+        (("--coal-until", "1s"), {"anchor_pending", "anchor"}),
+        (("--coal-until", "10 ms"), {"anchor_too_few"}),
+        (("--coal-until", "1", "--cycle-pause", "1 min"), {"anchor_pending", "anchor"}),
+    ):
+        lines, _ = lines_of(folder, capsys, command, *options)
+        shares = [line for line in lines if line["kind"] == "share"]
+        assert {line["basis"] for line in shares if line["impacts"]} == expected, options
+        if "anchor" in expected:
+            assert all((line["basis"] == "anchor") == (line["time_s"] >= 1) for line in shares)
+
+
+def test_an_anchor_that_does_not_fit_or_is_too_small_or_late_is_told(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for model, coal, words in (
+        ("none", "1", "hardly a mixture with the coal of 1 s"),
+        ("any", "0.1", "must give at least 10 identified impacts"),
+        ("any", "4", "--coal-until must be within the recording of 3 s, got 4 s"),
+    ):
+        lines, err = lines_of(folder, capsys, "predict", "--coal-until", coal, model=model)
+        told = [line["message"] for line in lines if line["kind"] == "warning"]
+        assert sum(words in one for one in told) == 1, told
+        assert err.count(words) == 1
+    lines, err = lines_of(folder, capsys, "predict", "--coal-until", "1")
+    assert "coal" not in err and not any("basis" in line for line in lines if line["kind"] == "warning")
+
+
+def test_any_seam_is_said_once_in_words(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    given = [str(folder / "stream.npy"), "--rate", "200000", "--unit", "N", "--window", "0.5"]
+    assert run(["predict", *given, "--model", str(folder / "any.npz")]) == 0
+    err = capsys.readouterr().err
+    assert err.count("--coal-until 30s") == 1
+    assert err.count("any seam) from") >= 5

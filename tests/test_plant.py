@@ -69,6 +69,7 @@ def state(
         "gangue_share": value,
         "low": ends[0],
         "high": ends[1],
+        "basis": "trained_seam",
         "impacts": 20,
         "unknown": 3,
         "last_sound_s": at,

@@ -11,8 +11,10 @@ import pytest
 from scipy import stats
 from scipy.integrate import quad
 
+from cgid.errors import InvalidValue
+from cgid.identification.model.anchor import N_CLASSES, Anchor, Basis, class_edges
 from cgid.identification.model.confusion import Confusion, StreamAnswers
-from cgid.identification.prediction import Answer, PredictionSettings
+from cgid.identification.model.families import Network
 from cgid.identification.prediction.fraction import (
     LAPSE,
     MIN_IMPACTS,
@@ -21,11 +23,14 @@ from cgid.identification.prediction.fraction import (
     ShareWindow,
     ShutDecision,
     as_in,
+    estimate_of,
     separates,
     trained_share,
 )
+from cgid.identification.prediction.prediction import Answer, PredictionSettings
 from cgid.identification.prediction.support import CavingWatch, Decision, Ground, Report
 from cgid.recordings.soundness import SensorWatch
+from tests.test_anchor import PULSE, networks
 
 #: How far the scores of coal and gangue lie apart, in their deviations: right in 77 % of the impacts.
 SEPARATION = 1.5
@@ -351,6 +356,7 @@ MODEL: Any = SimpleNamespace(
     training={},
     confusion=None,
     conformal=None,
+    seams=None,
     kind="pulse",
     beam=None,
     unexplained=0.0,
@@ -503,3 +509,120 @@ def test_gangue_may_be_written_in_other_letters() -> None:
     model = SimpleNamespace(labels=("Coal", "Gangue"))
     assert as_in(model, ("gangue", " COAL", "shale")) == ("Gangue", "Coal", "shale")  # type: ignore[arg-type]
     assert separates(("gangue",), model) and not separates(("shale",), model)  # type: ignore[arg-type]
+
+
+# -- by networks of seams ---------------------------------------------------------------------------------
+
+
+def test_the_estimate_of_a_density_is_its_median_and_shortest_interval() -> None:
+    edges, rng = class_edges(), np.random.default_rng(3)
+    angles = np.linspace(0, 1, 4001)
+    for density in rng.dirichlet(np.full(N_CLASSES, 0.3), 20):
+        found = estimate_of(density, 0.3)
+        below = np.interp(angles, np.linspace(0, 1, N_CLASSES + 1), np.append(0, np.cumsum(density)))
+        fractions = np.sin(angles * np.pi / 2) ** 2
+        assert np.interp(found["share"], fractions, below) == pytest.approx(0.5, abs=0.01)
+        held = np.diff(np.interp([found["low"], found["high"]], fractions, below))
+        assert held >= 0.95 - 1e-3
+        naive = min(
+            fractions[np.searchsorted(below, below[k] + 0.95 - 1e-9)] - fractions[k]
+            for k in np.flatnonzero(below <= 0.05)
+        )
+        assert found["high"] - found["low"] == pytest.approx(naive, abs=0.015)
+        assert found["above"] == pytest.approx(1 - np.interp(0.3, fractions, below), abs=3e-3)
+        middle = (fractions[1:] + fractions[:-1]) / 2
+        assert found["mean"] == pytest.approx(np.diff(below) @ middle, abs=2e-3)
+    certain = estimate_of(np.eye(N_CLASSES)[5], 0.5)
+    assert edges[5] <= certain["low"] < certain["share"] < certain["high"] <= edges[6] + 0.01
+
+
+def networked(foreign: float, **settings: float) -> ShareWindow:
+    """Return a window with networks of random numbers, of which the last one gives this score."""
+    own = networks()
+    last = {"weights_3": np.zeros((4, 1)), "biases_3": np.array([foreign])}
+    test = Network({**own.foreign.arrays, **last}, own.foreign.n_features, 2)
+    anchor = Anchor(**settings) if settings else None
+    return ShareWindow(5.0, seams=replace(own, limit=0.0, foreign=test), anchor=anchor)
+
+
+def test_a_fraction_says_what_it_rests_on() -> None:
+    rng = np.random.default_rng(1)
+    told: dict[str, list[Share]] = {}
+    for name, window in {
+        "none": networked(-1.0),
+        "sound": networked(-1.0, coal_until=5.0),
+        "foreign": networked(1.0, coal_until=5.0),
+        "few": networked(-1.0, coal_until=0.4),
+    }.items():
+        for time in np.arange(0.05, 15.0, 0.1):
+            window.add(time, rng.random(), (1e3 * rng.random(), 3e-4, 0.4))
+        told[name] = [window.at(end) for end in (4.9, 10.0)]
+    assert [[one.basis for one in own] for own in told.values()] == [
+        [Basis.ANY_SEAM, Basis.ANY_SEAM],
+        [Basis.PENDING, Basis.ANCHOR],
+        [Basis.PENDING, Basis.FOREIGN],
+        [Basis.TOO_FEW, Basis.TOO_FEW],
+    ]
+
+
+def test_a_foreign_anchor_is_not_used_and_stays_foreign_in_its_cycle() -> None:
+    found = []
+    for window in (networked(-1.0), networked(1.0, coal_until=5.0), networked(-1.0, coal_until=5.0)):
+        for time in np.arange(0.05, 10.0, 0.1):
+            window.add(time, (time * 0.7) % 1, (1e3 + time, 3e-4, 0.4))
+        found.append(window.at(10.0))
+    assert replace(found[1], basis=Basis.ANY_SEAM) == found[0]
+    assert (found[2].low, found[2].high) != (found[0].low, found[0].high)
+    window = networked(1.0, coal_until=5.0)
+    for time in np.arange(0.05, 10.0, 0.1):
+        window.add(time, 0.5, PULSE)
+    window.at(10.0)
+    assert window._seams is not None
+    window._seams = replace(window._seams, limit=2.0)  # nothing is foreign any more
+    assert window.at(10.0).basis == Basis.FOREIGN
+
+
+def test_fewer_than_three_impacts_say_nothing_about_a_seam() -> None:
+    window = networked(-1.0)
+    window.add(1.0, 0.99, PULSE)
+    window.add(1.1, 0.99, PULSE)
+    share = window.at(2.0)
+    assert share.share == pytest.approx(0.5, abs=0.01)
+    assert share.high - share.low == pytest.approx(0.95, abs=0.01)
+
+
+def test_an_anchor_takes_the_place_of_the_coal_of_a_confusion() -> None:
+    rng = np.random.default_rng(4)
+    rates = np.array([[0.8, 0.3, 0.1], [0.1, 0.3, 0.8]])
+    confusion = Confusion(edges=np.array([-1.0, 1.0]), rates=rates)
+    logits = rng.normal(0.0, 1.5, 4000)  # a coal that looks like gangue more often
+    moved = confusion.anchored(logits)
+    assert moved.rates[1].tolist() == rates[1].tolist()
+    assert moved.rates[0].sum() == pytest.approx(1.2)
+    assert moved.rates[0] / 1.2 == pytest.approx(np.histogram(logits, [-99, -1, 1, 99])[0] / 4000, abs=1e-3)
+    assert confusion.anchored(np.zeros(0)).rates == pytest.approx(rates)
+    anchored = ShareWindow(1e3, answers=confusion, anchor=Anchor(100.0))
+    plain = ShareWindow(1e3, answers=confusion)
+    for time, one in enumerate(logits[:100]):
+        anchored.add(float(time), 1 / (1 + np.exp(-one)), None)
+    for time, one in enumerate(rng.choice(logits, 300)):
+        for window in (anchored, plain):
+            window.add(200.0 + time, 1 / (1 + np.exp(-one)), None)
+    assert anchored.at(600.0).share < 0.2 < plain.at(600.0).share
+
+
+def test_nothing_is_decided_where_coal_is_stated() -> None:
+    confusion = Confusion(edges=np.array([0.0]), rates=np.array([[0.9, 0.1], [0.1, 0.9]]))
+    model: Any = SimpleNamespace(**(vars(MODEL) | {"confusion": confusion}))
+    answers = [answer(time, gangue=0.99) for time in np.arange(0.1, 60.0, 0.1)]
+    for coal_until, expected in ((None, [2.5]), (30.0, [])):
+        settings = PredictionSettings(share_time=5.0, coal_until=coal_until)
+        told = CavingWatch(model, ["1"], settings).feed(answers, 29.0)
+        assert [one.state.time for one in told if one.kind == "shut"] == expected
+
+
+def test_a_model_without_rates_cannot_use_an_anchor() -> None:
+    with pytest.raises(InvalidValue, match="coal_until must be left out"):
+        CavingWatch(MODEL, ["1"], PredictionSettings(coal_until=30.0))
+    with pytest.raises(InvalidValue, match="cycle_pause must come with coal_until"):
+        PredictionSettings(cycle_pause=30.0)

@@ -59,7 +59,7 @@ class Stream:
 
     def watched(self, model: Model, **settings: Any) -> list[Report]:
         """Return the reports of the support, as `cgid monitor` makes them."""
-        watch = CavingWatch(model, ("1",), PredictionSettings(**settings))
+        watch = CavingWatch(model, ("1",), PredictionSettings(trained_seam=True, **settings))
         return watch.feed(self.answers, DURATION) + watch.finish(DURATION)
 
     def shares(self, model: Model, length: float) -> Iterator[tuple[Share, float]]:

@@ -14,6 +14,7 @@ from cgid.cli.table import Column, TableOutput, flags, numbers, times
 if TYPE_CHECKING:
     from cgid.cli.hints import Hints
     from cgid.identification.model import Model
+    from cgid.identification.model.anchor import Basis
     from cgid.identification.prediction import Answer, PredictionSettings
     from cgid.identification.prediction.diagnosis import Change, Hint
     from cgid.identification.prediction.fraction import Share, Switch
@@ -110,9 +111,14 @@ class AnswerLines:
 
     def share(self, source: str, name: str, state: SupportState) -> None:
         """Print the gangue fraction of a window of a source, or of its channel as `name`."""
+        from cgid.identification.model.anchor import Basis
+
         share = state.share
         unknown = f", {share.n_unknown} more unknown" if share.n_unknown else ""
-        fraction = f"{share.share:.2f} ({share.low:.2f} to {share.high:.2f})" if share.n_impacts else "not known"
+        any_seam = ", any seam" if share.basis not in (Basis.TRAINED, Basis.ANCHOR) else ""
+        fraction = (
+            f"{share.share:.2f} ({share.low:.2f} to {share.high:.2f}{any_seam})" if share.n_impacts else "not known"
+        )
         content = {"from_s": share.start, "to_s": share.time, **_record(state)}
         answers = counted(share.n_impacts, "answer") + unknown
         span = f"from {share.start:.6g} to {share.time:.6g} s"
@@ -268,6 +274,7 @@ class RecordingRows:
         assert pipeline.watch is not None
         self._watch = pipeline.watch
         self._grounds: dict[str, tuple[str, bool]] = {}  # last ground and whether something was decided
+        self._bases: dict[str, Basis] = {}  # last basis of the gangue fraction of each support
         self._conditions: dict[tuple[str, str], float] = {}  # what a channel has, and when it was told [s]
         self._later: list[Change] = []
         self.threshold = self._watch.threshold
@@ -316,6 +323,10 @@ class RecordingRows:
         self._print_answers()
         self._print_changes(last.changes, last.until)
         self._print_reports(last.reports)
+        if (stated := self._settings.coal_until) is not None and stated > last.until:
+            self._warn(
+                f"{self.source}: --coal-until must be within the recording of {last.until:.6g} s, got {stated:.6g} s"
+            )
         if self.tally.total > 1 or self._live:
             self.lines.summary(self.source, self.tally, last.until, start_time)
         if not self._live:
@@ -395,6 +406,7 @@ class RecordingRows:
         for one in self._pending_reports:
             state, share = one.state, one.state.share
             name = self.name(share.channel)
+            self._print_basis(name, share)
             if one.kind == "share":
                 self.shares += [share] * self._keep
                 if share.n_impacts or self._live or (share.n_unknown and self.lines.as_json):
@@ -409,6 +421,30 @@ class RecordingRows:
             if one.kind != "share":
                 self._grounds[share.channel] = state.ground, state.decision != "none"
         self._pending_reports = []
+
+    def _print_basis(self, name: str, share: Share) -> None:
+        """Print why the gangue fraction of a support is not that of its own seam, when that begins."""
+        from cgid.identification.model.anchor import MIN_ANCHOR, Basis
+
+        if share.basis == self._bases.get(share.channel) or not (share.n_impacts or share.basis == Basis.TOO_FEW):
+            return
+        self._bases[share.channel] = share.basis
+        coal = f"the coal of {self._settings.coal_until or 0.0:.6g} s"
+        so = "so the interval of the gangue fraction is for any seam"
+        message = {
+            Basis.TOO_FEW: f"{coal} must give at least {MIN_ANCHOR} identified impacts, it gave fewer, {so}; state a "
+            "longer time",
+            Basis.FOREIGN: f"the impacts until {share.time:.6g} s are hardly a mixture with {coal}, {so}; check that "
+            "it was coal alone, of this channel and cycle",
+        }.get(share.basis)
+        if message is not None:
+            self._warn(f"{name}: {message}", channel=share.channel, basis=str(share.basis))
+        elif share.basis == Basis.ANY_SEAM and not self.lines.as_json and len(self._bases) == 1:
+            say(
+                f"{self.source}: the interval of the gangue fraction is for any seam; a stated begin of coal alone "
+                "(--coal-until 30s) makes it a third narrower, --trained-seam is for the seam of the training",
+                err=True,
+            )
 
     def _state_message(self, state: SupportState) -> str | None:
         """Return in words that a ground is lost or won, or that a decision is withdrawn; None for a first decision."""

@@ -58,6 +58,25 @@ class OutputName(PathName):
         self.beside = beside
 
 
+class Seconds(click.ParamType):
+    """A time in seconds, or with its unit, such as 30s, "2 min" or 500ms."""
+
+    name = "time"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        """Return the time [s], or fail with a usage error."""
+        from cgid.units import number_and_unit, parse
+
+        found = number_and_unit(value) if isinstance(value, str) else (value, "")
+        if found is not None and not found[1]:
+            return float(found[0])
+        try:
+            return parse(value, "time")
+        except ValueError as error:
+            self.fail(str(error), param, ctx)
+
+
+SECONDS = Seconds()
 PATH, SCENE, MODEL = PathName(), PathName(SCENES), PathName(MODELS)
 OUTPUT = OutputName()
 
@@ -485,6 +504,23 @@ answering_options = _options(
     ),
     click.option(
         "--hold", type=float, help="Hold SHUT or OPEN for at least this time [s], by default the length of the window."
+    ),
+    click.option(
+        "--coal-until",
+        type=SECONDS,
+        metavar="TIME",
+        help="State that coal alone falls for so long (30s) at the begin: the gangue fraction is then for this seam.",
+    ),
+    click.option(
+        "--cycle-pause",
+        type=SECONDS,
+        metavar="TIME",
+        help="Begin another caving cycle with the first impact after a pause of so long (120s); with --coal-until.",
+    ),
+    click.option(
+        "--trained-seam",
+        is_flag=True,
+        help="State that the seam is that of the model's training, with its coal and gangue, sizes and drop heights.",
     ),
     click.option(
         "--blind-after",

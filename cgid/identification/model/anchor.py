@@ -2,7 +2,7 @@
 
 No single impact tells its seam: a hard coal looks like a soft gangue. But a window begins with coal. The predictions
 for this coal, the anchor, and those of the present window are summarised, and a network gives the density of the
-fraction. It was trained on thousands of simulated seams (`cgid.site.seams`), so it has seen which coals and gangues
+fraction. It was trained on thousands of simulated seams (`cgid.learning.seams`), so it has seen which coals and gangues
 look like this beside such an anchor. A second network sees the window alone: its density is as wide as the seams of the
 training allow. A third one tells whether the window can be a mixture with the coal of the anchor.
 """

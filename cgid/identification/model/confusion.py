@@ -15,7 +15,7 @@ the fraction of the rocks that came, which are themselves a sample.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, ClassVar, Self
 
 import numpy as np
@@ -173,6 +173,13 @@ class Confusion:
         centres = np.append(self.edges, np.inf)  # one logit within each bin, counted from below
         slopes = self.slopes(np.nextafter(centres, -np.inf), share)
         return float(bins @ slopes**2 / bins.sum())
+
+    def anchored(self, logits: Floats) -> Self:
+        """Return the same with predictions for rocks of the first label that are distributed like these, (n,)."""
+        counts = np.bincount(np.searchsorted(self.edges, logits, side="right"), minlength=self.edges.size + 1)
+        total = self.rates[0].sum()
+        first = total * (counts + _ADDED * self.rates[0] / total) / (logits.size + _ADDED)
+        return replace(self, rates=np.stack([first, self.rates[1]]))
 
     def turned(self) -> Self:
         """Return the same with the labels exchanged."""

@@ -31,13 +31,14 @@ from collections import deque
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from functools import cache
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
 from cgid._lib import validation
 from cgid._lib.validation import Floats
 from cgid.errors import InvalidValue
+from cgid.identification.model.anchor import Anchor, Basis, Impacts, SeamNetworks, class_edges, impacts_of
 from cgid.identification.model.confusion import SUREST, Confusion, logit
 from cgid.identification.model.model import Model
 from cgid.identification.prediction.settings import RULES
@@ -48,6 +49,8 @@ __all__ = ["Share"]
 LEVEL = 0.95
 #: A decision is withdrawn after this time without a window of enough identified impacts [s].
 LAPSE = 120.0
+#: Minimum number of identified impacts of a window for the networks of seams, whose windows have 5 rocks and more.
+MIN_WINDOW = 3
 #: Nodes of the density, evenly spaced in the angle of share = sin^2(angle): finer towards 0 and 1.
 _NODES = 401
 
@@ -63,13 +66,15 @@ class Share:
     start : float [s]
         Begin of the window; impacts after it and up to `time` count.
     share : float
-        The most probable one; nan without any impact.
+        The most probable one, by networks of seams the median; nan without any impact.
     low, high : float
         Shortest interval of probability `LEVEL`; 0 and 1 without any impact.
     mean : float
         The expected one, for expected costs; nan without any impact.
     above : float
         Probability that the share is above the threshold of the window; nan without any impact.
+    basis : Basis
+        What it rests on: the seam of the training, the coal with which the window began, or any seam.
     n_impacts : int
         Number of identified impacts.
     n_unknown : int
@@ -88,6 +93,7 @@ class Share:
     channel: str = "1"
     mean: float = float("nan")
     above: float = float("nan")
+    basis: Basis = Basis.TRAINED
 
     def __repr__(self) -> str:
         where = "" if self.channel == "1" else f" of channel {self.channel}"
@@ -148,6 +154,8 @@ class ShareWindow:
         weight: float = 1.0,
         channel: str = "1",
         threshold: float = 0.5,
+        seams: SeamNetworks | None = None,
+        anchor: Anchor | None = None,
     ) -> None:
         # The weight of one answer is below 1 where windows overlap: 1 end to end, .5 for half overlap; the threshold is
         # for `Share.above`.
@@ -158,11 +166,17 @@ class ShareWindow:
         self._answers, self._threshold = answers or NoConfusion(), threshold
         self._weight = weight / self._answers.overdispersion
         self._blur = _blur(self._answers.scatter)
-        self._impacts: deque[tuple[float, float]] = deque()
+        self._seams, self.anchor = seams, anchor
+        self._impacts: deque[tuple[float, float, tuple[float, ...] | None]] = deque()
 
-    def add(self, time: float, probability: float) -> None:
-        """Add the gangue probability of an impact at a time [s], nan if unknown; calls must be in order of time."""
-        self._impacts.append((time, probability))
+    def add(self, time: float, probability: float, pulse: tuple[float, ...] | None = None) -> None:
+        """Add the gangue probability of an impact at a time [s], nan if unknown, and its pulse, if measured.
+
+        Calls must be in order of time.
+        """
+        self._impacts.append((time, probability, pulse))
+        if self.anchor is not None:
+            self.anchor.add(time, probability, pulse)
 
     def restart(self, time: float) -> Share:
         """Drop all impacts up to a time [s], and return the fraction of the window without them."""
@@ -174,26 +188,59 @@ class ShareWindow:
         start = time - self.length
         while self._impacts and self._impacts[0][0] <= start:
             self._impacts.popleft()
-        inside = np.array([probability for when, probability in self._impacts if when <= time])
-        known = inside[np.isfinite(inside)]
-        nothing = {"share": float("nan"), "low": 0.0, "high": 1.0}
+        inside = impacts_of([one[1:] for one in self._impacts if one[0] <= time])
+        estimate: dict[str, Any] = {"share": float("nan"), "low": 0.0, "high": 1.0}
+        basis = self._basis(time)
+        if inside.logits.size:
+            if self._seams is None:
+                estimate = self._estimate(inside.logits, self._confusion(basis))
+            else:
+                estimate, basis = self._by_seams(inside, basis)
         return Share(
             time=time,
             start=max(start, 0.0),
-            n_impacts=known.size,
-            n_unknown=inside.size - known.size,
+            n_impacts=inside.logits.size,
+            n_unknown=inside.n_unknown,
             channel=self.channel,
-            **(self._estimate(known) if known.size else nothing),
+            basis=basis,
+            **estimate,
         )
 
-    def _estimate(self, probabilities: Floats) -> dict[str, float]:
+    def _basis(self, time: float) -> Basis:
+        if self.anchor is not None:
+            return self.anchor.basis(time)
+        return Basis.TRAINED if self._seams is None else Basis.ANY_SEAM
+
+    def _by_seams(self, inside: Impacts, basis: Basis) -> tuple[dict[str, float], Basis]:
+        """Return the fields of a `Share` for the impacts of a window by the networks, and its basis."""
+        assert self._seams is not None
+        window, anchor = self._seams.summary(inside), None
+        is_enough = inside.logits.size >= MIN_WINDOW
+        if basis == Basis.ANCHOR and is_enough:
+            assert self.anchor is not None
+            if self.anchor.summary is None:
+                self.anchor.summary = self._seams.summary(self.anchor.impacts)
+            anchor = self.anchor.summary
+            if self._seams.foreignness(window, anchor)[0] > 0:
+                self.anchor.is_foreign, anchor, basis = True, None, Basis.FOREIGN
+        density = self._seams.density(window, anchor)[0] if is_enough else np.diff(class_edges())
+        return estimate_of(density, self._threshold), basis
+
+    def _confusion(self, basis: Basis) -> Confusion | NoConfusion:
+        """Return the confusion, with the predictions for the coal of the anchor in place of those of the training."""
+        if basis != Basis.ANCHOR or isinstance(self._answers, NoConfusion):
+            return self._answers
+        assert self.anchor is not None
+        return self._answers.anchored(self.anchor.impacts.logits)
+
+    def _estimate(self, logits: Floats, answers: Confusion | NoConfusion) -> dict[str, float]:
         """Return the fields of a `Share` for the rocks of some predictions."""
         shares, edges = _nodes()
         breadths = np.diff(edges)
         # Equal predictions are one row: a window of thousands takes no longer than the bins of a confusion.
-        ratios, counts = np.unique(self._answers.ratios(logit(probabilities)), return_counts=True)
+        ratios, counts = np.unique(answers.ratios(logits), return_counts=True)
         log_likelihood = counts.astype(np.float64) @ np.log1p(np.multiply.outer(ratios - 1.0, shares))
-        among = probabilities.size * np.log1p((self._answers.abundance - 1.0) * shares)
+        among = logits.size * np.log1p((answers.abundance - 1.0) * shares)
         logarithm = self._weight * (log_likelihood - among)
         masses = np.exp(logarithm - logarithm.max()) * breadths
         masses /= masses.sum()
@@ -212,6 +259,25 @@ class ShareWindow:
             "mean": float(masses @ shares),
             "above": float(np.clip(1.0 - below, 0.0, 1.0)),
         }
+
+
+def estimate_of(density: Floats, threshold: float) -> dict[str, float]:
+    """Return the fields of a `Share` for the probabilities of the classes of the fraction, (N_CLASSES,)."""
+    cumulative = np.append(0.0, np.cumsum(density))
+    # Within a class the density is constant in the angle of fraction = sin^2(angle).
+    shares, edges = _nodes()
+    angles = np.arcsin(np.sqrt(edges)) / (np.pi / 2)
+    below = np.interp(angles, np.linspace(0.0, 1.0, cumulative.size), cumulative / cumulative[-1])
+    starts = np.flatnonzero(below <= 1.0 - LEVEL)
+    ends = np.searchsorted(below, below[starts] + LEVEL - 1e-12)
+    shortest = int(np.argmin(edges[ends] - edges[starts]))
+    return {
+        "share": float(np.interp(0.5, below, edges)),
+        "low": float(edges[starts[shortest]]),
+        "high": float(edges[ends[shortest]]),
+        "mean": float(np.diff(below) @ shares),
+        "above": float(1.0 - np.interp(threshold, edges, below)),
+    }
 
 
 def trained_share(model: Model, gangue: Collection[str]) -> float:

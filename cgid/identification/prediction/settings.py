@@ -36,6 +36,8 @@ RULES = {
     "dilution_cost": Rule(0, without="lowest"),
     "evidence": Rule(0.5, 1, without="highest"),
     "hold": Rule(0, unit="s"),
+    "coal_until": Rule(0, without="lowest", unit="s"),
+    "cycle_pause": Rule(0, without="lowest", unit="s"),
     "blind_after": Rule(0.5, unit="s"),
     "give_up": Rule(0, without="lowest", unit="s"),
 }
@@ -50,6 +52,9 @@ class ShareSettings(NamedTuple):
     dilution_cost: float
     evidence: float
     hold: float
+    coal_until: float | None
+    cycle_pause: float | None
+    trained_seam: bool
 
 
 class ExtraColumns(Protocol):
@@ -111,6 +116,13 @@ class PredictionSettings:
         Probability required for SHUT or OPEN, from .5 to below 1; None: .95.
     hold : float, optional [s]
         Least time between SHUT and OPEN; None: a window.
+    coal_until : float, optional [s]
+        Only coal falls for so long from the begin on: an anchor for the gangue fraction of this seam; None: the seam is
+        not known.
+    cycle_pause : float, optional [s]
+        The first impact after such a pause begins another caving cycle, with as long a time of coal; None: one cycle.
+    trained_seam : bool
+        The seam is that of the training, so that the gangue fraction takes its rates of errors.
     blind_after : float, optional [s]
         Time without sound samples after which a support is blind; None: `BLIND_TIME`.
     give_up : float, optional [s]
@@ -138,6 +150,9 @@ class PredictionSettings:
     dilution_cost: float | None = None
     evidence: float | None = None
     hold: float | None = None
+    coal_until: float | None = None
+    cycle_pause: float | None = None
+    trained_seam: bool = False
     blind_after: float | None = None
     give_up: float | None = None
     impactors: ExtraColumns | None = None
@@ -145,7 +160,7 @@ class PredictionSettings:
 
     def __post_init__(self) -> None:
         validation.instance("costs", self.costs, Mapping)
-        for name in ("class_conditional", "invert"):
+        for name in ("class_conditional", "invert", "trained_seam"):
             validation.instance(name, getattr(self, name), bool, np.bool_)
         if not (isinstance(self.sensors, tuple | list) and all(isinstance(one, str) for one in self.sensors)):
             raise InvalidValue(f"sensors must be a tuple of names, as in ('left', 'right'), got {shown(self.sensors)}")
@@ -155,6 +170,10 @@ class PredictionSettings:
                 validation.number(name, value, rule=rule)
         if self.costs and self.coverage is not None:
             raise InvalidValue("costs and coverage must not be given together; leave one out")
+        if self.cycle_pause is not None and self.coal_until is None:
+            raise InvalidValue("cycle_pause must come with coal_until, the coal of each cycle; give --coal-until, too")
+        if self.trained_seam and self.coal_until is not None:
+            raise InvalidValue("trained_seam and coal_until must not be given together; leave one out")
         if self.class_conditional and self.coverage is None:
             raise InvalidValue("class_conditional must come with a coverage; give --coverage, such as --coverage 0.9")
 
@@ -228,6 +247,9 @@ class PredictionSettings:
             dilution_cost=1.0 if self.dilution_cost is None else self.dilution_cost,
             evidence=0.95 if self.evidence is None else self.evidence,
             hold=window if self.hold is None else self.hold,
+            coal_until=self.coal_until,
+            cycle_pause=self.cycle_pause,
+            trained_seam=self.trained_seam,
         )
 
     @property
@@ -238,8 +260,8 @@ class PredictionSettings:
     @property
     def needs_shares(self) -> bool:
         """Whether an option requests gangue fractions, so that even a single impact has them."""
-        decides = (self.share_time, self.dilution_cost, self.evidence, self.hold)
-        return bool(self.gangue) or any(one is not None for one in decides)
+        decides = (self.share_time, self.dilution_cost, self.evidence, self.hold, self.coal_until)
+        return bool(self.gangue) or self.trained_seam or any(one is not None for one in decides)
 
 
 def require_groups(groups: Any) -> tuple[tuple[str, ...], ...]:

@@ -18,10 +18,12 @@ import numpy as np
 from cgid._lib import validation
 from cgid._lib.validation import UNKNOWN
 from cgid.errors import InvalidValue
+from cgid.identification.model.anchor import Anchor, Basis
 from cgid.identification.model.model import Model
 from cgid.identification.prediction.answers import Answer
 from cgid.identification.prediction.diagnosis import Change, Condition, Diagnosis
 from cgid.identification.prediction.fraction import (
+    NoConfusion,
     Share,
     ShareWindow,
     ShutDecision,
@@ -101,6 +103,7 @@ class SupportState:
             "gangue_share": share.share,
             "low": share.low,
             "high": share.high,
+            "basis": str(share.basis),
             "impacts": share.n_impacts,
             "unknown": share.n_unknown,
             "last_sound_s": self.last_sound,
@@ -169,6 +172,13 @@ class CavingWatch:
                 f"{', '.join(gangue)}; leave one out"
             )
         answers = answers_of(model, gangue)
+        # The seams of the simulation have coal and gangue; other labels may be anything.
+        seams = None if shares.trained_seam or gangue != ("gangue",) else model.seams
+        if shares.coal_until is not None and seams is None and isinstance(answers, NoConfusion):
+            raise InvalidValue(
+                "coal_until must be left out, this model does not know how often it errs for either label; train one "
+                "on streams of a scene, or on more specimens"
+            )
         self._sensors, self._channels = sensors, list(supports if channels is None else channels)
         self._supports = {
             name: _Support(
@@ -178,6 +188,8 @@ class CavingWatch:
                     weight=weight,
                     channel=name,
                     threshold=0.5 if self.threshold is None else self.threshold,
+                    seams=seams,
+                    anchor=None if shares.coal_until is None else Anchor(shares.coal_until, shares.cycle_pause),
                 ),
                 rule=rule,
                 rows=_rows_of(name, self._channels),
@@ -231,7 +243,7 @@ class CavingWatch:
             self.diagnosis.add((answer,))
             self._is_new = True
             support = self._supports[answer.channel]
-            support.window.add(answer.time, self._probability(answer))
+            support.window.add(answer.time, self._probability(answer), answer.pulse)
             if answer.label != UNKNOWN:
                 support.last_identified = answer.time
         if self._sensors is not None:
@@ -287,7 +299,8 @@ class _Support:
             # What came on another ground is no evidence.
             share = self.window.restart(share.time)
         if self.rule is not None and ground == Ground.SEEN:
-            switch = self.rule.watch(share)
+            # Where coal is stated, nothing is decided.
+            switch = None if share.basis == Basis.PENDING else self.rule.watch(share)
         elif self.rule is not None:
             self.rule.withdraw()
         shut = None if self.rule is None else self.rule.shut
