@@ -47,7 +47,7 @@ from cgid.identification.training.rows import (
     measure,
 )
 from cgid.identification.training.training import train_on_specimens
-from cgid.learning.seams import Pool, pool_of, pool_of_pulses, wide, with_seams
+from cgid.learning.seams import N_STREAMS, Pool, pool_of, pool_of_pulses, wide, with_seams
 from cgid.learning.streams import StreamRows, finished, rows_of_streams, variations
 from cgid.measure.modal.beam import Beam
 from cgid.scene import Scene, load_scene, parse_scene, synthesise
@@ -179,7 +179,8 @@ def pool(model: Model, n: int, seed: int) -> Pool:
 
 def seams_section(told: dict[str, Any]) -> list[str]:
     """Return the lines about the fraction of gangue in simulated seams."""
-    rows = [(name, *(f"{told[name][key]:.3f}" for key in ("rms", "holds", "width"))) for name in ("anchored", "alone")]
+    named = {"beside the coal of its seam": told["anchored"], "the window alone": told["alone"]}
+    rows = [(name, *(f"{own[key]:.3f}" for key in ("rms", "holds", "width"))) for name, own in named.items()]
     return [
         f"{told['n_seams']} simulated seams taught it the fraction of gangue in a seam that nobody described, by the "
         f"errors of {told['n_impacts']} impacts. On {told['n_judges']} others, in windows of 40 to 130 rocks:\n",
@@ -257,7 +258,7 @@ def main() -> None:
     if arguments.seams:
         output = arguments.output or HERE / name
         model = Model.load(HERE / name)
-        model = with_seams(model, pool(model, 16, arguments.seed + 20), arguments.seed)
+        model = with_seams(model, pool(model, N_STREAMS, arguments.seed + 20), arguments.seed)
         write_finished(model, output, name)
         return
     known = ("drop_height",) if arguments.drop_height else ()
@@ -301,7 +302,7 @@ def main() -> None:
         told["beside_force"] = beside_force(training.model, scenes[0], rival)
     model = replace(training.model, training=training.model.training | told)
     if not known:
-        model = with_seams(model, pool(model, 16, arguments.seed + 20), arguments.seed)
+        model = with_seams(model, pool(model, N_STREAMS, arguments.seed + 20), arguments.seed)
     for path in write_model(replace(training, model=model), output, plots=True, further=sections(model)):
         print(path)
     low, high = training.metrics["accuracy_interval_95"]

@@ -80,8 +80,7 @@ def test_a_summary_of_one_impact_is_finite() -> None:
 
 def test_networks_return_from_a_model_file() -> None:
     model, own = Model.load(path_of("models", DEFAULT_MODEL)), networks()
-    stored = {name: array for name, array in model.arrays.items() if not name.startswith(SeamNetworks.PREFIX)}
-    with_networks = Model.from_bytes(with_arrays(model, {**stored, **own.arrays}).to_bytes())
+    with_networks = Model.from_bytes(with_arrays(model, {**without_networks(model), **own.arrays}).to_bytes())
     assert with_networks.seams is not None
     window, anchor = own.summary(drawn(30, 1)), own.summary(drawn(50, 2))
     for again, one in (
@@ -95,6 +94,10 @@ def test_networks_return_from_a_model_file() -> None:
         own.foreignness(window, anchor)
         == own.foreign.scores(inputs_of(window, anchor, own.mean, own.scale)[None]) - 1.5
     )
+
+
+def without_networks(model: Model) -> dict[str, np.ndarray]:
+    return {name: array for name, array in model.arrays.items() if not name.startswith(SeamNetworks.PREFIX)}
 
 
 def with_arrays(model: Model, arrays: dict[str, np.ndarray]) -> Model:
@@ -120,7 +123,7 @@ def test_networks_that_do_not_fit_are_refused(name: str, array: np.ndarray | Non
     if array is None:
         del arrays[SeamNetworks.PREFIX + name]
     with pytest.raises(BadData, match=words):
-        with_arrays(model, {**model.arrays, **arrays})
+        with_arrays(model, {**without_networks(model), **arrays})
 
 
 def test_pulses_are_those_of_the_model() -> None:

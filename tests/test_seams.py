@@ -7,7 +7,7 @@ import pytest
 
 from cgid import load_model, shipped
 from cgid.identification.model.model import Model
-from cgid.learning import seams
+from cgid.learning import seams, streams
 from cgid.learning.seams import Pool, pool_of_pulses, pulse_of, simulated, wide, with_seams
 from cgid.physics import HalfSpace, HuntCrossley, Impact, Sphere
 from cgid.physics.contact.materials import STEEL, Material
@@ -109,3 +109,30 @@ def test_a_model_learns_fractions_of_seams_and_answers_impacts_as_before(model: 
     inputs, guards = rows[:, : len(model.features)], rows[:, len(model.features) :]
     assert made.probabilities(inputs).tolist() == model.probabilities(inputs).tolist()
     assert made.novelty(inputs, guards).tolist() == model.novelty(inputs, guards).tolist()
+
+
+def test_a_model_of_streams_is_taught_behind_its_own_beam() -> None:
+    model, scene = load_model("default-acceleration"), load_scene(shipped.scene_path("caving"))
+    plain = replace(
+        model, arrays={name: array for name, array in model.arrays.items() if not name.startswith("seams.")}
+    )
+    with pytest.MonkeyPatch.context() as patch:
+        for module in (streams, seams):
+            patch.setattr(module, "DURATION", 12.0)
+        patch.setattr(seams, "N_STREAMS", 3)
+        patch.setattr(seams, "_JUDGES", 40)
+        patch.setattr(seams, "_EPOCHS", ((12, 3e-3),))
+        pool = seams.pool_of(scene, 3, 6, plain.beam.beam)
+        made = seams.taught(plain, scene, 160, 6)
+    # Errors of the inversion, on a beam that gives way; bounces are slower than first impacts.
+    assert 0.75 < pool.told.mean() < 0.97 and 0.15 < pool.bounce.mean() < 0.5
+    errors = (np.log(pool.measured[:, :3]) - pool.pulse)[pool.told]
+    assert np.abs(np.nanmedian(errors[:, :2], axis=0)).max() < 0.1
+    assert 0.9 < np.nanmedian(pool.back) < 1.02  # the beam takes a little, and may strike a dull rock back
+    assert np.isfinite(pool.back).sum() == pytest.approx(pool.bounce.sum(), rel=0.2)
+    assert plain.seams is None and made.seams is not None
+    assert made.training["seams"]["n_seams"] == 160
+    assert made.training["seams"]["anchored"]["rms"] < 0.25
+    assert all(made.arrays[name] is plain.arrays[name] for name in plain.arrays)
+    other = replace(plain, labels=("coal", "stone"))
+    assert seams.taught(other, scene, 160, 6) is other

@@ -58,7 +58,7 @@ class OutputName(PathName):
         self.beside = beside
 
 
-class Seconds(click.ParamType):
+class Seconds(click.types.FloatParamType):
     """A time in seconds, or with its unit, such as 30s, "2 min" or 500ms."""
 
     name = "time"

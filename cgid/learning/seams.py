@@ -225,7 +225,11 @@ def simulated(pool: Pool, model: Model, n_seams: int, rng: np.random.Generator) 
 
 
 def _drawn(n_seams: int, rng: np.random.Generator) -> dict[str, Floats]:
-    """Return rocks of seams of the prior, (n_seams * (_COAL + _GANGUE),) each, and the errors of gain (n_seams, 3)."""
+    """Return rocks of seams of the prior, (n_seams * (_COAL + _GANGUE),) each, and the errors of gain (n_seams, 3).
+
+    Moduli, densities and sizes are published ranges of coal, mudstone, shale, sandstone and limestone (`datasets`);
+    their spreads within a seam, restitutions, falls and errors of gain are assumed.
+    """
 
     def uniform(low: float, high: float) -> Floats:
         return rng.uniform(low, high, n_seams)
@@ -240,12 +244,12 @@ def _drawn(n_seams: int, rng: np.random.Generator) -> dict[str, Floats]:
     bounce = uniform(0.24, 0.45)
     restitutions = bounce, bounce + uniform(0.05, 0.27)
     densities = uniform(1280, 1500), uniform(2200, 2750)
-    largest, ratio = log_uniform(0.035, 0.16), log_uniform(2.5, 9.0)
+    largest, ratio = log_uniform(0.028, 0.165), log_uniform(2.5, 9.0)
     other = rng.random(n_seams) < 0.5
     sizes = np.ones(n_seams), np.where(other, log_uniform(0.6, 1.7), 1.0)
     ratios = ratio, np.where(other, log_uniform(2.5, 9.0), ratio)
-    low = log_uniform(0.2, 1.2)
-    high = low + uniform(0.5, 3.0)
+    low = log_uniform(0.15, 1.2)
+    high = low + uniform(0.4, 3.1)
     gain = np.where(rng.random((n_seams, 1)) < 0.5, rng.normal(0, (0.10, 0.05, 0.06), (n_seams, 3)), 0.0)
     parts: dict[str, list[Floats]] = {}
     for k, n in enumerate((_COAL, _GANGUE)):
@@ -269,6 +273,8 @@ def _drawn(n_seams: int, rng: np.random.Generator) -> dict[str, Floats]:
 
 # -- networks ---------------------------------------------------------------------------------------------
 
+#: Streams of a pool.
+N_STREAMS = 16
 #: Seams that train, and that settle temperature and limit; windows of each; seams simulated at once.
 N_SEAMS, _JUDGES, _DRAWS, _AT_ONCE = 12_000, 800, 4, 1000
 #: Rocks of an anchor and of a window at least and at most; half of all are of this typical size.
@@ -282,6 +288,9 @@ _PURE = 0.06
 _LAYERS, _DECAY, _EPOCHS, _N_CELLS = (64, 32), 0.3, ((24, 1e-3), (8, 2e-4)), 24
 #: Fraction of sound windows that pass the test of the anchor.
 _SOUND = 0.99
+#: Temperature of the density without an anchor over the one that suits simulated seams best, since a mine may lie at
+#: the edge of the prior (assumed), and nothing but the window tells.
+_MARGIN = 1.25
 #: Candidates of the temperature.
 _TEMPERATURES = np.linspace(0.7, 1.6, 19)
 
@@ -324,7 +333,7 @@ def with_seams(
     judged, tested = inputs_of(judges.window, judges.anchor, mean, scale), _class_of(judges.fraction)
     with threadpool_limits(1):
         anchored = _cooled(_fitted(inputs, classes, seed), judged, tested)
-        alone = _cooled(_fitted(inputs[:, :n_summary], classes, seed), judged[:, :n_summary], tested)
+        alone = _cooled(_fitted(inputs[:, :n_summary], classes, seed), judged[:, :n_summary], tested, _MARGIN)
         is_other = np.repeat([0, 1], len(inputs))
         foreign = _fitted(np.concatenate([inputs, others]), is_other, seed)
     limit = float(np.quantile(foreign.scores(judged), _SOUND))
@@ -349,6 +358,25 @@ def with_seams(
         "alone": _figures(networks.density(judges.window)[usual], judges.fraction[usual]),
     }
     return replace(model, arrays={**model.arrays, **networks.arrays}, training={**model.training, "seams": told})
+
+
+def taught(
+    model: Model,
+    scene: Scene,
+    n_impacts: int,
+    seed: int,
+    *,
+    progress: Callable[[int], object] | None = None,
+    workers: Workers = SERIAL,
+) -> Model:
+    """Return a model of the streams of a scene with networks for any seam, from no more seams than impacts.
+
+    Without gangue among its labels it stays as it is: the seams have coal and gangue.
+    """
+    if "gangue" not in model.labels or model.beam is None:
+        return model
+    pool = pool_of(scene, N_STREAMS, seed, model.beam.beam, progress=progress, workers=workers)
+    return with_seams(model, pool, seed, min(n_impacts, N_SEAMS))
 
 
 def _draws(seams: Seams, cells: Floats, scale: Floats, rng: np.random.Generator) -> _Draws:
@@ -409,11 +437,11 @@ def _fitted(inputs: Floats, classes: NDArray[np.intp], seed: int) -> Network:
     return Network(arrays, inputs.shape[1], len(estimator.classes_))
 
 
-def _cooled(network: Network, inputs: Floats, classes: NDArray[np.intp]) -> Network:
-    """Return a network whose probabilities have the temperature that suits other seams best."""
+def _cooled(network: Network, inputs: Floats, classes: NDArray[np.intp], margin: float = 1.0) -> Network:
+    """Return a network whose probabilities have the temperature that suits other seams best, times a margin."""
     scores, rows = network.scores(inputs), np.arange(len(inputs))
     losses = [-np.mean(np.log(softmax(scores / t)[rows, classes] + 1e-300)) for t in _TEMPERATURES]
-    best = _TEMPERATURES[int(np.argmin(losses))]
+    best = margin * _TEMPERATURES[int(np.argmin(losses))]
     last = {name: network.arrays[name] / best for name in ("weights_3", "biases_3")}
     return Network({**network.arrays, **last}, network.n_features, network.n_classes)
 
