@@ -23,7 +23,8 @@ from typing import Any
 #: Time limit of a command [s].
 _LONGEST = 60
 #: Computed once, since it takes minutes and does not depend on where it is written; the disk comes afterwards.
-_COMPUTED = (("cgid.identification.training.training", "train"),)
+_TRAINING = "cgid.identification.training.training"
+_COMPUTED = ((_TRAINING, "train_on_specimens"), (_TRAINING, "train_on_groups"))
 
 
 def _compute_once() -> None:

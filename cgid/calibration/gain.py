@@ -28,7 +28,16 @@ _FLIGHT, _MIN_EXPLAINED, _WRAPPED = 0.8, 0.02, 1e-9
 
 
 class Calibration(NamedTuple):
-    """A scene with `sensor.gain`, the gain, and the fraction of each recording's energy that the scene explains."""
+    """The gain of a sensor.
+
+    Attributes
+    ----------
+    scene : Scene
+        With `sensor.gain`.
+    gain : float
+    explained : ndarray, (n_recordings,)
+        Fraction of each recording's energy that the scene explains.
+    """
 
     scene: Scene
     gain: float
@@ -54,6 +63,10 @@ def calibrated(
         mass, as an impact on `scene.body` at the `free_fall_velocity` of its height.
     filtered : bool
         Whether forces passed the same anti-alias filter (or bandwidth) as motions, which then cancels.
+
+    Returns
+    -------
+    Calibration
 
     Raises
     ------
