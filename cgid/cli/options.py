@@ -489,6 +489,14 @@ answering_options = _options(
     ),
     same_beam_option,
     click.option(
+        "--no-lines",
+        "lines",
+        is_flag=True,
+        flag_value=False,
+        default=True,
+        help="Keep tones of machines, which are otherwise taken out of accelerations of a beam.",
+    ),
+    click.option(
         "--window", "share_time", type=float, help="Set the window of the gangue fraction [s], by default 10."
     ),
     click.option(

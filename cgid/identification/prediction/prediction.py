@@ -31,8 +31,8 @@ if TYPE_CHECKING:
 
 #: Fields of `PredictionSettings` that `predict` accepts: all except those of the gangue fraction.
 _SETTINGS = (
-    "costs", "coverage", "class_conditional", "drop_height", "mass", "invert", "sensors", "dead_time", "vote_time",
-    "same_beam",
+    "costs", "coverage", "class_conditional", "drop_height", "mass", "invert", "sensors", "lines", "dead_time",
+    "vote_time", "same_beam",
 )  # fmt: skip
 
 
@@ -107,8 +107,8 @@ def predict(
         in `cgid.open_recording`. A `full_scale` may include the unit.
     **settings
         Fields of `cgid.identification.prediction.PredictionSettings`, such as ``mass=2.5`` [kg] of an
-        accelerated impactor, ``drop_height=1.5`` [m], ``invert=True``, ``costs={"gangue": 3.0}``, ``coverage=0.9`` or,
-        for channels of one beam, ``same_beam=[("1", "2")]``.
+        accelerated impactor, ``drop_height=1.5`` [m], ``invert=True``, ``lines=False`` (keep tones of machines),
+        ``costs={"gangue": 3.0}``, ``coverage=0.9`` or, for channels of one beam, ``same_beam=[("1", "2")]``.
 
     Returns
     -------

@@ -98,6 +98,8 @@ class PredictionSettings:
         Whether pulses point downwards.
     sensors : tuple of str
         Names of sensors in the model: one for all channels, or one for each.
+    lines : bool
+        Whether tones of machines are taken out of accelerations that a model sees through a beam.
     dead_time : float, optional [s]
         Time after an impact in which no other begins, see `find_impacts`.
     vote_time : float, optional [s]
@@ -141,6 +143,7 @@ class PredictionSettings:
     mass: float | None = None
     invert: bool = False
     sensors: tuple[str, ...] = ()
+    lines: bool = True
     dead_time: float | None = None
     vote_time: float | None = None
     batch: int = BATCH
@@ -160,7 +163,7 @@ class PredictionSettings:
 
     def __post_init__(self) -> None:
         validation.instance("costs", self.costs, Mapping)
-        for name in ("class_conditional", "invert", "trained_seam"):
+        for name in ("class_conditional", "invert", "lines", "trained_seam"):
             validation.instance(name, getattr(self, name), bool, np.bool_)
         if not (isinstance(self.sensors, tuple | list) and all(isinstance(one, str) for one in self.sensors)):
             raise InvalidValue(f"sensors must be a tuple of names, as in ('left', 'right'), got {shown(self.sensors)}")

@@ -28,6 +28,7 @@ from cgid.identification.prediction.settings import PredictionSettings
 from cgid.measure.features.extraction import FEATURES, require_measurable
 from cgid.measure.features.table import MIN_BANDWIDTH, ImpactKind
 from cgid.measure.filters import Equalisation
+from cgid.recordings.lines import Lines
 from cgid.signals import channel_name
 
 if TYPE_CHECKING:
@@ -51,6 +52,10 @@ _NEVER_QUIET = (
     "the sensor to a quieter point, or train a model of windows (cgid train MANIFEST --by window)"
 )
 _QUIET_AGAIN = "there are quiet moments again"
+_UNSTEADY = (
+    "tones of a machine begin, end or move too fast to be taken out in full, so the gangue fraction may be wrong while "
+    "they do; move the sensor away from the machine, or keep tones with --no-lines"
+)
 
 
 @dataclass(frozen=True)
@@ -143,7 +148,9 @@ def _impacts(
             sampling_rate, len(channels), kind=kind, dead_time=settings.dead_time, joint=joint, gaps=True
         )
         require_measurable(model.measured, sampling_rate, detector.n_samples, None, model.beam)
-        for block in chain(blocks, [None]):
+        # A model of labelled recordings has learned with their tones.
+        lines = Lines(len(channels), sampling_rate) if settings.lines and beam is not None else None
+        for block in chain(blocks if lines is None else lines.taken_out(blocks), [None]):
             ended = block is None
             events = detector.finish() if block is None else detector.feed(block)
             silent -= set(range(len(channels))) if joint and events else {event.channel for event in events}
@@ -151,15 +158,16 @@ def _impacts(
             loud = warned if quiet is None or block is None else quiet.loud(block) - silent
             heard = [f"{named(row)}: {_NEVER_QUIET}" for row in sorted(loud - warned)]
             heard += [f"{named(row)}: {_QUIET_AGAIN}" for row in sorted(warned - loud)]
+            heard += [f"{named(row)}: {_UNSTEADY}" for row in (() if lines is None else lines.told())]
             warned = loud
             if not (ended or heard or not waiting or len(waiting) >= settings.batch):
                 continue
             until: float = detector.known_until
             if same_beam is None:
                 answers = identify_events(waiting, model, settings, channels=names, beam=beam)
-                lines = [] if together is None else [f"{source}: {text}" for text in together.feed(waiting, channels)]
+                said = [] if together is None else [f"{source}: {text}" for text in together.feed(waiting, channels)]
             else:
-                answers, begin, lines = same_beam.identified(waiting, np.inf if ended else until)
+                answers, begin, said = same_beam.identified(waiting, np.inf if ended else until)
                 until = min(until, begin)
             yield Step(
                 answers,
@@ -167,7 +175,7 @@ def _impacts(
                 silent=tuple(
                     f"{named(row)}: {detector.why_silent(row, model.unit)}" for row in sorted(silent) if ended
                 ),
-                warnings=(*heard, *lines),
+                warnings=(*heard, *said),
                 upside_down=tuple(
                     name
                     for name, rows in zip(names, groups, strict=True)

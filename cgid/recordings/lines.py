@@ -1,0 +1,232 @@
+"""Lines taken out: the tones of motors, pumps and gears are subtracted from a recording, and impacts are not.
+
+A recording is cut into frames of half a second that overlap by a half, with windows that sum to one. In each frame the
+samples are clipped at a few standard deviations, so that impacts count little. A line is where the mean of the last
+frames, or this one alone, stands far above its neighbours on both sides; a mode of a beam is broader. The bands around
+the lines are taken back to samples and subtracted, and what is left is clipped again, closer now. So a sample is known
+as soon as its second frame is: after half a second. Frames count from the first sample, so the result does not depend
+on the blocks. Without lines, samples stay as they are.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cgid._lib.validation import Floats
+
+#: Length of a frame [s].
+FRAME_TIME = 0.5
+#: Weight of the latest frame in the mean amplitude.
+_LATEST = 0.25
+#: A line stands this many times above the median power around it (`_AROUND`, [Hz]), and so many times above what is
+#: beside it ([Hz]), but for one of these in rank: in the latest frame, or in the mean of at least so many frames.
+_CONTRAST_AROUND, _AROUND, _BESIDE, _RANK = 8.0, 64.0, (6.0, 10.0), 1
+_CONTRAST_NOW, _CONTRAST, _N_MEAN = 300.0, 32.0, 3
+#: It is not below this frequency, and what is as near as this goes with it [Hz].
+_LOWEST, _WIDTH = 20.0, 4.0
+#: Lines with less than this share of the power are not worth it.
+_SHARE = 0.05
+#: Samples are clipped at so many standard deviations, in so many rounds, of which the later ones are only for lines
+#: with more than this share of the power; there, what is found counts more, because clipped samples lack it.
+_CLIP, _ROUNDS, _LOUD, _MORE = 3.0, 2, 0.3, 1.5
+#: Median of the absolute value over the standard deviation, of normal noise.
+_MEDIAN = 0.6745
+#: A frame with a larger share of missing samples, or of those at a limit of the recorder, is left as it is, and what
+#: follows begins anew; so does a channel whose level changes by this factor from one frame to the next.
+_MISSING, _LIMITED, _JUMP = 0.25, 0.1, 4.0
+#: At the ends, where only one window is there, an estimate is divided by the window, at least by this.
+_LEAST_WINDOW = 0.1
+#: Largest sample that can be squared in comfort; a power of nothing.
+_LARGEST, _TINY = 1e15, 1e-300
+#: Lines are unsteady where two frames differ about them by more than this many standard deviations of the rest, or
+#: where the strongest moves by more than this [Hz] in so many frames (4 s), in steps of at most as much. A
+#: channel is told when that holds in so many of so many latest frames (a minute).
+_DISAGREE, _MOVES, _N_MOVING, _UNSTEADY, _N_RECENT = 4.0, 8.0, 16, 3, 240
+
+
+@dataclass
+class _Channel:
+    """What is known of a channel: mean amplitude by frequency of some frames, level, the last lines, and how steady."""
+
+    mean: Floats | None = None
+    n_frames: int = 0
+    level: float = 0.0
+    tail: Floats | None = None
+    strongest: deque[float] = field(default_factory=lambda: deque(maxlen=_N_MOVING))
+    unsteady: deque[bool] = field(default_factory=lambda: deque(maxlen=_N_RECENT))
+    is_told: bool = False
+
+    def forget(self) -> None:
+        """Begin anew with the next frame."""
+        self.mean, self.n_frames = None, 0
+
+    def moves(self, frequency: float) -> bool:
+        """Take the frequency of the strongest line [Hz] of the next frame; return whether it moves."""
+        if self.strongest and abs(frequency - self.strongest[-1]) > _MOVES:
+            self.strongest.clear()
+        self.strongest.append(frequency)
+        return max(self.strongest) - min(self.strongest) > _MOVES
+
+
+class _Found(NamedTuple):
+    """The lines of a frame under its window, (length,), the deviation of the rest, and the strongest line [Hz]."""
+
+    lines: Floats
+    deviation: float
+    strongest: float
+
+
+class Lines:
+    """Take lines out of the blocks of a recording; they come out up to `FRAME_TIME` later, in other blocks."""
+
+    def __init__(self, n_channels: int, sampling_rate: float) -> None:
+        # A length with small factors.
+        step = 2 ** max(int(np.log2(FRAME_TIME * sampling_rate)) - 4, 2)
+        self.length = max(int(FRAME_TIME * sampling_rate) // step * step, 16)
+        self._hop = self.length // 2
+        self._bin_width = bin_width = sampling_rate / self.length
+        self._window = np.square(np.sin(np.pi * np.arange(self.length) / self.length))
+        self._first = max(int(np.ceil(_LOWEST / bin_width)), 1)
+        self._around = max(round(_AROUND / bin_width), 8)
+        near, far = (max(round(value / bin_width), number) for value, number in zip(_BESIDE, (2, 3), strict=True))
+        self._beside = np.concatenate([np.arange(-far, 1 - near), np.arange(near, far + 1)])
+        self._width = max(round(_WIDTH / bin_width), 1)
+        self._channels = [_Channel() for _ in range(n_channels)]
+
+    def taken_out(self, blocks: Iterable[NDArray[Any]]) -> Iterator[NDArray[Any]]:
+        """Yield the samples of blocks (n_channels, n_samples), nan where missing, without their lines."""
+        rest: NDArray[Any] | None = None
+        for block in blocks:
+            if block.ndim != 2 or len(block) != len(self._channels) or block.dtype.kind not in "fiu":
+                yield block  # the detector says what is wrong with it
+                continue
+            if block.dtype not in (np.float32, np.float64):
+                block = block.astype(np.float64)
+            rest = block if rest is None else np.concatenate([rest, block], axis=1)
+            done = []
+            while rest.shape[1] >= self.length:
+                done.append(self._next(rest[:, : self.length]))
+                rest = rest[:, self._hop :]
+            if done:
+                rest = rest.copy()  # a view would keep a long block in memory
+                yield np.concatenate(done, axis=1)
+        if rest is not None and rest.shape[1]:
+            yield self._last(rest)
+
+    def told(self) -> list[int]:
+        """Return the channels whose lines are unsteady, once each."""
+        rows = [row for row, one in enumerate(self._channels) if not one.is_told and sum(one.unsteady) >= _UNSTEADY]
+        for row in rows:
+            self._channels[row].is_told = True
+        return rows
+
+    def _next(self, frames: NDArray[Any]) -> NDArray[Any]:
+        """Return the first half of frames (n_channels, length) without lines."""
+        out = frames[:, : self._hop].copy()
+        rising, falling = self._window[: self._hop], self._window[self._hop :]
+        both = np.square(rising * falling).sum()
+        for samples, one, left in zip(frames, self._channels, out, strict=True):
+            before, is_new = one.tail, one.mean is None
+            found = self._lines_of(samples, one)
+            if found is None:
+                one.tail = None
+                one.unsteady.append(False)
+                if before is not None:
+                    left -= before / np.maximum(falling, _LEAST_WINDOW) if one.mean is None else before
+                continue
+            now, one.tail = found.lines[: self._hop], found.lines[self._hop :]
+            if before is not None:
+                left -= before + now
+            else:
+                left -= now / np.maximum(rising, _LEAST_WINDOW) if is_new else now
+            apart = now * falling - (0.0 if before is None else before) * rising
+            differs = np.vdot(apart, apart) > np.square(_DISAGREE * found.deviation) * both
+            one.unsteady.append(not is_new and bool(one.moves(found.strongest) or differs))
+        return out
+
+    def _last(self, rest: NDArray[Any]) -> NDArray[Any]:
+        """Return the rest of the recording, for which there is one window at most."""
+        out = rest.copy()
+        for one, left in zip(self._channels, out, strict=True):
+            if one.tail is not None:
+                n = min(self._hop, left.size)
+                left[:n] -= (one.tail / np.maximum(self._window[self._hop :], _LEAST_WINDOW))[:n]
+        return out
+
+    def _lines_of(self, samples: NDArray[Any], one: _Channel) -> _Found | None:
+        """Return the lines of a frame (length,); None without any."""
+        missing = ~(np.abs(samples) <= _LARGEST)
+        lacks = bool(missing.any())
+        if lacks and missing.mean() > _MISSING:
+            one.forget()
+            return None
+        there = samples[~missing] if lacks else samples
+        centre = np.partition(there, there.size // 2)[there.size // 2]
+        if lacks:
+            samples = np.where(missing, centre, samples)
+        limits = (samples == samples.max()) | (samples == samples.min())
+        n_limited = np.count_nonzero(limits)
+        if n_limited > _LIMITED * self.length:
+            one.forget()
+            return None
+        left = (samples.astype(np.float64) - centre) * self._window
+        middle = slice(self._hop // 2, -(self._hop // 2))
+        lines: Floats | None = None
+        spectrum: NDArray[np.complex128] = np.zeros(self._hop + 1, np.complex128)
+        for number in range(_ROUNDS):
+            rest = left if lines is None else left - lines
+            if lacks:
+                rest[missing] = 0.0
+            sizes = np.abs(rest[middle]) / self._window[middle]
+            deviation = float(np.partition(sizes, sizes.size // 2)[sizes.size // 2]) / _MEDIAN
+            if number == 0:
+                level = deviation
+                if not one.level / _JUMP <= level <= one.level * _JUMP:
+                    one.forget()
+                one.level = level
+            limit = _CLIP * deviation * self._window
+            spectrum += np.fft.rfft(np.clip(rest, -limit, limit)) * (_MORE if number else 1.0)
+            now = np.square(spectrum.real) + np.square(spectrum.imag)
+            size = np.sqrt(now)
+            mean = size if one.mean is None else one.mean + max(_LATEST, 1 / (one.n_frames + 1)) * (size - one.mean)
+            bands = self._bands(now, np.square(mean) if one.n_frames >= _N_MEAN else None)
+            share = now[bands].sum() / max(now[self._first :].sum(), _TINY)
+            if share < _SHARE:
+                break
+            spectrum[~bands] = 0.0
+            lines = np.fft.irfft(spectrum, self.length)
+            strongest = float(np.argmax(now * bands)) * self._bin_width
+            if share < _LOUD:
+                break
+        one.mean, one.n_frames = mean, one.n_frames + 1
+        if lines is None:
+            return None
+        if n_limited > 2:  # at a limit of the recorder, samples must stay equal
+            lines[limits & (np.abs(left) > _CLIP * level * self._window)] = 0.0
+        return _Found(lines, deviation, strongest)
+
+    def _bands(self, now: Floats, mean: Floats | None) -> NDArray[np.bool_]:
+        """Return which frequencies belong to lines, by the power of a frame and that of the mean amplitude."""
+        width = self._width
+        bands = np.zeros(now.size + 2 * width, bool)
+        for power, contrast in ((now, _CONTRAST_NOW), (mean, _CONTRAST)):
+            if power is not None:
+                bands[self._lines(power, contrast)[:, None] + np.arange(2 * width + 1)] = True
+        bands[: width + self._first] = False
+        return bands[width:-width]
+
+    def _lines(self, power: Floats, contrast: float) -> NDArray[np.intp]:
+        """Return the frequencies whose power stands so far above that of others around and beside them."""
+        n = self._around
+        parts = power[: power.size // n * n].reshape(-1, n)
+        typical = np.partition(parts, n // 2, axis=1)[:, n // 2]
+        high = np.flatnonzero(parts > _CONTRAST_AROUND * typical[:, None])
+        high = high[high >= self._first]
+        beside = power.take(high[:, None] + self._beside, mode="clip")
+        return high[power[high] > contrast * np.partition(beside, _RANK, axis=1)[:, _RANK]]
