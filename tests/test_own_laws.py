@@ -225,13 +225,13 @@ def test_a_module_that_ends_the_process_is_an_error(tmp_path, monkeypatch):
     def load(entry):
         exec(EXITS)
 
-    entries = {group: EntryPoints([EntryPoint("leaving", "outside", group)]) for group in ("cgid.laws", "cgid.readers")}
+    entries = {group: EntryPoints([EntryPoint("exiting", "outside", group)]) for group in ("cgid.laws", "cgid.readers")}
     monkeypatch.setattr(EntryPoint, "load", load)
     monkeypatch.setattr("importlib.metadata.entry_points", lambda group: entries[group])
     own_laws._find_entry_points.cache_clear()
-    with pytest.warns(UserWarning, match="leaving .*SystemExit"):
-        assert own_laws.own_law("leaving") is None
-    with pytest.warns(UserWarning, match="leaving .*SystemExit"):
+    with pytest.warns(UserWarning, match="exiting .*SystemExit"):
+        assert own_laws.own_law("exiting") is None
+    with pytest.warns(UserWarning, match="exiting .*SystemExit"):
         assert outside_formats() == []
     own_laws._find_entry_points.cache_clear()
 

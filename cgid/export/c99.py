@@ -293,7 +293,7 @@ def _answer(model: Model) -> str:
 
 
 def _part(name: str, **filled: object) -> str:
-    """Return a part of `export_c.c`, filled in."""
+    """Return a part of `c99.c`, filled in."""
     return _parts()[name] % filled if filled else _parts()[name]
 
 
