@@ -25,6 +25,7 @@ from cgid.recordings.recording import Blocks, Channel, require_one_rate
 from cgid.recordings.variables import full_scale_of
 from cgid.shipped import MODELS, model_path
 from cgid.signals import Signal
+from cgid.units import UNITS
 
 if TYPE_CHECKING:
     import pandas
@@ -193,6 +194,9 @@ def _measured(samples: Any, sampling_rate: float | None, unit: str | None, chain
     signals = _require_alike(listed, sampling_rate) if of_signals else _signals(samples, sampling_rate)
     if not of_signals and unit is None and chain == Chain():
         raise MissingOption("samples: an array has no unit; give it, as in unit='N' or unit='m/s^2'")
+    is_float = not of_signals and validation.plain("samples", samples).dtype.kind == "f"
+    if is_float and chain == Chain() and any(unit in units for units in UNITS.values()):
+        return [replace(signal, unit=unit) for signal in signals]
     largest = None if of_signals else full_scale_of(validation.plain("samples", samples).dtype)
     contents = Blocks(
         n_channels=len(signals),
