@@ -15,7 +15,6 @@ from pydantic import AfterValidator, Field, model_validator
 from cgid._lib.files import read_cells, require_regular
 from cgid._lib.validation import Floats, Rule
 from cgid.errors import BadData
-from cgid.recordings.recording import clear_errors
 from cgid.scene.file.distributions import Decibel, Frequency, Quantity, Section
 from cgid.units import parse
 
@@ -26,6 +25,8 @@ QUANTITIES = {
     "velocity": ("speed", "m/s"),
     "displacement": ("length", "m"),
 }
+#: Frequency of the mains without `randomise.hum_frequency` [Hz].
+HUM_FREQUENCY = 50.0
 #: Minimum level of a background, whose square does not underflow.
 _MIN_LEVEL = 1e-100
 #: Largest recorded background; it is held in memory [bytes].
@@ -177,6 +178,8 @@ class RecordedBackground(Section):
 
     def file(self, folder: Path) -> Path:
         """Return the file in a folder; raises `NoInput`, or `BadData` for a pipe, a device or too large a file."""
+        from cgid.recordings.recording import clear_errors
+
         path = folder / self.path
         with clear_errors(str(path)):
             require_regular(path, "a recorded background", _MAX_RECORDING)

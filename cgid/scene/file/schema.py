@@ -19,7 +19,7 @@ from cgid.physics.contact.bodies import Target
 from cgid.physics.contact.laws import named
 from cgid.physics.contact.own_laws import add_laws, own_law, sources
 from cgid.physics.structure.tail_beam import TailBeam
-from cgid.scene.file.background import BackgroundSection, with_spectrum
+from cgid.scene.file.background import HUM_FREQUENCY, BackgroundSection, with_spectrum
 from cgid.scene.file.distributions import DISTRIBUTION_NAMES, Section, quantity_of
 from cgid.scene.file.gravity import problem_of_law, problem_of_weight, problem_on_plate
 from cgid.scene.file.sections import (
@@ -41,8 +41,6 @@ from cgid.shipped import scene_path
 
 #: Largest scene file [bytes] and most keys in it: 10,000 measured modes have 60,000.
 _MAX_FILE_SIZE, _MAX_KEYS = 8 << 20, 100_000
-#: Frequency of the mains without `randomise.hum_frequency` [Hz].
-HUM_FREQUENCY = 50.0
 #: Maximum number of mistakes in one report.
 _MAX_MISTAKES = 20
 

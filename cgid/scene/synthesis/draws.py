@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,11 +20,13 @@ from cgid._lib import validation
 from cgid._lib.validation import Floats
 from cgid.physics.contact.laws import speed_of_fall
 from cgid.physics.contact.materials import YIELD_OVER_STRENGTH
-from cgid.scene.file.background import BackgroundSection, HumLine
+from cgid.scene.file.background import HUM_FREQUENCY, BackgroundSection, HumLine
 from cgid.scene.file.distributions import Section, quantity_of
-from cgid.scene.file.schema import HUM_FREQUENCY, Scene
 from cgid.scene.file.sections import SHAPES, Population, RandomiseSection, Tap
 from cgid.scene.file.sensor import AntiAlias
+
+if TYPE_CHECKING:
+    from cgid.scene.file.schema import Scene
 
 #: Samples that share one address.
 BLOCK = 256
