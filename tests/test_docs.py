@@ -326,3 +326,22 @@ def test_pages_are_built_without_warnings_and_without_the_network(tmp_path: Path
     for sheet in html.rglob("*.css"):
         places = re.findall(r"(?:@import|url\()\s*['\"]?((?:https?:)?//[^'\")]+)", sheet.read_text(encoding="utf-8"))
         assert not places, f"{sheet}: {places}"
+
+
+def test_table_of_the_architecture_names_what_is_there() -> None:
+    """Files are there, short names of them beside the file before; names after a file stand in it."""
+    text = (ROOT / "ARCHITECTURE.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| an? .*$", text.split("## To add something", 1)[1].split("\n## ", 1)[0], re.MULTILINE)
+    assert len(rows) >= 12
+    checked = 0
+    for row in rows:
+        file = ROOT
+        for word, inside in re.findall(r"`([^`]+)`|\(([^)]*)\)", row.split("|", 2)[2]):
+            if word:
+                file = ROOT / word if (ROOT / word).exists() else file.parent / word
+                assert file.exists(), f"{word} in {row}"
+            for name in re.findall(r"`(\w+)`", inside) if file.is_file() else ():
+                defined = rf"^(?:    )?(?:class |def )?{name}\b(?:\(|:| =)"
+                assert re.search(defined, file.read_text(encoding="utf-8"), re.MULTILINE), f"{name} in {file.name}"
+                checked += 1
+    assert checked >= 20
