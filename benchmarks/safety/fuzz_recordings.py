@@ -10,9 +10,11 @@ stretches removed, doubled, exchanged or overwritten by those of another format;
 ones. Each is read to its end in a separate process with limits on time and memory. The outcomes are
 
     refused   with a one-line error message          warned    part of the data, and a warning
-    same      the numbers are unchanged              changed   other numbers without a message
+    same      everything is unchanged                values    as many numbers, some of other values
+    facts     another rate, unit, name or start      changed   more or fewer numbers, without a message
 
-A format with a checksum or a length must never be "changed"; text and plain numbers have neither.
+Without a checksum nobody can know that a number of the file has another value, be it a sample or a rate; a format with
+a checksum must never have "values" or "facts". One that states its length must never be "changed"; text has no length.
 """
 
 from __future__ import annotations
@@ -43,7 +45,9 @@ from tests.recording_files import SPECIMENS, Specimen, blows
 TIME_LIMIT, MEMORY_LIMIT = 5.0, 512 << 20
 RATE = 51_200.0
 #: Meaning of a child's exit codes; any other is a crash.
-OUTCOMES = ("same", "refused", "warned", "changed", "traceback")
+OUTCOMES = ("same", "refused", "warned", "values", "facts", "changed", "traceback")
+#: Those that are no failure.
+ANSWERS = OUTCOMES[:6]
 
 
 @dataclass(frozen=True)
@@ -60,17 +64,27 @@ class Outcome:
     @property
     def failed(self) -> bool:
         """Whether it is no answer, or took too much memory."""
-        return self.name not in OUTCOMES[:4] or self.memory - self.floor > MEMORY_LIMIT
+        return self.name not in ANSWERS or self.memory - self.floor > MEMORY_LIMIT
 
 
-def read(path: Path, options: dict[str, Any]) -> tuple[np.ndarray, tuple[str, ...]]:
-    """Return all samples of a recording, and its warnings; read in blocks, as for a long recording."""
+@dataclass(frozen=True)
+class Read:
+    """What was read of a file: samples (n_channels, n_samples), warnings, and what else is known of them."""
+
+    samples: np.ndarray
+    warnings: tuple[str, ...]
+    facts: tuple[Any, ...]
+
+
+def read(path: Path, options: dict[str, Any]) -> Read:
+    """Return the whole recording; read in blocks, as a long one."""
     recording = open_recording(path, **options)
     blocks = list(recording.blocks(8192))
-    return np.concatenate(blocks, axis=1), recording.warnings
+    facts = recording.sampling_rate, recording.channels, recording.start_time
+    return Read(np.concatenate(blocks, axis=1), recording.warnings, facts)
 
 
-def judge(path: Path, specimen: Specimen, expected: np.ndarray) -> Outcome:
+def judge(path: Path, specimen: Specimen, expected: Read) -> Outcome:
     reading, writing = os.pipe()
     floor = _resident()
     started = time.perf_counter()
@@ -105,17 +119,21 @@ def _await(child: int, deadline: float) -> tuple[int | None, int]:
     return None, usage.ru_maxrss << 10
 
 
-def _read_and_tell(path: Path, specimen: Specimen, expected: np.ndarray, pipe: int) -> int:
+def _read_and_tell(path: Path, specimen: Specimen, expected: Read, pipe: int) -> int:
     warnings.simplefilter("ignore")
     # Hides what libraries print to the terminal.
     os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
     try:
-        samples, told = read(path, specimen.options)
-        if told:
-            os.write(pipe, told[0].encode())
+        found = read(path, specimen.options)
+        if found.warnings:
+            os.write(pipe, found.warnings[0].encode())
             return OUTCOMES.index("warned")
-        same = samples.shape == expected.shape and np.array_equal(samples, expected)
-        return OUTCOMES.index("same" if same else "changed")
+        if found.samples.shape != expected.samples.shape:
+            return OUTCOMES.index("changed")
+        if found.facts != expected.facts:
+            os.write(pipe, f"{expected.facts} became {found.facts}".encode())
+            return OUTCOMES.index("facts")
+        return OUTCOMES.index("same" if np.array_equal(found.samples, expected.samples) else "values")
     except CgidError as error:
         os.write(pipe, str(error).encode()[:4000])
         return OUTCOMES.index("refused" if "\n" not in str(error) else "traceback")
@@ -206,13 +224,13 @@ def fuzz(
     specimens = [one for one in SPECIMENS if one.is_possible and (not formats or one.name in formats)]
     chosen = [one for one in MUTATIONS if not mutations or one.__name__.strip("_") in mutations]
     originals: dict[str, bytes] = {}
-    expected: dict[str, np.ndarray] = {}
+    expected: dict[str, Read] = {}
     for specimen in specimens:
         path = folder / f"original{specimen.suffix}"
         path.unlink(missing_ok=True)
         specimen.write(path, blows(n_samples), RATE)
         originals[specimen.name] = path.read_bytes()
-        expected[specimen.name] = read(path, specimen.options)[0]
+        expected[specimen.name] = read(path, specimen.options)
     everything = list(originals.values())
     found: dict[str, list[tuple[str, Outcome, bytes]]] = {specimen.name: [] for specimen in specimens}
     for number in range(n_files):
@@ -238,7 +256,7 @@ def main() -> None:
     arguments = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         found = fuzz(arguments.files, arguments.seed, Path(folder), formats=arguments.formats, mutations=arguments.only)
-    titles = (*OUTCOMES[:4], "failed", "slowest [s]", "most memory [MB]")
+    titles = (*ANSWERS, "failed", "slowest [s]", "most memory [MB]")
     print(f"| format | files | {' | '.join(titles)} |\n|{'---|' * (len(titles) + 2)}")
     bad: list[tuple[str, str, Outcome, bytes]] = []
     for name, rows in found.items():
@@ -247,7 +265,7 @@ def main() -> None:
         bad += failed
         slowest = max(outcome.seconds for _, outcome, _ in rows)
         memory = max(outcome.memory for _, outcome, _ in rows) / 1e6
-        counts = [tally[outcome] for outcome in OUTCOMES[:4]]
+        counts = [tally[outcome] for outcome in ANSWERS]
         print(
             f"| {name} | {len(rows)} | {' | '.join(map(str, counts))} | {len(failed)} | {slowest:.2f} | {memory:.0f} |"
         )

@@ -18,7 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.safety.fuzz_recordings import RATE, judge, read
+from benchmarks.safety.fuzz_recordings import RATE, Read, judge, read
 from benchmarks.speed.recordings import timed
 from cgid.errors import CgidError
 from cgid.recordings import open_recording
@@ -35,9 +35,10 @@ def row_of(specimen: Specimen, folder: Path, n_samples: int) -> tuple[str, ...]:
     path = folder / f"whole{specimen.suffix}"
     samples = blows(20_000)
     specimen.write(path, samples, RATE)
-    expected, told = read(path, specimen.options)
-    written = samples[: len(expected)]
-    error = np.abs(expected - written).max() if expected.shape == written.shape and not told else np.inf
+    expected = read(path, specimen.options)
+    written = samples[: len(expected.samples)]
+    is_whole = expected.samples.shape == written.shape and not expected.warnings
+    error = np.abs(expected.samples - written).max() if is_whole else np.inf
     rate = open_recording(path, **specimen.options).sampling_rate
     assert abs(rate - RATE) < 1e-6 * RATE
     unit_option = "`--full-scale`" if "full_scale" in specimen.options else "`--unit`"
@@ -83,7 +84,7 @@ def _peak(path: Path, specimen: Specimen) -> int:
     return int(run.out.splitlines()[-1]) << 10
 
 
-def damaged(path: Path, specimen: Specimen, expected: np.ndarray) -> tuple[str, str]:
+def damaged(path: Path, specimen: Specimen, expected: Read) -> tuple[str, str]:
     """Count the outcomes of truncated files, and of files with one flipped bit: refused / warned / read silently."""
     content, broken = path.read_bytes(), path.with_stem("broken")
     places = np.linspace(0, len(content) - 1, DAMAGED).astype(int).tolist()

@@ -35,7 +35,9 @@ def read_mat(path: Path, source: str, variable: str | None) -> Blocks:
         # MATLAB types (mat_dtype) distinguish logical arrays, but drop the imaginary part of complex numbers.
         if any(issubclass(one.category, np.exceptions.ComplexWarning) for one in caught):
             stored = loadmat(file, mat_dtype=False)
-    arrays = (one for name in loaded for one in _fields(name, loaded[name], stored[name], 0))
+    # Names of MATLAB begin with a letter: scipy's others are its notes and the bytes of functions.
+    names = [name for name in loaded if not name.startswith("__")]
+    arrays = (one for name in names for one in _fields(name, loaded[name], stored[name], 0))
     return blocks_of_arrays(arrays, source, variable)
 
 

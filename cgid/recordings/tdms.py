@@ -6,6 +6,7 @@ import logging
 import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -15,7 +16,7 @@ from numpy.typing import NDArray
 
 from cgid.errors import BadData
 from cgid.recordings.recording import MAX_ARRAYS, Blocks, Remark, library, library_errors
-from cgid.recordings.variables import Value, Variable, contents_of, full_scale_of, is_statement
+from cgid.recordings.variables import Value, Variable, contents_of, full_scale_of, is_statement, stated_start
 
 _LEAD_IN, _TAG = 28, b"TDSm"
 #: Declared length of a segment that is still being written.
@@ -25,6 +26,8 @@ _SCALE_TYPE = re.compile(r"NI_Scale\[\d+\]_Scale_Type")
 _SCALES = re.compile("Polynomial|Linear|RTD|Strain|Table|Thermistor|Thermocouple|Add|Subtract|AdvancedAPI")
 #: nptdms reads a chunk of a channel at once; so is a channel of longer chunks [samples].
 MAX_CHUNK_SIZE = 1 << 22
+#: The epoch of timestamps, which stands for an unknown time.
+_EPOCH = datetime(1904, 1, 1, tzinfo=UTC)
 #: Samples to read at once, if chunks are shorter.
 _READ = 1 << 18
 
@@ -41,6 +44,10 @@ class _Tdms:
         with self.library_errors():
             # Given a file handle, nptdms does not look for an index file.
             self.tdms = nptdms.TdmsFile.open(self._file)
+            groups = self.tdms.groups()
+            every = [self.tdms, *groups, *(channel for group in groups for channel in group.channels())]
+        #: What offsets of channels count from where no channel states a start.
+        self.origin = None if any(stated_start(_values(one.properties)) for one in every) else _EPOCH
 
     def __del__(self) -> None:
         if hasattr(self, "_file"):
@@ -120,7 +127,8 @@ def read_tdms(path: Path, source: str, variable: str | None) -> Blocks:
                     warnings.append(Remark(f"channel {group.name}/{channel.name} contains no numbers and is skipped"))
     if file.is_cut and not variables:
         raise BadData(f"{source}: the TDMS file is cut off before its first sample; copy it again")
-    return contents_of(variables, statements, source, variable, warnings, group_is_one=True, is_cut=file.is_cut)
+    blocks = contents_of(variables, statements, source, variable, warnings, group_is_one=True, is_cut=file.is_cut)
+    return blocks if file.origin is None else replace(blocks, start_time=None)
 
 
 def _variable(file: _Tdms, group: str, channel: Any) -> Variable:
@@ -134,9 +142,11 @@ def _variable(file: _Tdms, group: str, channel: Any) -> Variable:
     if scales:
         # nptdms leaves the numbers as they are, and so without the unit.
         about = {"unit": "unscaled", **about}
-    start, offset = about.get("wf_start_time"), channel.properties.get("wf_start_offset", 0.0)
-    if isinstance(start, datetime) and isinstance(offset, int | float) and abs(offset) < 1e9:
-        about["wf_start_time"] = start + timedelta(seconds=float(offset))
+    start = next(filter(None, (stated_start(_values(one)) for one in owners)), file.origin)
+    offset = channel.properties.get("wf_start_offset", 0.0)
+    if start is not None and isinstance(offset, int | float) and abs(offset) < 1e9:
+        about.pop("wf_start_time", None)
+        about = {"wf_start_time": start + timedelta(seconds=float(offset)), **about}
     return Variable(
         name=channel.name,
         group=group,
@@ -161,7 +171,7 @@ def _values(properties: Any) -> dict[str, Value]:
         if isinstance(value, np.datetime64):
             # TDMS timestamps are in UTC; datetime covers only the years 1 to 9999.
             stamp = value.astype("datetime64[us]").item()
-            if isinstance(stamp, datetime):
+            if isinstance(stamp, datetime) and stamp.replace(tzinfo=UTC) != _EPOCH:
                 units[name] = stamp.replace(tzinfo=UTC)
         elif isinstance(value, str | int | float):
             units[name] = value

@@ -207,9 +207,9 @@ def _walk(file: h5py.File, source: str) -> Iterator[tuple[str, Any]]:
         _require_few(len(seen), depth, source)
         yield name, item
         if not isinstance(item, h5py.Group):
-            for index, part in enumerate(_targets(item), 1):
-                _require_few(len(seen) + len(stack), depth, source)
-                stack.append((f"{name}({index})", part, depth + 1))
+            parts = [(f"{name}({index})", part, depth + 1) for index, part in enumerate(_targets(item), 1)]
+            _require_few(len(seen) + len(stack) + len(parts), depth, source)
+            stack += reversed(parts)
             continue
         _require_few(len(seen) + len(stack) + len(item), depth, source)
         for key in reversed(list(item)):
