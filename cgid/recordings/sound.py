@@ -341,7 +341,7 @@ def read_audio(path: Path, source: str) -> Blocks:
     if declared_end is not None and declared_end > size:
         raise BadData(f"{source}: {fault}, it declares {declared_end - size} bytes more than it contains; {hint}")
     warnings = []
-    if declared_end is not None and declared_end + _ALIGNED < size:
+    if declared_end is not None and _content_after(path, declared_end):
         warnings.append(f"{size - declared_end} bytes after the declared end were left out; check the file")
     # A header may declare more than a file of this size can contain, or nothing.
     n_samples = declared if 0 < declared <= _BEST_PACKING * path.stat().st_size else None
@@ -373,6 +373,14 @@ def read_audio(path: Path, source: str) -> Blocks:
     )
 
 
+def _content_after(path: Path, end: int) -> bool:
+    """Return whether more than the zeros that align a file follow its declared end."""
+    with path.open("rb") as file:
+        file.seek(end)
+        after = file.read(_ALIGNED)
+    return len(after) == _ALIGNED or any(after)
+
+
 def _declared_end(path: Path) -> int | None:
     """Return the size [bytes] that a W64, AIFF, CAF or AU file declares, which libsndfile does not compare."""
     size = path.stat().st_size
@@ -390,7 +398,10 @@ def _declared_end(path: Path) -> int | None:
             at = 8
             while at + 12 <= size and len(ends) < _MAX_CHUNKS:
                 file.seek(at)
-                length = int.from_bytes(file.read(12)[4:], "big", signed=True)
+                chunk = file.read(12)
+                length = int.from_bytes(chunk[4:], "big", signed=True)
+                if not chunk[:4].isalnum() or (length < 0 and chunk[:4] != b"data"):
+                    break
                 # The last chunk of sound may be of unknown length.
                 at = at + 12 + length if length >= 0 else size
                 ends.append(at)

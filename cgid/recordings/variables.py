@@ -363,8 +363,8 @@ def _select(variables: Sequence[Variable], source: str, variable: str | None, gr
     signals = [one for one in variables if not one.is_time]
     if not variables:
         raise BadData(
-            f"{source}: a recording must be an array of real numbers with one or two axes, there is none; save the samples "
-            "as one"
+            f"{source}: a recording must be an array of real numbers with one or two axes, there is none; save the "
+            "samples as one"
         )
     if variable is None:
         is_one = group_is_one and len({one.group for one in signals}) == 1
