@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import shlex
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from itertools import compress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -75,11 +75,11 @@ def events(
     if path is not None:
         require_labels_kept(path)
     reading.require_files(every)
-    _require_trainable(every, reading, beams)
+    rates = _require_trainable(every, reading, beams)
     errors = FileErrors(strict=strict)
     for file in errors.each(every):
         with errors:
-            rows += _rows(file, folder, reading, beams)
+            rows += _rows(file, folder, reading, beams, rates)
     if not rows:
         return errors.code
     text = manifest_text(rows)
@@ -94,11 +94,14 @@ def events(
     return errors.code
 
 
-def _require_trainable(files: Sequence[str], reading: Reading, beams: Groups) -> None:
-    """Raise an error if no model could be trained on these recordings, before their impacts are labelled."""
-    from cgid.identification.training.recordings import require_alike, unit_of
+def _require_trainable(files: Sequence[str], reading: Reading, beams: Groups) -> set[float]:
+    """Return the sampling rates [Hz] of the recordings; raise an error if no model could be trained on them."""
+    from cgid.identification.training.recordings import measurable, require_alike, unit_of
+    from cgid.measure.features.extraction import kind_for
+    from cgid.units import quantity_of
 
     first: RecordingFile | None = None
+    rates: set[float] = set()
     for file in files:
         try:
             recording = reading.recording(file)
@@ -112,6 +115,7 @@ def _require_trainable(files: Sequence[str], reading: Reading, beams: Groups) ->
                 "or --full-scale '10 V' and the --sensitivity of the sensor, or the unit of the numbers with --unit"
             )
         first = first or recording
+        rates.add(recording.sampling_rate)
         require_alike(recording, first, counts=not beams)
         if reading.channel and len(recording.channels) > 1 and not beams:
             raise InvalidValue(
@@ -119,16 +123,21 @@ def _require_trainable(files: Sequence[str], reading: Reading, beams: Groups) ->
                 "use one channel: name one, give --same-beam if they are on one beam, or leave it out to train on a "
                 "row of each"
             )
+    if first is not None:
+        measurable([], kind_for(quantity_of(unit_of(first))), sorted(rates))
+    return rates
 
 
-def _rows(file: str, folder: Path, reading: Reading, beams: Groups) -> Iterator[dict[str, str]]:
+def _rows(
+    file: str, folder: Path, reading: Reading, beams: Groups, rates: Collection[float]
+) -> Iterator[dict[str, str]]:
     """Yield a row for each impact of a recording; the columns are those of a manifest and informative ones."""
     import numpy as np
 
     from cgid.identification.detection import Event
     from cgid.identification.prediction.same_beam import Rocks, grouped
     from cgid.identification.training.manifest import path_from
-    from cgid.identification.training.recordings import unit_of
+    from cgid.identification.training.recordings import measurable, unit_of
     from cgid.measure.features.extraction import kind_for
     from cgid.units import quantity_of
 
@@ -137,7 +146,16 @@ def _rows(file: str, folder: Path, reading: Reading, beams: Groups) -> Iterator[
     recording = reading.recording(file)
     unit = unit_of(recording)
     named = recording.named(beams, "--same-beam")
-    events = found_impacts(recording, kind_for(quantity_of(unit)), reading, joint=not beams)
+    kind = kind_for(quantity_of(unit))
+    found = found_impacts(recording, kind, reading, joint=not beams)
+    events = list(compress(found, measurable(found, kind, sorted(rates))))
+    if not events:
+        raise BadData(
+            f"{recording.source}: impacts must be long and clear enough to be measured at {recording.sampling_rate:g} "
+            f"Hz, none of {len(found)} is; record faster, or closer to the impact"
+        )
+    if lost := len(found) - len(events):
+        warn(f"{recording.source}: {lost} of {counted(len(found), 'impact')} cannot be measured and are left out")
     names = [channel.name for channel in recording.channels]
     chain = {name: ";".join(values) for name, values in reading.chain_of(file).items() if values}
     given = {
@@ -155,12 +173,12 @@ def _rows(file: str, folder: Path, reading: Reading, beams: Groups) -> Iterator[
         return
     groups = grouped(names, named)
     rocks = Rocks[Event](groups, recording.sampling_rate).feed(events, np.inf)
-    found = []
+    cells = []
     for rows in groups:
         channel = "+".join(names[row] for row in rows)
         given |= {"channel": channel, "same_beam": channel if len(rows) > 1 else ""}
-        found += [given | row for row in _intervals([rock for rock in rocks if rock[0].channel in rows], unit)]
-    yield from sorted(found, key=lambda row: float(row["time_s"]))
+        cells += [given | row for row in _intervals([rock for rock in rocks if rock[0].channel in rows], unit)]
+    yield from sorted(cells, key=lambda row: float(row["time_s"]))
 
 
 def _intervals(rocks: Sequence[Sequence[Event]], unit: str) -> Iterator[dict[str, str]]:

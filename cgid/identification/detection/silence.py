@@ -93,7 +93,9 @@ def silence_of(
     events += detector.finish()
     intervals = [(start, min(end, (max_samples - left) / rate)) for start, end in intervals]
     inside = [sum(start <= event.time < end for event in events) for start, end in intervals]
-    cut = [n in (1, 2) and end - start <= CUT_TIME for n, (start, end) in zip(inside, intervals, strict=True)]
+    # At low rates, the frame of an impact lasts longer.
+    cut_time = max(CUT_TIME, detector.n_samples / rate)
+    cut = [n in (1, 2) and end - start <= cut_time for n, (start, end) in zip(inside, intervals, strict=True)]
     found = Silence(n_impacts=sum(inside), n_intervals=len(intervals), n_cut=sum(cut))
     if not parts:
         return found

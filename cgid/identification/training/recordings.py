@@ -48,10 +48,11 @@ from cgid.measure.features.extraction import (
     require_supported,
     supported,
 )
-from cgid.measure.features.table import LEAST_SAMPLES, LOW_WINDOW_TIME, MIN_BANDWIDTH, Kind
+from cgid.measure.features.table import LEAST_SAMPLES, LOW_WINDOW_TIME, MIN_BANDWIDTH, ImpactKind, Kind
 from cgid.recordings import MAX_STREAM, RecordingFile, open_recording
 from cgid.recordings.chain import Statement, require_measured
 from cgid.recordings.recording import clear_errors
+from cgid.signals import channel_name
 from cgid.units import UNITS, quantity_of
 
 
@@ -228,17 +229,20 @@ def _opened(annotations: tuple[Annotation, ...], reading: Reading) -> AnnotatedF
 
 def unit_of(recording: RecordingFile) -> str:
     """Return the unit of all channels; raises `MissingOption` if it is not known, `BadData` if there are several."""
-    units = {channel.unit for channel in recording.channels}
-    unit = recording.channels[0].unit
-    if unit is None:
+    unit, *others = units = [channel.unit for channel in recording.channels]
+    names = [channel_name(recording.source, channel.name) for channel in recording.channels]
+    if None in units:
         raise MissingOption(
-            f"{recording.source}: the file does not state the unit; give it with --unit U, such as --unit g"
+            f"{names[units.index(None)]}: the file does not state the unit; give it with --unit U, such as --unit g"
         )
-    for channel in recording.channels:
-        require_measured(channel.unit, recording.source)
-    if len(units) > 1:
-        got = " and ".join(sorted(str(unit) for unit in units))
-        raise BadData(f"{recording.source}: channels must be in one unit, got {got}; choose with --channel")
+    for channel, name in zip(recording.channels, names, strict=True):
+        require_measured(channel.unit, name)
+    if other := next((one for one in others if one != unit), None):
+        raise BadData(
+            f"{names[units.index(other)]}: channels must be in one unit, got {other} after {unit}; choose with "
+            "--channel"
+        )
+    assert unit is not None
     return unit
 
 
@@ -450,9 +454,10 @@ def _names(
     features: Sequence[str] | None, files: list[AnnotatedFile], slicing: Slicing, level_free: bool
 ) -> tuple[str, ...]:
     """Return the features to measure: the given ones, or those of all sets that every recording supports."""
-    rate = min(file.recording.sampling_rate for file in files)
+    rates = sorted({file.recording.sampling_rate for file in files})
     kind: Kind = "window" if slicing.by == "window" else kind_for(quantity_of(files[0].unit))
     if features is not None:
+        rate = rates[0]
         selected = choose(features)
         if (kind_of(selected) == "window") != (slicing.by == "window"):
             raise InvalidValue(
@@ -461,13 +466,41 @@ def _names(
             )
         require_supported(selected, rate, _length(kind_of(selected), rate, slicing))
         return selected
-    names_of_sets = union_of(sets_for(kind, rate, level_free=level_free))
+    return _default_names(kind, rates, slicing, level_free)
+
+
+def _default_names(kind: Kind, rates: Sequence[float], slicing: Slicing, level_free: bool = False) -> tuple[str, ...]:
+    """Return the features of all sets that recordings of these rates [Hz], the lowest first, support."""
+    names_of_sets = names = union_of(sets_for(kind, rates[0], level_free=level_free))
     if not names_of_sets:
         raise InvalidValue(f"features of a {kind} must be named, there is no set of level-free ones; or allow all")
-    names = supported(names_of_sets, rate, _length(kind, rate, slicing))
+    for rate in rates:
+        names = supported(names, rate, _length(kind, rate, slicing))
     if not names:
-        _refuse(names_of_sets, rate, slicing)
+        _refuse(names_of_sets, rates[0], slicing)
     return names
+
+
+def measurable(events: Sequence[Event], kind: ImpactKind, rates: Sequence[float]) -> list[bool]:
+    """Return whether a model of recordings of these rates [Hz] can be trained on each impact, found in one of them.
+
+    Raises `BadData` if the rates leave no feature.
+    """
+    names, found = _default_names(kind, sorted(rates), Slicing(by="impact")), [False] * len(events)
+    for numbers, frames in frames_alike(events):
+        first = events[numbers[0]]
+        rows = extract_array(
+            frames.reshape(-1, frames.shape[-1]),  # of joint channels, one must measure the impact
+            first.sampling_rate,
+            names,
+            pre_trigger=first.pre_trigger,
+            invalid="nan",
+            detection_limit=first.detection_limit,
+        )
+        is_measured = np.isfinite(rows).all(axis=1).reshape(len(numbers), -1).any(axis=1)
+        for number, one in zip(numbers, np.atleast_1d(is_measured).tolist(), strict=True):
+            found[number] = one and not events[number].problem
+    return found
 
 
 def _refuse(names: Sequence[str], rate: float, slicing: Slicing) -> NoReturn:
