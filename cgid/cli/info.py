@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -190,7 +189,7 @@ def _channels(recording: Any, as_json: bool, beams: Groups) -> tuple[dict[str, A
     from cgid.signals import channel_name
 
     names, rate = recording.channels, recording.sampling_rate
-    blocks, is_short = recording.blocks(gaps=True), False
+    blocks, is_short = recording.gaps(range(len(names))).marked(recording.blocks(gaps=True)), False
     if recording.n_samples is not None and recording.n_samples * len(names) <= MAX_SAMPLES:
         blocks, is_short = iter([np.concatenate(list(blocks), axis=1)]), True
     lowest, highest = np.full(len(names), np.inf), np.full(len(names), -np.inf)
@@ -209,10 +208,8 @@ def _channels(recording: Any, as_json: bool, beams: Groups) -> tuple[dict[str, A
     for block in blocks:
         n_samples, dtype = n_samples + block.shape[1], block.dtype.name
         for row, samples in enumerate(block):
-            # A channel is described even if its numbers are too large to detect impacts.
-            with suppress(BadData):
-                if is_known[row]:
-                    add(row, detectors[row].feed(np.where(np.isfinite(samples), samples, np.nan)))
+            if is_known[row]:
+                add(row, detectors[row].feed(samples))
             there = samples[np.isfinite(samples)]
             n_read[row] += there.size
             if not there.size:
