@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+from collections.abc import Sequence
 from dataclasses import replace
 from itertools import chain
 from pathlib import Path
@@ -15,6 +16,7 @@ from scipy import signal as filters
 from scipy import special
 from sklearn.discriminant_analysis import LinearDiscriminantAnalysis
 
+from benchmarks.identification.low_rates import FORCES, MODES, simulated
 from cgid.cli.main import run
 from cgid.errors import BadData, InvalidValue
 from cgid.identification.detection.silence import Silence, silence_of
@@ -277,6 +279,75 @@ def test_impacts_are_found_labelled_and_trained_on(
     assert [line.split(",")[1:] for line in capsys.readouterr().out.splitlines()] == [
         line.split(",")[1:] for line in empty.splitlines()
     ]
+
+
+def rung(rate: float, label: str, seed: int, unit: str, seconds: float = 4.0) -> np.ndarray:
+    """Return eight blows: half sines of force, or what ten modes of a structure make of them."""
+    if unit == "m/s^2":
+        return simulated(np.random.default_rng(seed), rate, FORCES[label], np.linspace(0.5, 1, MODES.size))
+    rng, times = np.random.default_rng(seed), np.arange(round(seconds * rate)) / rate
+    out = 0.3 * rng.standard_normal(times.size)
+    for onset in np.arange(0.2, seconds - 0.2, 0.45) + rng.uniform(0, 0.2):
+        length, since = FORCES[label] * np.exp(0.35 * rng.standard_normal()), times - onset
+        out += rng.uniform(10, 40) * np.where((since > 0) & (since < length), np.sin(np.pi * since / length), 0)
+    return out
+
+
+def written_at(folder: Path, rates: Sequence[float], unit: str) -> list[str]:
+    """Write six recordings of each label, the rates in turn, and return their paths."""
+    for label in FORCES:
+        for number in range(6):
+            rate = rates[number % len(rates)]
+            samples = rung(rate, label, number + 100 * (label == "gangue"), unit)
+            header = f"# sampling_rate: {rate:g} Hz\nx ({unit})"
+            np.savetxt(folder / f"{label}{number}.csv", samples, "%.4f", header=header, comments="")
+    return sorted(map(str, folder.glob("*.csv")))
+
+
+@pytest.mark.parametrize(
+    ("rates", "unit"),
+    few(
+        [
+            ((250,), "m/s^2"),
+            ((500,), "m/s^2"),
+            ((1000, 2000), "m/s^2"),
+            ((1660,), "m/s^2"),
+            ((25_600,), "m/s^2"),
+            ((1000, 5000), "N"),
+            ((5000,), "N"),
+        ]
+    ),
+)
+def test_what_events_writes_trains_at_any_rate(
+    rates: tuple[float, ...], unit: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    files, table = written_at(tmp_path, rates, unit), tmp_path / "found.csv"
+    assert run(["events", *files, "-o", str(table)]) == 0
+    rows = rows_in(table)
+    labelled(table, {name: [name.rstrip("0123456789.csv")] * 20 for name in {row["path"] for row in rows}})
+    capsys.readouterr()
+    assert run(["train", str(table), "-o", str(tmp_path / "mine.npz")]) == 0
+    said = capsys.readouterr().err
+    assert f"trained on impacts, because {len(rows)} of {len(rows)} recordings or intervals contain a single" in said
+    # Each row that a person labelled is in the model.
+    trained = record(read_manifest(table))
+    assert set(trained.source) == set(range(len(rows)))
+    assert run(["predict", *files[::6], "--model", str(tmp_path / "mine.npz")]) == 0
+
+
+@pytest.mark.parametrize(
+    ("rate", "unit", "words"),
+    [
+        (249, "m/s^2", "must be sampled at 250 Hz at least to have a feature, got 249 Hz"),
+        (100, "N", "impacts must be long and clear enough to be measured at 100 Hz"),
+    ],
+)
+def test_impacts_that_no_model_could_be_trained_on_are_refused_before_they_are_labelled(
+    rate: float, unit: str, words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    files = written_at(tmp_path, [rate], unit)
+    assert run(["events", *[file for file in files if "gangue" in file], "-o", str(tmp_path / "found.csv")]) == 65
+    assert words in capsys.readouterr().err and not (tmp_path / "found.csv").exists()
 
 
 @pytest.mark.parametrize("by", ["window", "impact"])
