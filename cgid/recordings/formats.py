@@ -365,21 +365,10 @@ def read_recording(
     >>> signal.samples.tolist(), signal.unit
     ([0.0, 2500.0, 0.0], 'N')
     """
-    return open_recording(
-        path,
-        sampling_rate=sampling_rate,
-        unit=unit,
-        channel=channel,
-        variable=variable,
-        sensitivity=sensitivity,
-        gain=gain,
-        full_scale=full_scale,
-        format=format,
-    ).signals()
+    return open_recording(**locals()).signals()  # the arguments are the same
 
 
-# ---- streams: saved to a temporary file, since some formats have their index at the end --
-# ----------------------------
+# ---- streams: saved to a temporary file, since some formats have their index at the end ------------------------------
 
 
 def _regular(path: str | Path, source: str) -> tuple[Path, ExitStack]:
