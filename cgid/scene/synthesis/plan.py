@@ -314,7 +314,8 @@ def _impacts(plan: Plan) -> str:
         return "integrated: no closed form with a yielding plate or beam"
     if plan.runs("gravity"):
         return "closed forms, integrated if gravity matters"
-    integrated = "kuwabara-kono impacts integrated one by one" * ("kuwabara-kono" in scene.dissipations)
+    one_by_one = [name for name in ("kuwabara-kono", *scene.own_laws) if name in scene.dissipations]
+    integrated = f"{' and '.join(one_by_one)} impacts integrated one by one" * bool(one_by_one)
     if scene.plastic:
         names = ", ".join(dict.fromkeys(scene.dissipations))
         others = "; those of other laws separately" * scene.mixes_laws + f", {integrated}" * bool(integrated)
