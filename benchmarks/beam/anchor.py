@@ -84,9 +84,9 @@ def seam(coal: float = 3.1, gangue: float = 10.0, radius: tuple[float, float] = 
     )
 
 
-def random_seam(number: int) -> Seam:
+def random_seam(number: int, seed: int = SEED) -> Seam:
     """Return a seam drawn from published ranges."""
-    rng = np.random.default_rng([SEED, number, 77])
+    rng = np.random.default_rng([seed, number, 77])
     coal = np.exp(rng.uniform(np.log(1.3), np.log(5.5)))
     gangue = np.exp(rng.uniform(np.log(max(4.0, 1.4 * coal)), np.log(32.0)))
     largest = np.exp(rng.uniform(np.log(0.04), np.log(0.15)))
@@ -212,8 +212,9 @@ class Site:
     gangue: list[Floats]
 
     @classmethod
-    def of(cls, coal: Told, both: Told) -> Site:
-        """Split the rocks of coal, so that no anchor has a rock of its windows."""
+    def of(cls, one: Seam, seed: int, model: Model, cache: Path | None) -> Site:
+        """Make the streams of a seam, and split the rocks of coal, so that no anchor has a rock of its windows."""
+        coal, both = Told.of(one, COAL, 0.0, seed, model, cache), Told.of(one, BOTH, 0.5, seed + 1, model, cache)
         own = by_rock(coal, gangue=False)
         half = len(own) // 2
         return cls(own[:half], own[half:] + by_rock(both, gangue=False), by_rock(both, gangue=True))
@@ -328,9 +329,7 @@ def main() -> None:
     model, sites = load_model(given.model), {}
     for name in given.seams:
         seed = 1000 * SEED + 10 * list(SEAMS).index(name)
-        coal = Told.of(SEAMS[name], COAL, 0.0, seed, model, given.cache)
-        both = Told.of(SEAMS[name], BOTH, 0.5, seed + 1, model, given.cache)
-        sites[name] = Site.of(coal, both)
+        sites[name] = Site.of(SEAMS[name], seed, model, given.cache)
     single_windows(model, sites, given.windows)
     cycles(model, sites, given.cycles)
 
