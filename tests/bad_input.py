@@ -696,9 +696,11 @@ _COMMANDS = r"""
 66 | train referense -o new.npz | did you mean 'reference'
 66 | check reference.tml | reference.tml
 66 | predict good.csv --model defualt | model
-65 | predict good.csv --evidence 0.4 | --evidence
-65 | monitor - --evidence 1 | --evidence
-65 | predict good.csv --evidence nan | --evidence
+65 | predict good.csv --cost-late -1 | --cost-late
+65 | monitor - --cost-early -0.5 | --cost-early
+65 | predict good.csv --cost-early nan | --cost-early
+65 | monitor - --cost-late inf | --cost-late
+65 | monitor - --cost-late 0 --cost-early 0 | cost_early
 65 | monitor - --hold -3 | --hold
 65 | predict good.csv --hold inf | --hold
 65 | predict good.csv --coal-until 0 | --coal-until

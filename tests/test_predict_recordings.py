@@ -16,6 +16,7 @@ from cgid.errors import BadData, InvalidValue
 from cgid.identification.detection.windows import RunningVote, measure_windows
 from cgid.identification.model import Model
 from cgid.identification.prediction import Answer, PredictionSettings, identify, identify_recording
+from cgid.identification.prediction.fraction import ShutDecision
 from cgid.identification.prediction.stream import identify_blocks, independence
 from cgid.identification.prediction.support import CavingWatch
 from cgid.recordings import open_recording, read_recording
@@ -221,7 +222,7 @@ def test_watch_tells_the_same_however_answers_come(default_model: Model) -> None
     turns = [one.switch for one in whole if one.switch is not None]
     assert [share.time for share in shares] == pytest.approx(np.arange(2.0, 31.0, 2.0))
     assert [turn.shut for turn in turns] == [True]
-    first_over = next(share for share in shares if share.above >= 0.95)
+    first_over = next(share for share in shares if ShutDecision(1.5).cost(share) > 0)
     assert turns[0].share is first_over or turns[0].share == first_over
 
 

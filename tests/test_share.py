@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
+from functools import cache
 from types import SimpleNamespace
 from typing import Any
 
@@ -155,79 +157,100 @@ def test_window_slides() -> None:
 
 
 @pytest.fixture(scope="module")
-def futures() -> tuple[np.ndarray, np.ndarray]:
-    """The share found in each of many windows, and that among the impacts after it: what really comes."""
-    rng = np.random.default_rng(11)
-    found, coming = [], []
-    for share in rng.random(2500):
-        _, probabilities = drawn(rng, share, 25)
-        found.append(share_of(probabilities).mean)
-        coming.append((rng.random(200) < share).mean())
-    return np.array(found), np.array(coming)
+def futures() -> Callable[[float], tuple[list[Share], np.ndarray]]:
+    """Many windows with a threshold, and the fraction of gangue in each: what comes after it."""
+
+    @cache
+    def made(threshold: float) -> tuple[list[Share], np.ndarray]:
+        rng = np.random.default_rng(11)
+        coming = rng.random(2500)
+        return [share_of(drawn(rng, one, 25)[1], threshold=threshold) for one in coming], coming
+
+    return made
 
 
 @pytest.mark.parametrize("dilution_cost", [0.5, 1.0, 3.0])
-def test_expected_cost_is_what_going_on_does_cost(futures, dilution_cost: float) -> None:
-    found, coming = futures
-    rule = ShutDecision(dilution_cost)
-    said = np.array([rule.cost(state(share)) for share in found])
-    cost = dilution_cost * coming - (1 - coming)
+@pytest.mark.parametrize(("late", "early"), [(1.0, 1.0), (1.0, 6.0), (4.0, 0.5)])
+def test_expected_cost_is_what_going_on_does_lose(futures, dilution_cost: float, late: float, early: float) -> None:
+    rule = ShutDecision(dilution_cost, cost_late=late, cost_early=early)
+    found, coming = futures(rule.threshold)
+    said = np.array([rule.cost(share) for share in found])
+    # Per rock, as a mine counts: a gangue costs `dilution_cost` coal, a coal brings one.
+    going = dilution_cost * coming - (1 - coming)
+    cost = np.where(going > 0, late, early) * going
     for part in np.array_split(np.argsort(said), 8):
         error = cost[part].std() / np.sqrt(part.size)
         assert said[part].mean() == pytest.approx(cost[part].mean(), abs=4 * error)
+    own = np.where(said > 0, 0.0, cost).mean()
+    others = [np.where([one.above >= p for one in found], 0.0, cost).mean() for p in np.linspace(0.05, 0.95, 19)]
+    assert own < min(cost.mean(), 0.0) - 0.02  # better than to draw all, or nothing
+    assert own < min(others) + 2e-3  # no evidence is cheaper, whatever it is
 
 
-@pytest.mark.parametrize("dilution_cost", [0.5, 1.0, 3.0])
-def test_no_other_threshold_costs_less(futures, dilution_cost: float) -> None:
-    found, coming = futures
-    cost = dilution_cost * coming - (1 - coming)  # of going on; shutting costs nothing more
-
-    def paid(threshold: float) -> float:
-        return float(np.where(found > threshold, 0.0, cost).mean())
-
-    others = [paid(threshold) for threshold in np.linspace(0.02, 0.98, 97)]
-    own = paid(ShutDecision(dilution_cost).threshold)
-    assert own < min(others) + 2e-3
-    assert own < paid(0.0) - 0.02  # better than never to draw
-    assert own < paid(1.0) - 0.02  # and than to draw all
+def state(share: float, n_impacts: int = 50, time: float = 1.0, spread: float = 0.0) -> Share:
+    """Return a share that is as likely this much above its mean as below, with a threshold of one half."""
+    ends = np.array([share - spread, share + spread])
+    own = {"mean": share, "above": float((ends > 0.5).mean()), "excess": float(np.maximum(ends - 0.5, 0.0).mean())}
+    return Share(time=time, start=0.0, share=share, low=0.0, high=1.0, n_impacts=n_impacts, **own)
 
 
-def state(share: float, n_impacts: int = 50, time: float = 1.0, above: float = 0.5) -> Share:
-    return Share(time=time, start=0.0, share=share, low=0.0, high=1.0, mean=share, above=above, n_impacts=n_impacts)
-
-
-def test_turns_are_said_when_they_are_sure_and_the_last_one_was_held() -> None:
-    rule = ShutDecision(1.0, evidence=0.9, hold=2.0)
-    above = [0.2, 0.89, 0.91, 0.05, 0.05, 0.99, 0.99, 0.5, 0.1]
-    turns = [rule.watch(state(0.6, time=float(k), above=a)) for k, a in enumerate(above)]
+def test_turns_are_said_when_they_lose_less_and_the_last_one_was_held() -> None:
+    rule = ShutDecision(1.0, cost_late=1.0, cost_early=3.0, hold=2.0)
+    # At .6 +- .3 the losses are .2 and .3, at .65 +- .3 they are .225 and .225, at .7 +- .3 .25 and .15.
+    means = [0.3, 0.6, 0.7, 0.6, 0.6, 0.7, 0.7, 0.7, 0.4]
+    turns = [rule.watch(state(one, time=float(k), spread=0.3)) for k, one in enumerate(means)]
     assert [(t.time, t.shut) for t in turns if t] == [(2.0, True), (4.0, False), (6.0, True), (8.0, False)]
-    assert [t.evidence for t in turns if t] == pytest.approx([0.91, 0.95, 0.99, 0.9])
-    assert turns[2].cost == pytest.approx(0.6 - 0.4)
+    assert [t.evidence for t in turns if t] == [0.5] * 4
+    assert turns[2] is not None and turns[2].cost == pytest.approx(2 * (0.25 - 0.15))
+    neither = state(0.65, spread=0.3)
+    assert rule.cost(neither) == pytest.approx(0.0, abs=1e-12)
+    assert ShutDecision(1.0, cost_late=1.0, cost_early=1.0).cost(neither) == pytest.approx(2 * (0.65 - 0.5))
+
+
+@pytest.mark.parametrize("costs", [(-1.0, 1.0), (1.0, -1e-9), (float("nan"), 1.0), (1.0, float("inf")), (0.0, 0.0)])
+def test_costs_are_not_negative_and_not_both_zero(costs: tuple[float, float]) -> None:
+    for make in (ShutDecision, PredictionSettings):
+        with pytest.raises(InvalidValue, match="cost_"):
+            make(cost_late=costs[0], cost_early=costs[1])
+
+
+def test_a_wider_density_shuts_later_and_without_a_cost_of_one_side_the_other_decides() -> None:
+    narrow, wide = state(0.7, spread=0.1), state(0.7, spread=0.3)
+    rule = ShutDecision(1.0, cost_late=1.0, cost_early=6.0)
+    assert rule.cost(narrow) > 0 > rule.cost(wide)
+    sure = state(0.7, spread=0.1)
+    assert ShutDecision(cost_late=0.0, cost_early=1.0).watch(sure) is None
+    turn = ShutDecision(cost_late=1.0, cost_early=0.0).watch(state(0.3, n_impacts=20, spread=0.25))
+    assert turn is not None and turn.shut
 
 
 def test_few_or_unknown_impacts_decide_nothing() -> None:
-    rule = ShutDecision(3.0)
-    assert rule.watch(state(0.9, MIN_IMPACTS - 1, above=0.99)) is None
-    assert rule.watch(state(float("nan"), 0, above=float("nan"))) is None
-    assert rule.watch(replace(state(0.9, 20, above=0.99), n_unknown=21)) is None
+    rule = ShutDecision()
+    assert rule.watch(state(0.9, MIN_IMPACTS - 1)) is None
+    assert rule.watch(state(float("nan"), 0)) is None
+    assert rule.watch(replace(state(0.9, 20), n_unknown=21)) is None
     assert rule.shut is None
-    switch = rule.watch(replace(state(0.9, MIN_IMPACTS, above=0.99), n_unknown=MIN_IMPACTS))
+    switch = rule.watch(replace(state(0.9, MIN_IMPACTS), n_unknown=MIN_IMPACTS))
     assert switch is not None and switch.shut
+    # By these costs a window without any knowledge would be shut, so that more is asked for.
+    early = ShutDecision(3.0, cost_early=1.0)
+    assert early.watch(state(0.9, 2 * MIN_IMPACTS - 1)) is None
+    assert early.watch(state(0.9, 2 * MIN_IMPACTS)) is not None
 
 
-def test_a_decision_begins_without_a_switch_and_ends_with_its_evidence() -> None:
-    rule = ShutDecision(1.0, evidence=0.9, hold=2.0)
+def test_a_decision_begins_without_a_switch_and_ends_with_its_ground() -> None:
+    rule = ShutDecision(1.0, hold=2.0)
     # The first decision to draw opens nothing; after a SHUT, also a withdrawn one, drawing is a switch.
-    assert rule.watch(state(0.1, time=1.0, above=0.05)) is None and rule.shut is False
-    assert rule.watch(state(0.5, time=2.0, above=0.5)) is None and rule.shut is False
-    assert rule.watch(state(0.9, time=3.0, above=0.95)) is not None and rule.shut is True
+    assert rule.watch(state(0.1, time=1.0)) is None and rule.shut is False
+    assert rule.watch(state(0.4, time=2.0)) is None and rule.shut is False
+    assert rule.watch(state(0.9, time=3.0)) is not None and rule.shut is True
     rule.withdraw()
     assert rule.shut is None
-    switch = rule.watch(state(0.1, time=3.5, above=0.05))
+    switch = rule.watch(state(0.1, time=3.5))
     assert switch is not None and not switch.shut
     assert rule.watch(state(0.5, 3, time=3.5 + LAPSE)) is None and rule.shut is False
     assert rule.watch(state(0.5, 3, time=3.6 + LAPSE)) is None and rule.shut is None
-    again = rule.watch(state(0.9, time=200.0, above=0.95))
+    again = rule.watch(state(0.9, time=200.0))
     assert again is not None and again.shut
 
 
@@ -241,7 +264,7 @@ def test_caving_window_is_shut_close_to_the_best_time() -> None:
         times = np.sort(rng.uniform(0, 60, int(rate * 60)))
         share = 1 / (1 + np.exp(-(times - middle) / 4))
         gangue, probabilities = drawn(rng, share, times.size)
-        rule, shut_at = ShutDecision(dilution_cost, evidence=0.5), 60.0
+        rule, shut_at = ShutDecision(dilution_cost, cost_late=1.0, cost_early=1.0), 60.0
         window = ShareWindow(5.0, threshold=rule.threshold)
         place = 0
         for end in np.arange(1.0, 61.0):
@@ -532,6 +555,7 @@ def test_the_estimate_of_a_density_is_its_median_and_shortest_interval() -> None
         assert found["above"] == pytest.approx(1 - np.interp(0.3, fractions, below), abs=3e-3)
         middle = (fractions[1:] + fractions[:-1]) / 2
         assert found["mean"] == pytest.approx(np.diff(below) @ middle, abs=2e-3)
+        assert found["excess"] == pytest.approx(np.diff(below) @ np.maximum(middle - 0.3, 0), abs=2e-3)
     certain = estimate_of(np.eye(N_CLASSES)[5], 0.5)
     assert edges[5] <= certain["low"] < certain["share"] < certain["high"] <= edges[6] + 0.01
 

@@ -130,16 +130,16 @@ class AnswerLines:
         if message is not None:
             warn(f"{name}: {message}")
 
-    def turn(self, source: str, name: str, state: SupportState, turn: Switch, dilution_cost: float) -> None:
+    def turn(self, source: str, name: str, state: SupportState, turn: Switch, costs: Mapping[str, float]) -> None:
         """Print that continuing costs more than shutting, or less again."""
         word, side = ("SHUT", "above") if turn.shut else ("OPEN", "below")
-        share, limit, sure = turn.share, 1 / (1 + dilution_cost), f"{turn.evidence:.1%} sure"
-        costs = f"going on is expected to cost {turn.cost:.2f} coal a rock" if turn.shut else "continuing pays again"
+        share, limit, sure = turn.share, 1 / (1 + costs["dilution_cost"]), f"{turn.evidence:.1%} sure"
+        why = f"going on is expected to lose {turn.cost:.2f} coal a rock" if turn.shut else "continuing pays again"
         message = (
-            f"{word} {turn.time:.6g} s: {costs} (gangue fraction {share.share:.2f}, {sure} that it is {side} "
-            f"{limit:.2f}, the limit where a drawn gangue costs {dilution_cost:g} coal)  {name}"
+            f"{word} {turn.time:.6g} s: {why} (gangue fraction {share.share:.2f}, {sure} that it is {side} "
+            f"{limit:.2f}, the limit where a drawn gangue costs {costs['dilution_cost']:g} coal)  {name}"
         )
-        content = {"cost": turn.cost, "dilution_cost": dilution_cost, "evidence": turn.evidence}
+        content = {"cost": turn.cost, "evidence": turn.evidence, **costs}
         self._note(word.lower(), source, message, _record(state) | content)
 
     def summary(self, source: str, tally: RecordingTally, duration: float, start_time: Any = None) -> None:
@@ -413,7 +413,7 @@ class RecordingRows:
                     self.lines.share(self.source, name, state)
             elif one.switch is not None:
                 self.turns += [one.switch] * self._keep
-                self.lines.turn(self.source, name, state, one.switch, self._settings.shares.dilution_cost)
+                self.lines.turn(self.source, name, state, one.switch, self._settings.shares.costs)
             else:
                 message = self._state_message(state)
                 self.warnings += [f"{name}: {message}"] * (self._keep and message is not None)

@@ -508,7 +508,14 @@ answering_options = _options(
         help="Set the cost of drawn gangue in units of lost coal, by default 1; it decides when to shut.",
     ),
     click.option(
-        "--evidence", type=float, help="Print SHUT or OPEN when it is right with this probability, by default 0.95."
+        "--cost-late",
+        type=float,
+        help="Set the loss of each second of drawing above the limit, for each unit of fraction above, by default 1.",
+    ),
+    click.option(
+        "--cost-early",
+        type=float,
+        help="Set the loss of each second shut below the limit, for each unit of fraction below, by default 6.",
     ),
     click.option(
         "--hold", type=float, help="Hold SHUT or OPEN for at least this time [s], by default the length of the window."

@@ -328,8 +328,9 @@ def predict(
     of distribution (novelty above 1), or with --coverage if several labels, or none, remain.
 
     Recordings of several impacts have a gangue fraction over a sliding window, with its 95 % interval, a line SHUT
-    where going on surely (--evidence) costs more than it brings, and a summary; these go to stderr. With --json all of
-    it goes to stdout in lines that have a kind: impact, window, share, shut, open, warning, summary.
+    where going on is expected to lose more than shutting (--cost-late, --cost-early), and a summary; these go to
+    stderr. With --json all of it goes to stdout in lines that have a kind: impact, window, share, shut, open, warning,
+    summary.
     """
     from cgid import shipped
     from cgid.identification.training.manifest import recordings_of

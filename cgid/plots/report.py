@@ -221,7 +221,7 @@ def _switches(report: Report) -> Iterator[str]:
         text = (
             f"{what} at {switch.time:.2f} s{where}: gangue fraction {switch.share.share:.0%} "
             f"({switch.share.low:.0%} to {switch.share.high:.0%}), {switch.evidence:.1%} sure{limit}; continuing is "
-            f"expected to cost {switch.cost:+.2g} coal per rock"
+            f"expected to lose {switch.cost:+.2g} coal per rock"
         )
         yield f'<p class="turn">{_text(text)}</p>'
 

@@ -18,11 +18,13 @@ dumped. Per rock, continuing costs
 
     dilution_cost * q - (1 - q)
 
-more than shutting. Its sign changes at q = 1 / (1 + dilution_cost), the threshold. SHUT is issued when the fraction is
-above the threshold with a probability of at least `evidence`, OPEN where it is below with this probability after a
-SHUT; in between nothing changes, and after a switch nothing does for a least time (`hold`). Nothing is decided until at
-least five impacts of a window, and half of them, are identified; after two minutes without such a window the decision
-is withdrawn.
+more than shutting. Its sign changes at q = 1 / (1 + dilution_cost), the threshold. Each second of going on above it
+loses `cost_late` for each unit of fraction above it, and each second shut below it `cost_early` for each unit below.
+SHUT is issued when the expected loss of going on is the greater one, OPEN when that of staying shut is after a SHUT;
+after a switch nothing changes for a least time (`hold`). By default a second too early costs more: all the coal that
+would have followed is lost with it, while a second too late is lost alone. Nothing is decided until at least five
+impacts of a window, and half of them, are identified; after two minutes without such a window the decision is
+withdrawn.
 """
 
 from __future__ import annotations
@@ -41,7 +43,7 @@ from cgid.errors import InvalidValue
 from cgid.identification.model.anchor import Anchor, Basis, Impacts, SeamNetworks, class_edges, impacts_of
 from cgid.identification.model.confusion import SUREST, Confusion, logit
 from cgid.identification.model.model import Model
-from cgid.identification.prediction.settings import RULES
+from cgid.identification.prediction.settings import COST_EARLY, COST_LATE, RULES, require_costs
 
 __all__ = ["Share"]
 
@@ -73,6 +75,8 @@ class Share:
         The expected one, for expected costs; nan without any impact.
     above : float
         Probability that the share is above the threshold of the window; nan without any impact.
+    excess : float
+        Expected amount by which it is above the threshold, where below counts as 0; nan without any impact.
     basis : Basis
         What it rests on: the seam of the training, the coal with which the window began, or any seam.
     n_impacts : int
@@ -93,6 +97,7 @@ class Share:
     channel: str = "1"
     mean: float = float("nan")
     above: float = float("nan")
+    excess: float = float("nan")
     basis: Basis = Basis.TRAINED
 
     def __repr__(self) -> str:
@@ -258,6 +263,7 @@ class ShareWindow:
             "high": float(shares[densest_nodes.max()]),
             "mean": float(masses @ shares),
             "above": float(np.clip(1.0 - below, 0.0, 1.0)),
+            "excess": float(masses @ np.maximum(shares - self._threshold, 0.0)),
         }
 
 
@@ -277,6 +283,7 @@ def estimate_of(density: Floats, threshold: float) -> dict[str, float]:
         "high": float(edges[ends[shortest]]),
         "mean": float(np.diff(below) @ shares),
         "above": float(1.0 - np.interp(threshold, edges, below)),
+        "excess": float(np.diff(below) @ np.maximum(shares - threshold, 0.0)),
     }
 
 
@@ -312,45 +319,60 @@ def _blur(scatter: float) -> Floats | None:
     return np.asarray(matrix / matrix.sum(axis=0))
 
 
-#: Minimum number of identified impacts for a decision; twice as many where the uniform prior alone would decide.
+#: Minimum number of identified impacts for a decision; twice as many where the uniform prior alone would shut.
 MIN_IMPACTS = 5
 
 
 @dataclass(frozen=True, kw_only=True)
 class Switch:
-    """A switch: continuing costs more than shutting, or less again, with the requested evidence."""
+    """A switch: continuing is expected to lose more than shutting, or less again."""
 
     time: float  # end of the first window with it [s]
     shut: bool  # True: shut the window; False: continuing pays again
-    cost: float  # expected cost of continuing minus that of shutting [lost coal rocks per rock]
+    cost: float  # expected loss of continuing minus that of shutting [lost coal rocks per rock, weighed by the costs]
     evidence: float  # probability that the fraction is above the threshold, or below
     share: Share
 
 
 class ShutDecision:
-    """Decide for shutting the window or for continuing to draw, once the evidence for one of them suffices.
+    """Decide for shutting the window or for continuing to draw, whichever is expected to lose less.
 
     >>> round(ShutDecision(3.0).threshold, 3)
     0.25
     """
 
-    def __init__(self, dilution_cost: float = 1.0, evidence: float = 0.95, hold: float = 0.0) -> None:
-        given = {"dilution_cost": dilution_cost, "evidence": evidence, "hold": hold}
+    def __init__(
+        self,
+        dilution_cost: float = 1.0,
+        *,
+        cost_late: float = COST_LATE,
+        cost_early: float = COST_EARLY,
+        hold: float = 0.0,
+    ) -> None:
+        given = {"dilution_cost": dilution_cost, "cost_late": cost_late, "cost_early": cost_early, "hold": hold}
         checked = {name: validation.number(name, value, rule=RULES[name]) for name, value in given.items()}
-        self.dilution_cost, self.evidence, self.hold = checked.values()
+        self.dilution_cost, self.cost_late, self.cost_early, self.hold = checked.values()
+        require_costs(self.cost_late, self.cost_early)
         self.threshold = 1.0 / (1.0 + self.dilution_cost)
-        self._least = MIN_IMPACTS * (2 if max(self.threshold, 1.0 - self.threshold) >= self.evidence else 1)
+        # A uniform prior is above by (1 - threshold)^2 / 2 on average, and below by threshold^2 / 2.
+        prior = self.cost_late * (1.0 - self.threshold) ** 2 > self.cost_early * self.threshold**2
+        self._least = MIN_IMPACTS * (2 if prior else 1)
         #: Whether to shut; None where nothing is decided.
         self.shut: bool | None = None
         self._since = self._supported = -np.inf
         self._said_shut = False
 
     def cost(self, share: Share) -> float:
-        """Return the expected cost of continuing minus shutting [lost coal rocks per rock]; nan without any impact."""
-        return self.dilution_cost * share.mean - (1.0 - share.mean)
+        """Return the expected loss of continuing minus that of shutting; nan without any impact.
+
+        It is in lost coal rocks per rock, weighed by `cost_late` and `cost_early`. The share's `excess` must be over
+        `threshold`.
+        """
+        below = share.excess - (share.mean - self.threshold)
+        return (1.0 + self.dilution_cost) * (self.cost_late * share.excess - self.cost_early * below)
 
     def watch(self, share: Share) -> Switch | None:
-        """Return the switch at this window; None without one. The share's `above` must be that of `threshold`.
+        """Return the switch at this window; None without one. The share must be of a window with `threshold`.
 
         The first decision to draw is no switch, since nothing was shut.
         """
@@ -359,16 +381,16 @@ class ShutDecision:
                 self.withdraw()
             return None
         self._supported = share.time
-        shut = share.above >= self.evidence
-        is_sure = shut or 1.0 - share.above >= self.evidence
-        if shut == self.shut or not is_sure or share.time < self._since + self.hold:
+        cost = self.cost(share)
+        shut = cost > 0
+        if shut == self.shut or share.time < self._since + self.hold:
             return None
         self.shut = shut
         if not shut and not self._said_shut:
             return None
         self._said_shut, self._since = shut, share.time
         evidence = share.above if shut else 1.0 - share.above
-        return Switch(time=share.time, shut=shut, cost=self.cost(share), evidence=evidence, share=share)
+        return Switch(time=share.time, shut=shut, cost=cost, evidence=evidence, share=share)
 
     def withdraw(self) -> None:
         """Decide nothing, because the ground of the decision is gone."""

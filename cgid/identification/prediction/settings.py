@@ -25,6 +25,10 @@ BATCH = 256
 SHARE_TIME = 10.0
 #: Minimum window of a gangue fraction [s]: a shorter one contains too few impacts, and an hour would have millions.
 MIN_SHARE_TIME = 0.05
+#: Costs of each second and unit of fraction above the limit while drawing, and below it while shut. The second is the
+#: lowest of those tried with which, with and without stated coal, less than one simulated caving cycle in a hundred is
+#: shut more than a window too early (benchmarks/identification/caving_cycle.py --settle).
+COST_LATE, COST_EARLY = 1.0, 6.0
 #: A support is blind after this time without sound samples [s].
 BLIND_TIME = 5.0
 #: The rules of settings that are numbers, unless None.
@@ -34,7 +38,8 @@ RULES = {
     "share_time": Rule(MIN_SHARE_TIME, unit="s"),
     "share_step": Rule(0, without="lowest", unit="s"),
     "dilution_cost": Rule(0, without="lowest"),
-    "evidence": Rule(0.5, 1, without="highest"),
+    "cost_late": Rule(0),
+    "cost_early": Rule(0),
     "hold": Rule(0, unit="s"),
     "coal_until": Rule(0, without="lowest", unit="s"),
     "cycle_pause": Rule(0, without="lowest", unit="s"),
@@ -50,11 +55,17 @@ class ShareSettings(NamedTuple):
     step: float
     gangue: tuple[str, ...]
     dilution_cost: float
-    evidence: float
+    cost_late: float
+    cost_early: float
     hold: float
     coal_until: float | None
     cycle_pause: float | None
     trained_seam: bool
+
+    @property
+    def costs(self) -> dict[str, float]:
+        """The costs of a decision."""
+        return {name: getattr(self, name) for name in ("dilution_cost", "cost_late", "cost_early")}
 
 
 class ExtraColumns(Protocol):
@@ -114,8 +125,9 @@ class PredictionSettings:
         Labels of rocks that must not be drawn; by default "gangue".
     dilution_cost : float, optional
         Cost of one drawn gangue rock, in lost coal rocks; None: 1.
-    evidence : float, optional
-        Probability required for SHUT or OPEN, from .5 to below 1; None: .95.
+    cost_late, cost_early : float, optional
+        Loss for each second of drawing above the limit and unit of fraction above it, and for each second shut below it
+        and unit below; None: `COST_LATE`, `COST_EARLY`. SHUT and OPEN are at the least expected loss.
     hold : float, optional [s]
         Least time between SHUT and OPEN; None: a window.
     coal_until : float, optional [s]
@@ -151,7 +163,8 @@ class PredictionSettings:
     share_step: float | None = None
     gangue: tuple[str, ...] = ()
     dilution_cost: float | None = None
-    evidence: float | None = None
+    cost_late: float | None = None
+    cost_early: float | None = None
     hold: float | None = None
     coal_until: float | None = None
     cycle_pause: float | None = None
@@ -171,6 +184,7 @@ class PredictionSettings:
         for name, rule in RULES.items():
             if (value := getattr(self, name)) is not None:
                 validation.number(name, value, rule=rule)
+        require_costs(self.shares.cost_late, self.shares.cost_early)
         if self.costs and self.coverage is not None:
             raise InvalidValue("costs and coverage must not be given together; leave one out")
         if self.cycle_pause is not None and self.coal_until is None:
@@ -248,7 +262,8 @@ class PredictionSettings:
             step=window / 2 if self.share_step is None else self.share_step,
             gangue=self.gangue or ("gangue",),
             dilution_cost=1.0 if self.dilution_cost is None else self.dilution_cost,
-            evidence=0.95 if self.evidence is None else self.evidence,
+            cost_late=COST_LATE if self.cost_late is None else self.cost_late,
+            cost_early=COST_EARLY if self.cost_early is None else self.cost_early,
             hold=window if self.hold is None else self.hold,
             coal_until=self.coal_until,
             cycle_pause=self.cycle_pause,
@@ -263,8 +278,15 @@ class PredictionSettings:
     @property
     def needs_shares(self) -> bool:
         """Whether an option requests gangue fractions, so that even a single impact has them."""
-        decides = (self.share_time, self.dilution_cost, self.evidence, self.hold, self.coal_until)
+        costs = (self.dilution_cost, self.cost_late, self.cost_early)
+        decides = (self.share_time, *costs, self.hold, self.coal_until)
         return bool(self.gangue) or self.trained_seam or any(one is not None for one in decides)
+
+
+def require_costs(late: float, early: float) -> None:
+    """Raise `InvalidValue` for costs that are both zero, by which no decision is better than another."""
+    if late == early == 0:
+        raise InvalidValue("cost_late and cost_early must not both be 0; give one of them above 0, such as 1")
 
 
 def require_groups(groups: Any) -> tuple[tuple[str, ...], ...]:

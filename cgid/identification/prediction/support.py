@@ -39,7 +39,7 @@ __all__ = ["CavingWatch", "Decision", "Ground", "SupportState"]
 
 
 class Decision(StrEnum):
-    """What is decided for the window of a support; none until the evidence for one side suffices."""
+    """What is decided for the window of a support; none until enough of its impacts are identified."""
 
     NONE = "none"
     DRAW = "draw"
@@ -165,7 +165,7 @@ class CavingWatch:
                 validation.choice("gangue label", label, model.labels)
         if separates(gangue, model):
             self.threshold = 1 / (1 + shares.dilution_cost)
-            rules = [ShutDecision(shares.dilution_cost, shares.evidence, shares.hold) for _ in supports]
+            rules = [ShutDecision(**shares.costs, hold=shares.hold) for _ in supports]
         elif settings.needs_shares:
             raise InvalidValue(
                 "at least one label must remain besides gangue, got all of the model's: "
