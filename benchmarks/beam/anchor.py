@@ -23,7 +23,7 @@ from benchmarks.beam.independent_beam import NOISE, RATE, Rocks, digitised, gene
 from cgid import load_model
 from cgid.identification.model.anchor import Anchor, Basis
 from cgid.identification.model.model import Model
-from cgid.identification.prediction.fraction import Share, ShareWindow, answers_of
+from cgid.identification.prediction.fraction import Share, ShareWindow, ShutDecision, answers_of
 from cgid.identification.prediction.settings import PredictionSettings
 from cgid.identification.prediction.stream import identify_blocks
 
@@ -32,7 +32,7 @@ VARIANT = "0.001 mindlin"
 SEED = 591
 #: Noise over that of `independent_beam`, rocks a second, and length of the streams of coal and of both [s].
 QUIET, ARRIVALS, COAL, BOTH = 0.3, 8.0, 110.0, 90.0
-SPAN, EVIDENCE = 25.0, 0.95
+SPAN = 25.0
 WINDOW, FRACTIONS = 10.0, (0.0, 0.1, 0.2, 0.35, 0.5, 0.65, 0.8)
 _STEEL = 210e9 / (1 - 0.3**2)
 _SLOPE, _GRAVITY = np.radians(20.0), 9.80665
@@ -256,12 +256,13 @@ TITLES = "RMS | bias | hold | width | false SHUT | SHUT above .6 | told foreign"
 
 
 def figures(pairs: Sequence[tuple[Share, float]]) -> str:
-    """Return the figures of shares beside the true fractions, with SHUT at the default cost and evidence."""
+    """Return the figures of shares beside the true fractions, with SHUT at the default costs."""
     error = np.array([share.share - truth for share, truth in pairs])
     holds = np.mean([share.low <= truth <= share.high for share, truth in pairs])
     width = np.mean([share.high - share.low for share, _ in pairs])
-    false = sum(share.above > EVIDENCE for share, truth in pairs if truth < 0.5)
-    right = np.mean([share.above > EVIDENCE for share, truth in pairs if truth > 0.6])
+    cost = ShutDecision().cost
+    false = sum(cost(share) > 0 for share, truth in pairs if truth < 0.5)
+    right = np.mean([cost(share) > 0 for share, truth in pairs if truth > 0.6])
     told = sum(share.basis == Basis.FOREIGN for share, _ in pairs)
     return (
         f"{np.sqrt(np.mean(error**2)):.3f} | {error.mean():+.3f} | {holds:.2f} | {width:.2f} | "
