@@ -650,3 +650,59 @@ def test_a_model_without_rates_cannot_use_an_anchor() -> None:
         CavingWatch(MODEL, ["1"], PredictionSettings(coal_until=30.0))
     with pytest.raises(InvalidValue, match="cycle_pause must come with coal_until"):
         PredictionSettings(cycle_pause=30.0)
+
+
+# -- levels beside the coal of a cycle --------------------------------------------------------------------
+
+
+def levels_watched(coal: float, factor: float, gangue: float = 0.0, **settings: Any) -> list[Ground]:
+    """Return the grounds of a stream whose coal has this level, before and after its scale changes by a factor at 60 s.
+
+    The training has levels of mean 0 and deviation 1; gangue comes from 40 s on, with a level higher by `gangue`.
+    """
+    rng = np.random.default_rng(12)
+    own = networks()
+    sound = replace(own, limit=1e3)
+    model: Any = SimpleNamespace(
+        **(vars(MODEL) | {"level_deviation": 1.0, "seams": sound, "level_range": {}, "training": {"n_train": 10_000}})
+    )
+    answers = [
+        replace(
+            answer(time, gangue=0.9 if time > 40 else 0.1),
+            level=coal + rng.normal(0, 0.8) + gangue * (time > 40) + np.log(factor) * (time > 60),
+            pulse=PULSE,
+        )
+        for time in np.arange(0.1, 90.0, 0.1).tolist()
+    ]
+    watch = CavingWatch(model, ["1"], PredictionSettings(share_step=1.0, **settings))
+    states = [one.state for one in watch.feed(answers, 89.0) if one.kind == "share"]
+    return [one.ground for one in states]
+
+
+def test_a_seam_harder_than_the_training_is_no_wrong_scale_beside_its_coal() -> None:
+    hard = {"coal": 0.1, "factor": 1.0, "gangue": 0.8}
+    assert Ground.WRONG_SCALE in levels_watched(**hard)
+    assert set(levels_watched(**hard, coal_until=30.0)) == {Ground.SEEN}
+    soft = {"coal": -1.5, "factor": 1.0, "gangue": 0.2}
+    assert set(levels_watched(**soft)[10:]) == {Ground.WRONG_SCALE}
+    assert set(levels_watched(**soft, coal_until=30.0)) == {Ground.SEEN}
+
+
+@pytest.mark.parametrize(("coal", "factor"), [(0.0, 0.3), (-1.0, 0.4), (0.0, 9.81), (0.5, 6.0)])
+def test_a_scale_that_changes_after_the_coal_is_told(coal: float, factor: float) -> None:
+    found = levels_watched(coal, factor, coal_until=30.0)
+    assert set(found[:60]) == {Ground.SEEN}
+    assert set(found[70:]) == {Ground.WRONG_SCALE}
+
+
+def test_coal_of_a_wrong_scale_or_too_little_of_it_is_judged_by_the_training() -> None:
+    assert set(levels_watched(np.log(9.81), 1.0, coal_until=30.0)[10:]) == {Ground.WRONG_SCALE}
+    assert set(levels_watched(-1.5, 1.0, coal_until=0.5)[10:]) == {Ground.WRONG_SCALE}
+
+
+def test_another_cycle_has_levels_of_its_own() -> None:
+    anchor = Anchor(10.0, cycle_pause=60.0)
+    anchor.add(1.0, 0.1, PULSE)
+    anchor.levels.append(0.5)
+    anchor.add(100.0, 0.1, PULSE)
+    assert anchor.levels == []

@@ -199,6 +199,7 @@ class Anchor:
     def _begin(self, time: float) -> None:
         self.until = time + self._length
         self._impacts: list[tuple[float, tuple[float, ...] | None]] = []
+        self.levels: list[float] = []  # of the coal, as in `Answer`
         self.summary: Floats | None = None  # by the networks, once the coal is complete
         self.is_foreign = False
 

@@ -59,6 +59,10 @@ _CLIPPED, _UPPER = 2.0, 0.85
 #: each, by simulation (benchmarks/plant/wrong_scale.py): (a, b) above and below, for a force and for what a beam gives.
 #: Slow rebounds on a beam only lower the level.
 _SPREAD = {False: ((7.0, 0.10), (10.0, 0.12)), True: ((3.5, 0.05), (15.0, 0.34))}
+#: So many latest levels, n, may be a mixture with the coal of an anchor if their upper end is no further below the
+#: coal's than sqrt(a / n + a / n of the coal), and no further above that of the training than hard simulated seams
+#: reach: but for one of 100 cycles of such seams. In standard deviations of the training.
+OF_ANCHOR, _BELOW_COAL, _HARDEST = 60, 6.3, 1.3
 #: Between these factors g and m/s^2 may have been confused.
 _LIKE_G = (5.0, 20.0)
 #: Fraction of answers without any mark from which these, and not the marks, decide on the cause.
@@ -569,6 +573,16 @@ def _factor_of(levels: Sequence[float], model: Model, looks: float = 1.0, wide: 
     # Includes the uncertainty of the training for few impacts.
     limit = np.sqrt(looks * chance / n + chance / model.training.get("n_train", np.inf) + wide * spread)
     return float(np.exp(excess * deviation)) if abs(excess) > limit else 1.0
+
+
+def fits_coal(levels: Sequence[float], coal: Sequence[float], model: Model) -> bool:
+    """Return whether the latest levels may be of a mixture with this coal; gangue only raises them."""
+    deviation = model.level_deviation
+    if len(levels) < OF_ANCHOR or len(coal) < MIN_LEVELS or not deviation:
+        return True
+    end, lowest = (upper_end(np.array(some), deviation) / deviation for some in (levels[-OF_ANCHOR:], coal))
+    limit = np.sqrt(_BELOW_COAL / OF_ANCHOR + _BELOW_COAL / len(coal))
+    return bool(lowest - limit <= end <= _UPPER + _HARDEST)
 
 
 def sizes_outside(diagnosis: Diagnosis) -> dict[str, float]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from typing import Any, Literal, NamedTuple
 
@@ -21,7 +21,7 @@ from cgid.errors import InvalidValue
 from cgid.identification.model.anchor import Anchor, Basis
 from cgid.identification.model.model import Model
 from cgid.identification.prediction.answers import Answer
-from cgid.identification.prediction.diagnosis import Change, Condition, Diagnosis
+from cgid.identification.prediction.diagnosis import OF_ANCHOR, Change, Condition, Diagnosis, fits_coal
 from cgid.identification.prediction.fraction import (
     NoConfusion,
     Share,
@@ -51,7 +51,7 @@ class Ground(StrEnum):
 
     SEEN = "seen"
     BLIND = "blind"  # samples are missing, constant, or far below the channel's own earlier noise
-    WRONG_SCALE = "wrong_scale"  # the levels are not those of the training
+    WRONG_SCALE = "wrong_scale"  # the levels are not those of the training, or of a mixture with the stated coal
     MOSTLY_UNKNOWN = "mostly_unknown"  # most impacts of the last minutes are unknown
     STOPPED = "stopped"  # no samples arrive
 
@@ -173,7 +173,7 @@ class CavingWatch:
             )
         answers = answers_of(model, gangue)
         # The seams of the simulation have coal and gangue; other labels may be anything.
-        seams = None if shares.trained_seam or gangue != ("gangue",) else model.seams
+        seams = self._seams = None if shares.trained_seam or gangue != ("gangue",) else model.seams
         if shares.coal_until is not None and seams is None and isinstance(answers, NoConfusion):
             raise InvalidValue(
                 "coal_until must be left out, this model does not know how often it errs for either label; train one "
@@ -244,6 +244,7 @@ class CavingWatch:
             self._is_new = True
             support = self._supports[answer.channel]
             support.window.add(answer.time, self._probability(answer), answer.pulse)
+            support.add_level(answer)
             if answer.label != UNKNOWN:
                 support.last_identified = answer.time
         if self._sensors is not None:
@@ -266,8 +267,13 @@ class CavingWatch:
             seen = np.fmax(np.nan_to_num(support.last_sound), np.nan_to_num(support.last_identified))
             if end - seen >= self._blind_after:
                 return Ground.BLIND, float(seen), self._sensors.why_blind(support.rows, self._channels)
-        conditions = self.diagnosis.conditions(name)
-        if Condition.WRONG_SCALE in conditions:
+        conditions, anchor = self.diagnosis.conditions(name), support.window.anchor
+        if self._seams is not None and anchor is not None and anchor.basis(end) in (Basis.PENDING, Basis.ANCHOR):
+            # A seam may be harder than the training, and its gangue harder still.
+            is_known = Condition.MOSTLY_UNKNOWN not in conditions
+            if is_known and not fits_coal(list(support.levels), anchor.levels, self.diagnosis.model):
+                return Ground.WRONG_SCALE, end, "the levels of its impacts do not fit the coal of this cycle"
+        elif Condition.WRONG_SCALE in conditions:
             return Ground.WRONG_SCALE, end, "the levels of its impacts are not those of the training"
         if Condition.MOSTLY_UNKNOWN in conditions:
             return Ground.MOSTLY_UNKNOWN, end, "most of its latest impacts are unknown"
@@ -291,6 +297,14 @@ class _Support:
     last_sound: float = float("nan")
     last_identified: float = float("nan")
     is_silent: bool = False
+    levels: deque[float] = field(default_factory=lambda: deque(maxlen=OF_ANCHOR))
+
+    def add_level(self, answer: Answer) -> None:
+        """Keep the level of an impact that was added to the window, if it has one."""
+        if math.isfinite(answer.level):
+            self.levels.append(answer.level)
+            if self.window.anchor is not None and answer.time <= self.window.anchor.until:
+                self.window.anchor.levels.append(answer.level)
 
     def at(self, share: Share, ground: Ground, since: float, reason: str) -> Iterator[Report]:
         """Yield the reports of the window that ends now."""
