@@ -24,6 +24,7 @@ from cgid import plots, shipped
 from cgid.identification.model import Model
 from cgid.identification.prediction import Answer, PredictionSettings
 from cgid.identification.prediction.fraction import Share, Switch
+from cgid.identification.prediction.settings import COST_EARLY
 from cgid.identification.prediction.stream import identify_blocks
 from cgid.identification.prediction.support import CavingWatch, Report
 from cgid.scene import Scene, load_scene, parse_scene, record
@@ -33,8 +34,8 @@ SEEDS = 900, 950, 910_000
 #: Highest of the constant shares; up to this one SHUT is false, as the limit is .5.
 HIGHEST, FALSE_UP_TO = 0.5, 0.3
 DURATION = 60.0
-#: Costs of drawn gangue for the operators' curve, in lost coal, and the evidence for SHUT.
-COSTS, EVIDENCES = (0.5, 1.0, 2.0, 4.0), (0.5, 0.8, 0.9, 0.95, 0.99)
+#: Costs of drawn gangue for the operators' curve, in lost coal, and of a second too early over one too late.
+COSTS, EARLY = (0.5, 1.0, 2.0, 4.0), (1.0, 3.0, 6.0, 12.0, 24.0)
 
 
 @dataclass(frozen=True)
@@ -132,12 +133,12 @@ def row(name: str, streams: list[Stream], shares: np.ndarray, model: Model) -> s
 
 def alarms(streams: list[Stream], shares: np.ndarray, model: Model) -> Iterator[str]:
     low, near = shares <= FALSE_UP_TO + 1e-9, (shares > FALSE_UP_TO + 1e-9) & (shares < 0.49)
-    yield f"| evidence | SHUT an hour, shares up to {FALSE_UP_TO:g} | shares of .33 to .44 |"
+    yield f"| early over late | SHUT an hour, shares up to {FALSE_UP_TO:g} | shares of .33 to .44 |"
     yield "|---|---|---|"
-    for evidence in EVIDENCES:
-        count = np.array([sum(turn.shut for turn in one.turns(model, evidence=evidence)) for one in streams])
+    for early in EARLY:
+        count = np.array([sum(turn.shut for turn in one.turns(model, cost_early=early)) for one in streams])
         rates = [3600 / DURATION * float(count[some].mean()) for some in (low, near)]
-        yield f"| {evidence:g} | {rates[0]:.0f} | {rates[1]:.0f} |"
+        yield f"| {early:g} | {rates[0]:.0f} | {rates[1]:.0f} |"
 
 
 def rising(model: Model, n: int, seed: int, picture: Path | None) -> Iterator[str]:
@@ -149,21 +150,19 @@ def rising(model: Model, n: int, seed: int, picture: Path | None) -> Iterator[st
     assert scene.stream is not None and scene.stream.mixture is not None
     times, rises = scene.stream.mixture.times, scene.stream.mixture.shares["gangue"]
     yield (
-        "| a drawn gangue costs | limit | evidence | true crossing [s] | SHUT, median [s] | delay, median (range) [s] "
-        "| SHUT too early | turns, mean |\n|---|---|---|---|---|---|---|---|"
+        "| a drawn gangue costs | limit | early over late | true crossing [s] | SHUT, median [s] "
+        "| delay, median (range) [s] | SHUT too early | turns, mean |\n|---|---|---|---|---|---|---|---|"
     )
     shut: dict[float, np.ndarray] = {}
     crossings = {}
-    for cost, evidence in [(1.0, evidence) for evidence in EVIDENCES] + [
-        (cost, PredictionSettings().shares.evidence) for cost in COSTS
-    ]:
+    for cost, early in [(1.0, early) for early in EARLY] + [(cost, COST_EARLY) for cost in COSTS]:
         limit = 1 / (1 + cost)
         crossing = crossings[cost] = float(np.interp(limit, rises, times))
-        turns = [stream.turns(model, dilution_cost=cost, evidence=evidence) for stream in streams]
+        turns = [stream.turns(model, dilution_cost=cost, cost_early=early) for stream in streams]
         first = shut[cost] = np.array([min([t.time for t in own if t.shut], default=DURATION) for own in turns])
         late = first - crossing
         yield (
-            f"| {cost:g} | {limit:.2f} | {evidence:g} | {crossing:.1f} | {np.median(first):.1f} | "
+            f"| {cost:g} | {limit:.2f} | {early:g} | {crossing:.1f} | {np.median(first):.1f} | "
             f"{np.median(late):+.1f} ({late.min():+.1f} to {late.max():+.1f}) | {int(np.sum(late < 0))} of {n} | "
             f"{np.mean([len(own) for own in turns]):.1f} |"
         )
