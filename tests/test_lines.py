@@ -197,7 +197,7 @@ def test_a_motor_that_runs_up_is_not_made_worse() -> None:
 def answers(samples: NDArray[np.floating], **fields: bool) -> tuple[Floats, list[str]]:
     """Return time and unexplained energy [%] of each impact, and the warnings."""
     model, found, lines = load_model("default-acceleration"), [], []
-    for step in identify_blocks([samples], RATE, model, ["1"], PredictionSettings(**fields)):
+    for step in identify_blocks([samples], RATE, model, ["1"], PredictionSettings(**{"lines": True, **fields})):
         found += [(answer.time, answer.unexplained) for answer in step.answers]
         lines += step.warnings
     return np.array(found), lines
@@ -214,7 +214,7 @@ def test_recordings_are_answered_without_their_lines() -> None:
         return int(np.sum(np.abs(found[:, 0] - alone[:, :1]).min(axis=1) > 1e-3))
 
     assert missed(out) == 0 < missed(kept)
-    for found, fields in ((out, {}), (kept, {"lines": False})):
+    for found, fields in ((out, {"lines": True}), (kept, {})):
         table = predict(samples[0], RATE, "m/s^2", **fields)
         np.testing.assert_array_equal(table["time_s"], found[:, 0])
 
@@ -224,7 +224,7 @@ def test_the_warning_names_the_channel_and_a_cure() -> None:
     samples = noise(40) + rings(n, 4.0)[0] + (np.arange(n) / RATE % 6 < 3) * tone(n, 297.0)
     (line,) = answers(samples[None])[1]
     assert line.startswith("signal: tones of a machine begin, end or move")
-    assert "--no-lines" in line
+    assert "leave out --lines" in line
     assert not answers(samples[None], lines=False)[1]
 
 

@@ -489,12 +489,9 @@ answering_options = _options(
     ),
     same_beam_option,
     click.option(
-        "--no-lines",
-        "lines",
+        "--lines",
         is_flag=True,
-        flag_value=False,
-        default=True,
-        help="Keep tones of machines, which are otherwise taken out of accelerations of a beam.",
+        help="Take tones of machines out of accelerations of a beam, whose own modes must not be as narrow.",
     ),
     click.option(
         "--window", "share_time", type=float, help="Set the window of the gangue fraction [s], by default 10."

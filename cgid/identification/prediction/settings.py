@@ -155,7 +155,7 @@ class PredictionSettings:
     mass: float | None = None
     invert: bool = False
     sensors: tuple[str, ...] = ()
-    lines: bool = True
+    lines: bool = False
     dead_time: float | None = None
     vote_time: float | None = None
     batch: int = BATCH

@@ -54,7 +54,7 @@ _NEVER_QUIET = (
 _QUIET_AGAIN = "there are quiet moments again"
 _UNSTEADY = (
     "tones of a machine begin, end or move too fast to be taken out in full, so the gangue fraction may be wrong while "
-    "they do; move the sensor away from the machine, or keep tones with --no-lines"
+    "they do; move the sensor away from the machine, or leave out --lines"
 )
 
 
