@@ -184,7 +184,8 @@ class PredictionSettings:
         for name, rule in RULES.items():
             if (value := getattr(self, name)) is not None:
                 validation.number(name, value, rule=rule)
-        require_costs(self.shares.cost_late, self.shares.cost_early)
+        if self.cost_late == 0:
+            require_costs(0, self.shares.cost_early)
         if self.costs and self.coverage is not None:
             raise InvalidValue("costs and coverage must not be given together; leave one out")
         if self.cycle_pause is not None and self.coal_until is None:
