@@ -149,6 +149,12 @@ def _rows(
     kind = kind_for(quantity_of(unit))
     found = found_impacts(recording, kind, reading, joint=not beams)
     events = list(compress(found, measurable(found, kind, sorted(rates))))
+    if not events and len(recording.channels) > 1:  # one bad channel is enough, and train can leave it out
+        warn(
+            f"{recording.source}: no impact can be measured on all channels together; name a sound one by --channel, "
+            "or in the column channel"
+        )
+        events = found
     if not events:
         raise BadData(
             f"{recording.source}: impacts must be long and clear enough to be measured at {recording.sampling_rate:g} "
