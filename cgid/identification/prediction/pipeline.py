@@ -170,10 +170,10 @@ def identify_recording(
     settings = replace(settings or PredictionSettings(), **fields)
     settings = replace(settings, same_beam=recording.named(settings.same_beam, "same_beam"))
     pipeline = Pipeline(model, recording.channels, recording.sampling_rate, settings, recording.source, recording.note)
-    yield from answers_of(pipeline, recording.blocks(gaps=True))
+    yield from answers_with_warnings(pipeline, recording.blocks(gaps=True))
 
 
-def answers_of(pipeline: Pipeline, blocks: Iterable[NDArray[Any]]) -> Iterator[Answer]:
+def answers_with_warnings(pipeline: Pipeline, blocks: Iterable[NDArray[Any]]) -> Iterator[Answer]:
     """Yield the answers of blocks in order of time; what is wrong with the channels is a `UserWarning`."""
 
     def warned(text: str) -> None:

@@ -17,7 +17,7 @@ from cgid._lib.validation import require_rate
 from cgid.errors import BadData, MissingOption
 from cgid.identification.model.model import Model
 from cgid.identification.prediction.answers import Answer
-from cgid.identification.prediction.pipeline import Pipeline, answers_of
+from cgid.identification.prediction.pipeline import Pipeline, answers_with_warnings
 from cgid.identification.prediction.settings import PredictionSettings
 from cgid.recordings import read_recording
 from cgid.recordings.chain import Chain, Statement
@@ -183,7 +183,7 @@ def predict(
         warned,
         watched=duration >= applied.blinded_after,  # for a shorter recording no channel is blind
     )
-    answers = list(answers_of(pipeline, [np.stack([signal.samples for signal in signals])]))
+    answers = list(answers_with_warnings(pipeline, [np.stack([signal.samples for signal in signals])]))
     return _table(answers, loaded, applied)
 
 
