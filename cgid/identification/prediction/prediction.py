@@ -194,10 +194,10 @@ def _measured(samples: Any, sampling_rate: float | None, unit: str | None, chain
     signals = _require_alike(listed, sampling_rate) if of_signals else _signals(samples, sampling_rate)
     if not of_signals and unit is None and chain == Chain():
         raise MissingOption("samples: an array has no unit; give it, as in unit='N' or unit='m/s^2'")
-    is_float = not of_signals and validation.plain("samples", samples).dtype.kind == "f"
-    if is_float and chain == Chain() and any(unit in units for units in UNITS.values()):
+    dtype = None if of_signals else validation.plain("samples", samples).dtype
+    if dtype is not None and dtype.kind == "f" and chain == Chain() and any(unit in units for units in UNITS.values()):
         return [replace(signal, unit=unit) for signal in signals]
-    largest = None if of_signals else full_scale_of(validation.plain("samples", samples).dtype)
+    largest = None if dtype is None else full_scale_of(dtype)
     contents = Blocks(
         n_channels=len(signals),
         read=lambda length, channels: iter(()),
