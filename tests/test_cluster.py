@@ -9,6 +9,7 @@ import re
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Iterator
 from contextlib import AbstractContextManager
@@ -19,6 +20,7 @@ import numpy as np
 import psutil
 import pytest
 from distributed import Client, LocalCluster
+from joblib.externals.loky.process_executor import _ExecutorManagerThread
 
 from cgid._lib import workers as cluster
 from cgid._lib.validation import positive
@@ -236,6 +238,30 @@ def test_ctrl_c_never_reaches_a_worker(each: str) -> None:
     with workers(2) as crew:
         assert all(signal.SIGINT in mask for mask in getattr(crew, each)(blocked, None, range(4)))
     assert signal.SIGINT not in signal.pthread_sigmask(signal.SIG_BLOCK, [])
+
+
+def test_shutdown_that_fails_in_the_executor_prints_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Loky's thread may look for a part that the shutdown has cancelled; any other error of a thread is printed."""
+    failed, printed = [], []
+    add = _ExecutorManagerThread.add_call_item_to_queue
+
+    def add_or_fail(thread: Any) -> None:
+        if thread.executor_flags.shutdown:
+            failed.append(thread)
+            raise KeyError(1)
+        add(thread)
+
+    monkeypatch.setattr(_ExecutorManagerThread, "add_call_item_to_queue", add_or_fail)
+    monkeypatch.setattr(threading, "excepthook", printed.append)
+    results = Workers(jobs=2).each(positive, "radius", range(1, 100))
+    assert next(results) == 1
+    results.close()
+    assert failed
+    assert not printed
+    thread = threading.Thread(target=dict[str, int]().__getitem__, args=("missing",))
+    thread.start()
+    thread.join()
+    assert len(printed) == 1
 
 
 @pytest.mark.long

@@ -84,6 +84,7 @@ class Workers:
         tasks = (joblib.delayed(_do)([versions, function, given, part]) for part in _until_failure(parts, failures))
         way = "generator" if ordered else "generator_unordered"
         results: Any = None
+        hook, threading.excepthook = threading.excepthook, _hook_for_executors(threading.excepthook)
         try:
             with _deaf_children():
                 results = joblib.Parallel(batch_size=1, return_as=way, **executor)(tasks)
@@ -100,6 +101,7 @@ class Workers:
                 warnings.simplefilter("ignore", UserWarning)  # joblib warns of cancelled work, which is intended
                 if results is not None:
                     results.close()
+            threading.excepthook = hook
 
     def _sent(self, common: Any) -> Any:
         """Return a reference to the common data for each part of a cluster's work."""
@@ -298,6 +300,17 @@ def _do(task: list[Any]) -> Any:
             signal.signal(number, signal.SIG_IGN)
     with joblib.parallel_config(backend="sequential"):  # a part is not itself spread over the cluster
         return function(common, part)
+
+
+def _hook_for_executors(hook: Callable[[Any], object]) -> Callable[[Any], object]:
+    """Return the hook without the traceback of loky's thread, which while shutting down looks for cancelled parts."""
+
+    def quiet(told: Any) -> None:
+        flags = getattr(told.thread, "executor_flags", None)  # None in any other thread
+        if not getattr(flags, "shutdown", False):
+            hook(told)
+
+    return quiet
 
 
 @contextmanager
