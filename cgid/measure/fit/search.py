@@ -39,7 +39,7 @@ _FAR, _MIN_COST_RISE = 0.5, 16.0
 
 
 @dataclass(frozen=True, eq=False)
-class Bank:
+class PulseBank:
     """Pulses of peak 1 in common coordinates."""
 
     # `peak_time`, `width`: of each node's peak and of its width (impulse over peak) in common coordinates, (n_nodes,)
@@ -62,7 +62,7 @@ class Bank:
 
 
 @cache
-def bank(with_baseline: bool = False) -> Bank:
+def bank(with_baseline: bool = False) -> PulseBank:
     """Return the bank from its file: making it takes longer than the fit of a few pulses."""
     with np.load(SHAPES_PATH, allow_pickle=False) as stored:
         peak_time, width, tangents = stored["place"], stored["width"], stored["tangents"]
@@ -71,7 +71,7 @@ def bank(with_baseline: bool = False) -> Bank:
         basis = np.concatenate([basis, np.ones((NODES.size, N_BINS, 1))], axis=2)
     products = np.einsum("kbi,kbj->bkij", basis, basis).reshape(N_BINS, -1)
     inverse = np.linalg.inv(products.sum(axis=0).reshape(NODES.size, *basis.shape[2:] * 2))
-    return Bank(peak_time, width, basis, products, inverse, tangents)
+    return PulseBank(peak_time, width, basis, products, inverse, tangents)
 
 
 @dataclass(frozen=True, eq=False)
@@ -303,7 +303,7 @@ def search(samples: Samples, peak_time: Floats, width: Floats, with_baseline: bo
     )
 
 
-def solve(shapes: Bank, bins: Bins) -> tuple[Floats, Floats]:
+def solve(shapes: PulseBank, bins: Bins) -> tuple[Floats, Floats]:
     """Return the least-squares solutions for all shapes, (n, n_nodes, n_free), and their squared residuals."""
     n, (n_nodes, _, n_free) = len(bins.values), shapes.basis.shape
     # Row by row: a result must not depend on the number of rows.
