@@ -16,7 +16,7 @@ from cgid._lib.validation import Floats, require_rate
 from cgid.errors import BadData, InvalidValue
 from cgid.measure.features.pulses import FAINT, PULSE_FEATURES, PulseBatch
 from cgid.measure.features.table import Feature, ImpactKind, Kind, Table
-from cgid.measure.features.vibration import VIBRATION_FEATURES, Beam, VibrationBatch
+from cgid.measure.features.vibration import VIBRATION_FEATURES, BeamInversion, VibrationBatch
 from cgid.measure.features.windows import WINDOW_FEATURES, WindowBatch
 from cgid.measure.filters import Equalisation
 from cgid.measure.frames import DETECTION_LIMIT, Problem, frames_of
@@ -212,7 +212,7 @@ def extract_array(
     invalid: Literal["raise", "nan"] = "raise",
     detection_limit: float = DETECTION_LIMIT,
     equalisation: Equalisation | None = None,
-    beam: Beam | None = None,
+    beam: BeamInversion | None = None,
 ) -> Floats:
     """Return features as a plain array (n_signals, n_features), without pandas; otherwise as `extract`."""
     # `equalisation` corrects the sensor's response first; it does not apply to pulses. With several sensors on `beam`,
@@ -242,7 +242,11 @@ def extract_array(
 
 
 def require_measurable(
-    names: Iterable[str], sampling_rate: float, n_samples: int, equalisation: Equalisation | None, beam: Beam | None
+    names: Iterable[str],
+    sampling_rate: float,
+    n_samples: int,
+    equalisation: Equalisation | None,
+    beam: BeamInversion | None,
 ) -> None:
     """Raise `InvalidValue` unless features can be measured at a rate [Hz] on frames, equalised and through a beam."""
     names = tuple(names)
@@ -266,7 +270,7 @@ def measured(
     remove_baseline: bool = True,
     detection_limit: float = DETECTION_LIMIT,
     equalisation: Equalisation | None = None,
-    beam: Beam | None = None,
+    beam: BeamInversion | None = None,
     channel: NDArray[np.intp] | None = None,
 ) -> tuple[Floats, dict[int, Problem]]:
     """Return the features of checked frames, nan where a signal cannot be measured, and a dict of signal -> problem."""
@@ -339,7 +343,7 @@ def _batches(
     pre_trigger: int | None,
     remove_baseline: bool,
     detection_limit: float,
-    beam: Beam | None,
+    beam: BeamInversion | None,
 ) -> Batches:
     if all(feature.beam for feature in features):
         detection_limit = max(detection_limit - BEAM_LEAD, 0.0)

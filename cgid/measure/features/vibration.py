@@ -55,7 +55,7 @@ STRONG_SHARE = 0.9
 EARLY_BANDS = ((0, 500), (500, 1000), (1000, 2000), (2000, 4000), (4000, 8000))
 
 
-class Beam(Protocol):
+class BeamInversion(Protocol):
     """A beam whose modes are known: `cgid.identification.inversion.through_beam.ThroughBeam`."""
 
     @property
@@ -73,7 +73,7 @@ class VibrationBatch(Frames):
     # Without `pre_trigger`, each row is quiet up to well before it first leaves its initial level.
 
     #: The beam that vibrates, for the features that need it.
-    beam: Beam | None = None
+    beam: BeamInversion | None = None
     #: Channel of the recording of each impact, in order of time within each channel; None without a recording.
     channel: NDArray[np.intp] | None = None
 
