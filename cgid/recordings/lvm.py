@@ -20,7 +20,7 @@ from cgid._lib.terminal import counted
 from cgid.errors import BadData
 from cgid.recordings.recording import MAX_CHANNELS, RATE_TOLERANCE, Blocks, Remark
 from cgid.recordings.text import Body, Piece, assembled, encoding_and_end, n_lines, whole_lines
-from cgid.recordings.text_layout import NUMBER, Column, Header, Layout, stamped_moment
+from cgid.recordings.text_layout import NUMBER, ColumnHeader, Header, Layout, stamped_moment
 
 _END_OF_HEAD = "***End_of_Header***"
 _SEPARATORS = {"tab": "\t", "comma": ",", "semicolon": ";", "space": " "}
@@ -54,8 +54,8 @@ def read_lvm(path: Path, source: str, variable: str | None) -> Blocks:
     if rate is None and not x:
         shown = first.field("Delta_X", channels[0])
         warnings.append(Remark(f"Delta_X {shown[:40]!r} has too few digits for a sampling rate to 0.1 %"))
-    columns = [Column(name="time", unit="s")] * len(x)
-    columns += [Column(name=first.label(one), unit=first.field("Y_Unit_Label", one)) for one in channels]
+    columns = [ColumnHeader(name="time", unit="s")] * len(x)
+    columns += [ColumnHeader(name=first.label(one), unit=first.field("Y_Unit_Label", one)) for one in channels]
     layout = Layout(
         delimiter=first.separator,
         n_columns=len(columns),

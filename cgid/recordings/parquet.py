@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from cgid.errors import BadData
 from cgid.recordings.recording import Blocks, Remark, library, library_errors
-from cgid.recordings.text_layout import Column, column_of
+from cgid.recordings.text_layout import ColumnHeader, column_of
 from cgid.recordings.variables import Value, Variable, contents_of, full_scale_of
 from cgid.units import seconds_of
 
@@ -66,10 +66,10 @@ def read_parquet(path: Path, source: str) -> Blocks:
     return replace(blocks, read=read, start_time=blocks.start_time or start[0])
 
 
-def _variable(file: _Parquet, name: str, kind: str, values: dict[str, Value], column: Column) -> Variable:
+def _variable(file: _Parquet, name: str, kind: str, values: dict[str, Value], column: ColumnHeader) -> Variable:
     is_number = kind == "number"
     if not is_number:
-        column = Column(unit="s")
+        column = ColumnHeader(unit="s")
     is_time = column.is_named_time or (not column.name and column.has_time_unit)
     return Variable(
         name="time" if is_time else column.name or column.unit,

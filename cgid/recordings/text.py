@@ -29,7 +29,7 @@ from cgid.recordings.recording import (
 from cgid.recordings.text_layout import (
     MIXED,
     SNIFFED,
-    Column,
+    ColumnHeader,
     Header,
     Layout,
     column_of,
@@ -505,7 +505,7 @@ def _for_each(stated: tuple[str, ...], n_channels: int) -> Sequence[str]:
     return stated * n_channels if len(stated) == 1 else stated if len(stated) == n_channels else ()
 
 
-def time_columns(columns: tuple[Column, ...], rows: Floats) -> list[int]:
+def time_columns(columns: tuple[ColumnHeader, ...], rows: Floats) -> list[int]:
     """Return the indices of the time columns, of which the first one counts; `rows` are (n_samples, n_columns)."""
     # Named for time, else in a unit of time; without a header, the first of several if it increases in even steps.
     # Others named for time count, too, if they do so: some programs write one for each channel.
@@ -522,13 +522,13 @@ def time_columns(columns: tuple[Column, ...], rows: Floats) -> list[int]:
     return [0] if is_time else []
 
 
-def _factor(columns: tuple[Column, ...], at: int, body: Body) -> float:
+def _factor(columns: tuple[ColumnHeader, ...], at: int, body: Body) -> float:
     """Return the factor from a time column to seconds; stamps are in seconds already."""
     return 1.0 if at == body.layout.stamp or not columns else seconds(columns[at].unit, body.source)
 
 
 def _measured_rate(
-    columns: tuple[Column, ...], times: Sequence[int], rows: Floats, last: Floats | None, body: Body
+    columns: tuple[ColumnHeader, ...], times: Sequence[int], rows: Floats, last: Floats | None, body: Body
 ) -> float:
     """Return the sampling rate [Hz] of the time columns, which must agree."""
     rates = []

@@ -325,7 +325,7 @@ _MAX_NAME_LENGTH = 200
 
 
 @dataclass(frozen=True, kw_only=True)
-class Column:
+class ColumnHeader:
     """Name and unit of a column from its header, "" if missing."""
 
     name: str = ""
@@ -351,7 +351,7 @@ class Column:
 class Header:
     """Metadata above the numbers; no columns if no line has as many fields as the rows."""
 
-    columns: tuple[Column, ...] = ()
+    columns: tuple[ColumnHeader, ...] = ()
     sampling_rates: tuple[float, ...] = ()
     unit: str | None = None
     start_time: datetime | None = None
@@ -375,23 +375,23 @@ def stated_chain(line: str) -> tuple[str, tuple[str, ...]] | None:
     return ("sensitivities", tuple(values)) if is_whole else None
 
 
-def column_of(text: str) -> Column:
+def column_of(text: str) -> ColumnHeader:
     """Return name and unit of a field of a header."""
     text = " ".join(text.translate(_SAME).strip("\"' \t\r\n").split())
     if len(text) > _MAX_NAME_LENGTH:
-        return Column(name=text[:_MAX_NAME_LENGTH])
+        return ColumnHeader(name=text[:_MAX_NAME_LENGTH])
     if text in KNOWN_UNITS or _is_time_unit(text):
-        return Column(unit=text)
+        return ColumnHeader(unit=text)
     if match := _IN_BRACKETS.fullmatch(text):
-        return Column(name=match[1].rstrip(" /_"), unit=match[2].strip())
+        return ColumnHeader(name=match[1].rstrip(" /_"), unit=match[2].strip())
     for mark in "/_ ":
         # Units contain slashes, names rarely do: split at the first slash, but at the last underscore or blank.
         name, _, unit = text.partition(mark) if mark == "/" else text.rpartition(mark)
         name, unit = name.strip(), unit.strip()
         is_time = _is_time_unit(unit) and _TIME_NAME.match(name)
         if any(character.isalpha() for character in name) and (unit in KNOWN_UNITS or is_time):
-            return Column(name=name, unit=unit)
-    return Column(name=text)
+            return ColumnHeader(name=name, unit=unit)
+    return ColumnHeader(name=text)
 
 
 def read_header(lines: Iterable[str], layout: Layout) -> Header:
@@ -399,8 +399,8 @@ def read_header(lines: Iterable[str], layout: Layout) -> Header:
     # The last line with as many fields as the rows names the columns; a known unit or a name for time is preferred. A
     # line of units may follow.
     header = Header()
-    best: tuple[Column, ...] = ()
-    before: tuple[Column, ...] = ()
+    best: tuple[ColumnHeader, ...] = ()
+    before: tuple[ColumnHeader, ...] = ()
     fields: list[str] = []
     for written in lines:
         line = written.translate(_SAME)
@@ -455,7 +455,7 @@ def _stated_rate(comment: str) -> float | None:
     return None
 
 
-def _columns(line: str, layout: Layout) -> tuple[Column, ...]:
+def _columns(line: str, layout: Layout) -> tuple[ColumnHeader, ...]:
     text = re.sub(r"^\s*(?:#+|%+|//+)", "", line).strip(" \r\n")
     if text.startswith(";") and text.count(";") != layout.n_columns - 1:
         text = text.lstrip("; ")
@@ -485,7 +485,7 @@ def _divisions(text: str, layout: Layout) -> Iterator[list[str]]:
         yield re.findall(r'"[^"]*"|\S+', text)
 
 
-def _under(names: tuple[Column, ...], units: tuple[Column, ...]) -> tuple[Column, ...]:
+def _under(names: tuple[ColumnHeader, ...], units: tuple[ColumnHeader, ...]) -> tuple[ColumnHeader, ...]:
     # Written out ("Volt") or unknown, a unit looks like a name.
     is_units = all(not one.name for one in units) or (
         all(not one.name or not (one.unit or one.is_named_time) for one in units)
@@ -494,8 +494,8 @@ def _under(names: tuple[Column, ...], units: tuple[Column, ...]) -> tuple[Column
     if not names or not is_units:
         return units
     pairs = zip(names, units, strict=True)
-    return tuple(Column(name=name.name, unit=unit.unit or unit.name or name.unit) for name, unit in pairs)
+    return tuple(ColumnHeader(name=name.name, unit=unit.unit or unit.name or name.unit) for name, unit in pairs)
 
 
-def _has_unit_or_time(columns: tuple[Column, ...]) -> bool:
+def _has_unit_or_time(columns: tuple[ColumnHeader, ...]) -> bool:
     return any(column.is_named_time or column.known_unit or column.has_time_unit for column in columns)
