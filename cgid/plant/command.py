@@ -26,7 +26,7 @@ N_RESERVED = 10
 
 
 @dataclass
-class Command:
+class EventCommand:
     """The command of one option, and its counts."""
 
     option: str
@@ -36,7 +36,7 @@ class Command:
     dropped: int = 0
 
     @classmethod
-    def of(cls, option: str, text: str) -> Command:
+    def of(cls, option: str, text: str) -> EventCommand:
         """Return the command of a line; raises `InvalidValue`."""
         try:
             words = shlex.split(text, posix=os.name != "nt")
@@ -74,7 +74,7 @@ class Commands(Output):
     def __init__(self, lines: Mapping[str, str], plant: PlantState, warn: Callable[[str], None]) -> None:
         super().__init__("commands", warn)
         self._plant, self._longest = plant, MAX_RUN_TIME
-        self._commands = {kind: Command.of(f"--on-{kind}", line) for kind, line in lines.items()}
+        self._commands = {kind: EventCommand.of(f"--on-{kind}", line) for kind, line in lines.items()}
         self._turns: dict[str, _Turn] = {}  # those that wait, by channel
         self._running: set[str] = set()
         self._blind: set[str] = set()
