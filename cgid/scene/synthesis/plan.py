@@ -67,7 +67,7 @@ _MIN_AUDIBLE = 0.1
 _MAX_LISTED = 13
 
 
-class Decision(NamedTuple):
+class StageDecision(NamedTuple):
     """Whether a stage runs, and why."""
 
     runs: bool
@@ -97,27 +97,27 @@ class Plan:
     features: tuple[str, ...] = ()
     quantities: tuple[str, ...] = STORED
     dtype: Literal["float32", "float64"] = "float32"
-    _decided: dict[str, Decision] = field(default_factory=dict, init=False, repr=False)
+    _decided: dict[str, StageDecision] = field(default_factory=dict, init=False, repr=False)
 
     def __repr__(self) -> str:
         running = ", ".join(stage for stage, decision in self.decisions.items() if decision.runs)
         return f"Plan({self.kind} of scene {self.scene.name!r}: {running})"
 
     @cached_property
-    def decisions(self) -> dict[str, Decision]:
+    def decisions(self) -> dict[str, StageDecision]:
         """The decision for each stage, in processing order: whether it runs, why, and the error of what is omitted."""
         return {stage: self._decision(stage) for stage in STAGES}
 
-    def _decision(self, stage: str) -> Decision:
+    def _decision(self, stage: str) -> StageDecision:
         """Return the decision for a stage, made once."""
         if stage not in self._decided:
             needs, decide = STAGES[stage]
             lacking = next(
                 (otherwise for has, otherwise in (_NEEDS[need] for need in needs.split()) if not has(self)), None
             )
-            outcome = Decision(False, lacking) if lacking else decide(self)
+            outcome = StageDecision(False, lacking) if lacking else decide(self)
             self._decided[stage] = (
-                outcome if isinstance(outcome, Decision) else Decision(bool(outcome), outcome or "off")
+                outcome if isinstance(outcome, StageDecision) else StageDecision(bool(outcome), outcome or "off")
             )
         return self._decided[stage]
 
@@ -339,46 +339,46 @@ def _damps_beyond(scene: Scene) -> bool:
     return bool(delivered < MIN_RESTITUTION)
 
 
-def _gravity(plan: Plan) -> str | Decision:
+def _gravity(plan: Plan) -> str | StageDecision:
     section = plan.scene.impact
     if section.gravity is None:
         return ""
     bound, limit = largest_error(section, plan.scene.body, plan.scene.populations), tolerance_of(section)
     if bound <= limit:
-        return Decision(False, f"2.4 g L / (v^2 e) is at most {bound:.2g}, the tolerance {limit:g}", bound)
+        return StageDecision(False, f"2.4 g L / (v^2 e) is at most {bound:.2g}, the tolerance {limit:g}", bound)
     if np.isinf(bound):
         return "no bound is known on a thin plate"
-    return Decision(True, f"for each impact with 2.4 g L / (v^2 e) above {limit:g}", limit)
+    return StageDecision(True, f"for each impact with 2.4 g L / (v^2 e) above {limit:g}", limit)
 
 
-def _coupling(plan: Plan) -> str | Decision:
+def _coupling(plan: Plan) -> str | StageDecision:
     beam = plan.scene.tail_beam
     if beam is None:
-        return Decision(False, "the scene has no tail beam")
+        return StageDecision(False, "the scene has no tail beam")
     if beam.coupling == "impedance":
-        return Decision(False, "coupling impedance: the beam as an infinite plate")
+        return StageDecision(False, "coupling impedance: the beam as an infinite plate")
     if beam.modes is not None:
         return "every impact through the modes: a table of modes has no impedance"
     if beam.coupling == "modes":
         return "coupling modes: every impact through them"
     why = "coupling auto: through the modes if waves return from an edge during contact and lambda is above "
-    return Decision(True, f"{why}{NEGLIGIBLE_ECHO:g}, else as an endless plate", NEGLIGIBLE_ECHO)
+    return StageDecision(True, f"{why}{NEGLIGIBLE_ECHO:g}, else as an endless plate", NEGLIGIBLE_ECHO)
 
 
-def _rebounds(plan: Plan) -> str | Decision:
+def _rebounds(plan: Plan) -> str | StageDecision:
     stream = plan.scene.stream
     assert stream is not None
     if stream.rebounds is None:
-        return Decision(False, "off: no rock bounces")
+        return StageDecision(False, "off: no rock bounces")
     return f"by formula, {stream.rebounds.most} rebounds at most, none slower than {stream.rebounds.least_speed:g} m/s"
 
 
-def _tail_beam(plan: Plan) -> Decision:
+def _tail_beam(plan: Plan) -> StageDecision:
     scene = plan.scene
     if scene.tail_beam is None:
-        return Decision(False, "the scene has none")
+        return StageDecision(False, "the scene has none")
     if scene.sensor.quantity == "force":
-        return Decision(False, "the sensor measures the force: no modes")
+        return StageDecision(False, "the sensor measures the force: no modes")
     if scene.tail_beam.modes is not None:
         modes = f"the {len(scene.tail_beam.modes)} modes of the table"
     else:
@@ -389,22 +389,22 @@ def _tail_beam(plan: Plan) -> Decision:
         modes = f"about {number} modes up to {highest:.3g} Hz, none further beyond the band"
     gain = "" if scene.sensor.gain is None else f" times {scene.sensor.gain:g}"
     why = f"{scene.sensor.quantity}{gain}: {modes}; those negligible at the sensor are omitted"
-    return Decision(True, why, RESPONSE_TOLERANCE)
+    return StageDecision(True, why, RESPONSE_TOLERANCE)
 
 
-def _sensor_chain(plan: Plan) -> str | Decision:
+def _sensor_chain(plan: Plan) -> str | StageDecision:
     sensor = plan.scene.sensor
     if plan.scene.draws("anti_alias_frequency"):
         mounting = "" if sensor.mounting is None else f"mounting {sensor.mounting.frequency:g} Hz, "
-        return Decision(True, f"{mounting}anti-alias drawn for each block", RESPONSE_TOLERANCE)
+        return StageDecision(True, f"{mounting}anti-alias drawn for each block", RESPONSE_TOLERANCE)
     if not sensor.filters:
         return ""
     parts = {"mounting": sensor.mounting, "anti-alias": sensor.anti_alias}
     on = ", ".join(f"{name} {part.frequency:g} Hz" for name, part in parts.items() if part is not None)
-    return Decision(True, f"{on}: {sum(part.poles.size for part in sensor.filters)} poles", RESPONSE_TOLERANCE)
+    return StageDecision(True, f"{on}: {sum(part.poles.size for part in sensor.filters)} poles", RESPONSE_TOLERANCE)
 
 
-def _frame_remainder(plan: Plan) -> str | Decision:
+def _frame_remainder(plan: Plan) -> str | StageDecision:
     scene, sensor = plan.scene, plan.scene.sensor
     if plan.kept:
         return "complete signals are requested"
@@ -424,7 +424,7 @@ def _frame_remainder(plan: Plan) -> str | Decision:
         return f"for each block whose {' or '.join(drawn)} needs it"
     if sensor.relative_noise * FAINT > 1 and not scene.draws("relative_noise"):
         return f"a pulse below {FAINT:g} times the noise is searched in the complete frame"
-    return Decision(False, "no requested feature needs it; made for signals for which this is not certain")
+    return StageDecision(False, "no requested feature needs it; made for signals for which this is not certain")
 
 
 def _bandwidth(plan: Plan) -> str:
@@ -468,10 +468,10 @@ def _digitising(plan: Plan) -> str:
     return ", ".join(on + [f"{' and '.join(drawn)} drawn for each block"] * bool(drawn))
 
 
-def _measuring(plan: Plan) -> str | Decision:
+def _measuring(plan: Plan) -> str | StageDecision:
     names = plan.features
     if not names:
-        return Decision(False, "no features are requested")
+        return StageDecision(False, "no features are requested")
     listed = ", ".join(names) if len(names) <= _MAX_LISTED else f"{names[0]} to {names[-1]}, {len(names)} of them"
     fitted = "a fit" if any(FEATURES[name].fitted for name in names) else "no fit"
     spectral = any(FEATURES[name].spectral for name in names if FEATURES[name].kind == "pulse")
@@ -488,7 +488,7 @@ _NEEDS: Mapping[str, tuple[Callable[[Plan], bool], str]] = {
     "recordings": (lambda plan: plan.kind == "recordings", "no recordings are requested"),
 }
 #: Every stage in processing order: its requirements, and whether a scene has it, and why (only a text: yes; none: off).
-STAGES: Mapping[str, tuple[str, Callable[[Plan], str | Decision]]] = {
+STAGES: Mapping[str, tuple[str, Callable[[Plan], str | StageDecision]]] = {
     "arrivals": ("stream recordings", _arrivals),
     "impacts": ("rocks results", _impacts),
     "gravity": ("rocks results", _gravity),
@@ -497,7 +497,7 @@ STAGES: Mapping[str, tuple[str, Callable[[Plan], str | Decision]]] = {
     "pulses": ("signals rocks", lambda _: "samples in contact only"),
     "taps": (
         "signals",
-        lambda plan: "samples in contact only" if plan.scene.taps else Decision(False, "the scene has none"),
+        lambda plan: "samples in contact only" if plan.scene.taps else StageDecision(False, "the scene has none"),
     ),
     "second hits": (
         "signals",
