@@ -15,7 +15,7 @@ from cgid.units import UNITS
 
 if TYPE_CHECKING:
     from cgid.identification.model import Model
-    from cgid.identification.prediction.diagnosis import Finding
+    from cgid.identification.prediction.diagnosis import ChannelFinding
 
 #: The shipped scene with a beam, and its sampling rate [Hz], which recordings for its calibration must have.
 SCENE, SCENE_RATE = "tail_beam", 25_600.0
@@ -58,7 +58,7 @@ class Hints(Diagnosis):
         """Return one line on levels that differ from those of the training by a factor."""
         return scale_warning(factor, self.model)
 
-    def _hint(self, finding: Finding) -> Hint:
+    def _hint(self, finding: ChannelFinding) -> Hint:
         commands, instead = self._steps(finding)
         reason, advice = self._words(finding, bool(commands or instead))
         where = (
@@ -77,7 +77,7 @@ class Hints(Diagnosis):
 
     # -- texts ----------------------------------------------------------------------------------------
 
-    def _words(self, finding: Finding, has_steps: bool) -> tuple[str, str]:
+    def _words(self, finding: ChannelFinding, has_steps: bool) -> tuple[str, str]:
         """Return reason and advice."""
         import tomllib
 
@@ -119,7 +119,7 @@ class Hints(Diagnosis):
 
     # -- steps ----------------------------------------------------------------------------------------
 
-    def _steps(self, finding: Finding) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    def _steps(self, finding: ChannelFinding) -> tuple[tuple[str, ...], tuple[str, ...]]:
         """Return the next steps, and alternatives."""
         ways: list[tuple[str, ...]]
         match finding.cause:

@@ -1,8 +1,8 @@
 """Why most impacts of a recording are unknown, whether its beam has changed, and whether its scale is wrong.
 
-A `Diagnosis` counts the predictions of a recording by channel and cause; its `Finding` is the cause of most unknown
-predictions. `cgid.cli.hints` suggests what to do. A model with a beam also detects changes of the beam that are too
-small for single impacts: with the right modes, half of the impacts have almost no unexplained energy.
+A `Diagnosis` counts the predictions of a recording by channel and cause; its `ChannelFinding` is the cause of most
+unknown predictions. `cgid.cli.hints` suggests what to do. A model with a beam also detects changes of the beam that are
+too small for single impacts: with the right modes, half of the impacts have almost no unexplained energy.
 """
 
 from __future__ import annotations
@@ -335,7 +335,7 @@ class Change(NamedTuple):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Finding:
+class ChannelFinding:
     """Why most answers of some channels are unknown, or how their beam has changed."""
 
     # `value` is a median over the examples, for a changed beam the part that the latest `n_latest` impacts leave
@@ -452,7 +452,7 @@ class Diagnosis:
         """Return whether a beam that had changed still leaves more of the latest impacts unexplained."""
         return float(np.median(list(channel.unexplained)[-_LATEST[0] :])) > self._limit
 
-    def findings(self, names: Iterable[str] | None = None) -> list[Finding]:
+    def findings(self, names: Iterable[str] | None = None) -> list[ChannelFinding]:
         """Return the causes, with the channels of each that are upside down, mostly unknown, or of a changed beam."""
         changed, causes = self._changed(), dict[CauseKind, list[str]]()
         for name in self.channels if names is None else sorted(self.channels.keys() & set(names)):
@@ -475,14 +475,14 @@ class Diagnosis:
             for cause, names in causes.items()
         ]
 
-    def _finding(self, cause: CauseKind, names: Sequence[str]) -> Finding:
+    def _finding(self, cause: CauseKind, names: Sequence[str]) -> ChannelFinding:
         affected = [self.channels[name] for name in names]
         examples = [one.cause for channel in affected for one in channel.examples.get(cause, ()) if one.cause]
         problem = sum((channel.problems for channel in affected), Counter[str]()).most_common(1)
         name = Counter(one.name for one in examples).most_common(1)[0][0] if examples else ""
         if cause is CauseKind.FEATURES:  # of several inputs, the one that is most often the cause
             examples = [one for one in examples if one.name == name]
-        return Finding(
+        return ChannelFinding(
             cause=cause,
             **self._counts(names),
             value=float(np.median([one.value for one in examples])) if examples else float("nan"),
@@ -492,11 +492,11 @@ class Diagnosis:
             problem=problem[0][0] if problem else "",
         )
 
-    def _change(self, changed: Mapping[str, list[float]]) -> Finding:
+    def _change(self, changed: Mapping[str, list[float]]) -> ChannelFinding:
         """Return the finding of channels whose beam is no longer that of the model."""
         latest = np.concatenate(list(changed.values()))
         counts = self._counts(changed)
-        return Finding(cause=CauseKind.BEAM, **counts, value=float(np.median(latest)), n_latest=len(latest))
+        return ChannelFinding(cause=CauseKind.BEAM, **counts, value=float(np.median(latest)), n_latest=len(latest))
 
     def _counts(self, affected: Iterable[str]) -> dict[str, Any]:
         names = tuple(affected)
