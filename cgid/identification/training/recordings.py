@@ -341,7 +341,7 @@ def record(
     references = reference_spectra(runs, files[0], slicing.window_time)
     unit = files[0].unit if model is None else model.unit
     cutting = _Cutting(names, slicing, unit, equalisations_of(references), augment, model)
-    measured: list[tuple[AnnotatedFile, list[Piece]]] = []
+    measured: list[tuple[AnnotatedFile, list[AnnotatedRows]]] = []
     for file in files:
         try:
             measured.append((file, list(_pieces(file, cutting, progress))))
@@ -404,7 +404,7 @@ def _silence(files: Sequence[AnnotatedFile], slicing: Slicing) -> Silence:
     return silence
 
 
-def _joined(measured: Sequence[tuple[AnnotatedFile, list[Piece]]], cutting: _Cutting) -> Rows:
+def _joined(measured: Sequence[tuple[AnnotatedFile, list[AnnotatedRows]]], cutting: _Cutting) -> Rows:
     """Return the complete rows of all files, and warnings of the damage of files and of annotations without a row."""
     recordings = [file.recording for file, _ in measured]
     pieces = [piece for _, parts in measured for piece in parts]
@@ -550,7 +550,7 @@ class _Cutting:
         return self.beams[rows.index(channel) % len(self.beams)]
 
 
-class Piece(NamedTuple):
+class AnnotatedRows(NamedTuple):
     """Some rows of an annotation: times, features, power over that of added noise [dB], and the channel of impacts."""
 
     annotation: Annotation
@@ -565,14 +565,16 @@ class Piece(NamedTuple):
         return len(self.times)
 
 
-def _pieces(file: AnnotatedFile, cutting: _Cutting, progress: Callable[[int], object] | None) -> Iterator[Piece]:
+def _pieces(
+    file: AnnotatedFile, cutting: _Cutting, progress: Callable[[int], object] | None
+) -> Iterator[AnnotatedRows]:
     for piece in (_windows if cutting.slicing.by == "window" else _impacts)(file, cutting):
         yield piece
         if progress is not None:
             progress(int(np.sum(piece.snr == np.inf)))
 
 
-def _windows(file: AnnotatedFile, cutting: _Cutting) -> Iterator[Piece]:
+def _windows(file: AnnotatedFile, cutting: _Cutting) -> Iterator[AnnotatedRows]:
     """Yield annotation, times and features of the windows completely inside annotated intervals."""
     rate, slicing = file.recording.sampling_rate, cutting.slicing
     for annotation, blocks in annotated_blocks(file, cutting.unit):
@@ -581,13 +583,13 @@ def _windows(file: AnnotatedFile, cutting: _Cutting) -> Iterator[Piece]:
         for first, windows in windows_of(blocks, rate, slicing.window_time, slicing.hop_time):
             times = annotation.start + first / rate
             features = measure_windows(windows, rate, cutting.names, equalisation)
-            yield Piece(annotation, times, features, np.full(len(times), np.inf))
+            yield AnnotatedRows(annotation, times, features, np.full(len(times), np.inf))
             for time, (snr, noisy) in zip(times, copies.of(windows) if cutting.augment else (), strict=False):
                 features = measure_windows(noisy, rate, cutting.names, equalisation)
-                yield Piece(annotation, np.full(len(snr), time), features, snr)
+                yield AnnotatedRows(annotation, np.full(len(snr), time), features, snr)
 
 
-def _impacts(file: AnnotatedFile, cutting: _Cutting) -> Iterator[Piece]:
+def _impacts(file: AnnotatedFile, cutting: _Cutting) -> Iterator[AnnotatedRows]:
     """Yield annotation, times and features of the impacts in annotated intervals; the detector gets all samples."""
     # As in prediction, channels are separate sensors: an impact gives a row for each channel that measures it, or one
     # for those of a beam.
@@ -606,7 +608,7 @@ def _impacts(file: AnnotatedFile, cutting: _Cutting) -> Iterator[Piece]:
         pieces = _measured_events(detector.finish() if block is None else detector.feed(sign * block), file, cutting)
         if not file.is_grouped:
             for annotation, channel, times, features in pieces:
-                yield Piece(annotation, times, features, np.full(len(times), np.inf), names[channel])
+                yield AnnotatedRows(annotation, times, features, np.full(len(times), np.inf), names[channel])
             continue
         parts = [
             _Part(channel, round(time * recording.sampling_rate), annotation, time, row)
@@ -617,7 +619,7 @@ def _impacts(file: AnnotatedFile, cutting: _Cutting) -> Iterator[Piece]:
         for rock in rocks.feed(sorted(parts, key=lambda part: part.onset), known_until):
             rows = next(rows for rows in file.groups if rock[0].channel in rows)
             features, name = _of_rock(rock, cutting.names)[None], "+".join(names[row] for row in rows)
-            yield Piece(rock[0].annotation, np.array([rock[0].time]), features, np.array([np.inf]), name)
+            yield AnnotatedRows(rock[0].annotation, np.array([rock[0].time]), features, np.array([np.inf]), name)
 
 
 class _Part(NamedTuple):
