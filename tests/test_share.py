@@ -30,7 +30,7 @@ from cgid.identification.prediction.fraction import (
     trained_share,
 )
 from cgid.identification.prediction.prediction import Answer, PredictionSettings
-from cgid.identification.prediction.support import CavingWatch, Decision, Ground, Report
+from cgid.identification.prediction.support import CavingWatch, Decision, Ground, SupportReport
 from cgid.recordings.soundness import SensorWatch
 from tests.test_anchor import PULSE, networks
 
@@ -393,9 +393,9 @@ def answer(time: float, channel: str = "1", gangue: float = 0.3, novelty: float 
     return Answer(time=time, channel=channel, novelty=novelty, probabilities=probabilities, label=label)
 
 
-def reported(answers: list[Answer], untils: list[float], **settings: float) -> list[Report]:
+def reported(answers: list[Answer], untils: list[float], **settings: float) -> list[SupportReport]:
     watch = CavingWatch(MODEL, ["1", "2"], PredictionSettings(**settings))
-    told: list[Report] = []
+    told: list[SupportReport] = []
     for last, until in zip([-1.0, *untils], untils, strict=False):
         told += watch.feed([one for one in answers if last < one.time <= until], until)
     return told + watch.finish(untils[-1])
@@ -475,7 +475,7 @@ def test_a_dead_sensor_is_blind_after_five_seconds_until_its_samples_are_sound(l
     waiting = sorted(
         flow(rng, 0, 20, 0.95) + flow(rng, 41, 60, 0.95) + flow(rng, 0, 60, 0.05, "2"), key=lambda one: one.time
     )
-    reports: list[Report] = []
+    reports: list[SupportReport] = []
     for first in range(0, 60_000, length):
         sensors.feed(samples[:, first : first + length])
         until = min(first + length, 60_000) / rate

@@ -25,7 +25,7 @@ from cgid import load_model
 from cgid.identification.model import Model
 from cgid.identification.prediction import Answer, PredictionSettings
 from cgid.identification.prediction.stream import identify_blocks
-from cgid.identification.prediction.support import CavingWatch, Report
+from cgid.identification.prediction.support import CavingWatch, SupportReport
 
 Floats = NDArray[np.float64]
 G = 9.80665
@@ -198,7 +198,7 @@ class Found:
     """What the package said of a stream: answers, reports, warnings, and its processor time [s]."""
 
     answers: list[Answer]
-    reports: list[Report]
+    reports: list[SupportReport]
     lines: list[str]
     cost: float
 

@@ -26,7 +26,7 @@ from cgid.identification.prediction import Answer, PredictionSettings
 from cgid.identification.prediction.fraction import Share, Switch
 from cgid.identification.prediction.settings import COST_EARLY
 from cgid.identification.prediction.stream import identify_blocks
-from cgid.identification.prediction.support import CavingWatch, Report
+from cgid.identification.prediction.support import CavingWatch, SupportReport
 from cgid.scene import Scene, load_scene, parse_scene, record
 
 #: First seeds of constant shares, and of those of another seam; the seed of the rising share.
@@ -60,7 +60,7 @@ class Stream:
         cost = (time.process_time() - begun) / len(answers)
         return cls(answers, truth["time"][first], truth["label"][first] == "gangue", cost)
 
-    def watched(self, model: Model, **settings: Any) -> list[Report]:
+    def watched(self, model: Model, **settings: Any) -> list[SupportReport]:
         """Return the reports of the support, as `cgid monitor` makes them."""
         watch = CavingWatch(model, ("1",), PredictionSettings(trained_seam=True, **settings))
         return watch.feed(self.answers, DURATION) + watch.finish(DURATION)

@@ -20,8 +20,7 @@ if TYPE_CHECKING:
     from cgid.identification.prediction.fraction import Share, Switch
     from cgid.identification.prediction.pipeline import Pipeline
     from cgid.identification.prediction.stream import Step
-    from cgid.identification.prediction.support import Report as SupportReport
-    from cgid.identification.prediction.support import SupportState
+    from cgid.identification.prediction.support import SupportReport, SupportState
 
 #: Version of the lines of --json; it rises if a key goes or has another meaning.
 ANSWERS_VERSION = 5

@@ -33,7 +33,7 @@ from cgid.signals import channel_name
 
 if TYPE_CHECKING:
     from cgid.identification.prediction.diagnosis import Change
-    from cgid.identification.prediction.support import Report
+    from cgid.identification.prediction.support import SupportReport
     from cgid.recordings.recording import Channel
 
 #: Minimum sampling rate [Hz]; a lower one is in another unit, or not of an impact recorder.
@@ -67,7 +67,7 @@ class Step:
     silent: tuple[str, ...] = ()  # at the end, one reason for each channel without predictions
     warnings: tuple[str, ...] = ()  # at the end, or where a channel begins or ceases to be never quiet
     upside_down: tuple[str, ...] | None = None  # at the end, the channels whose pulses seem to point downwards
-    reports: Sequence[Report] = ()  # of the supports, up to this time
+    reports: Sequence[SupportReport] = ()  # of the supports, up to this time
     changes: Sequence[Change] = ()  # of the channels
 
 

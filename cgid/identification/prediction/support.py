@@ -111,7 +111,7 @@ class SupportState:
         }
 
 
-class Report(NamedTuple):
+class SupportReport(NamedTuple):
     """A record and why it is told: a regular `share`, a `state` that has changed, or a switch (`shut`, `open`)."""
 
     kind: Literal["share", "state", "shut", "open"]
@@ -201,24 +201,24 @@ class CavingWatch:
         self._is_new = False  # whether predictions have come since the last gangue fraction
         self._changes: list[Change] = []
 
-    def feed(self, answers: Iterable[Answer], until: float) -> list[Report]:
+    def feed(self, answers: Iterable[Answer], until: float) -> list[SupportReport]:
         """Add the next predictions, in order of time, and return the reports of completed windows.
 
         All predictions before `until` [s] have arrived. Only the first of several empty windows is reported.
         """
         self._waiting.extend(answers)
-        reports: list[Report] = []
+        reports: list[SupportReport] = []
         while (end := (self._steps + 1) * self._step) <= until:
             self._steps += 1
             reports += self._at(end, in_between=bool(self._steps % self._every))
         return reports
 
-    def finish(self, duration: float) -> list[Report]:
+    def finish(self, duration: float) -> list[SupportReport]:
         """Return the remaining reports at the end of a recording of this duration [s]."""
         found = self.feed((), duration)
         return found + list(self._at(duration)) if self._waiting or self._is_new or not self._steps else found
 
-    def stopped(self, reason: str) -> list[Report]:
+    def stopped(self, reason: str) -> list[SupportReport]:
         """Return the reports of a stream whose samples have stopped; the next `feed` takes them up again."""
         time = self._steps * self._step
         return [
@@ -237,7 +237,7 @@ class CavingWatch:
         """Return the latest record of each support."""
         return [one.state for one in self._supports.values() if one.state is not None]
 
-    def _at(self, end: float, *, in_between: bool = False) -> Iterator[Report]:
+    def _at(self, end: float, *, in_between: bool = False) -> Iterator[SupportReport]:
         while self._waiting and self._waiting[0].time <= end:
             answer = self._waiting.popleft()
             self.diagnosis.add((answer,))
@@ -306,7 +306,7 @@ class _Support:
             if self.window.anchor is not None and answer.time <= self.window.anchor.until:
                 self.window.anchor.levels.append(answer.level)
 
-    def at(self, share: Share, ground: Ground, since: float, reason: str) -> Iterator[Report]:
+    def at(self, share: Share, ground: Ground, since: float, reason: str) -> Iterator[SupportReport]:
         """Yield the reports of the window that ends now."""
         before, switch = self.state, None
         if before is not None and before.ground != Ground.SEEN and ground == Ground.SEEN:
@@ -333,13 +333,13 @@ class _Support:
         self.state = state
         was_silent, self.is_silent = self.is_silent, not share.n_impacts + share.n_unknown
         if self.rule is not None and not (was_silent and self.is_silent):
-            yield Report("share", state)
+            yield SupportReport("share", state)
         if switch is not None:
-            yield Report("shut" if switch.shut else "open", state, switch)
+            yield SupportReport("shut" if switch.shut else "open", state, switch)
         elif (state.decision, ground) != (
             (Decision.NONE, Ground.SEEN) if before is None else (before.decision, before.ground)
         ):
-            yield Report("state", state)
+            yield SupportReport("state", state)
 
 
 def _rows_of(support: str, channels: Sequence[str]) -> list[int]:
