@@ -213,7 +213,7 @@ class Profile:
     cross: Floats
 
 
-class Residual(Protocol):
+class FittedCurve(Protocol):
     """Samples and a curve to fit to them, as `cgid.measure.fit.fit_samples.Window`."""
 
     @property
@@ -228,7 +228,7 @@ class Residual(Protocol):
 
 
 #: From rows of the frames and their pulses at the lowest shape to parts of these rows, each with its whitened residual.
-Whitened = Callable[[slice, Floats], Iterator[tuple[NDArray[np.intp], Residual]]]
+Whitened = Callable[[slice, Floats], Iterator[tuple[NDArray[np.intp], FittedCurve]]]
 
 
 @cache
@@ -289,7 +289,7 @@ def profile(  # noqa: PLR0913
 def _fill(
     out: Profile,
     rows: NDArray[np.intp],
-    problem: Residual,
+    problem: FittedCurve,
     guess: Floats,
     sigma: Floats,
     hold: Floats | None,
@@ -318,7 +318,7 @@ def _grid(near: Floats, noise: Floats, lowest: float, highest: float, n_nodes: i
 
 
 def _at(
-    problem: Residual,
+    problem: FittedCurve,
     guess: Floats,
     shape: Floats,
     sigma: Floats,
