@@ -21,7 +21,7 @@ from cgid.identification.prediction import Answer, identify_recording
 from cgid.identification.prediction.same_beam import (
     CROSSING,
     Detected,
-    Rocks,
+    RockAssigner,
     Together,
     agreeing,
     fused,
@@ -185,7 +185,7 @@ def matched(impacts: Sequence[Detected], groups: Iterable[Sequence[int]]) -> lis
 def test_rocks_do_not_depend_on_the_blocks(groups: tuple[tuple[int, ...], ...]) -> None:
     impacts = onsets(3)
     expected = matched(impacts, groups)
-    rocks, found, rng = Rocks[Detected](groups, RATE), [], np.random.default_rng(4)
+    rocks, found, rng = RockAssigner[Detected](groups, RATE), [], np.random.default_rng(4)
     first = 0
     while first < len(impacts):
         last = first + int(rng.integers(1, 9))
@@ -194,7 +194,7 @@ def test_rocks_do_not_depend_on_the_blocks(groups: tuple[tuple[int, ...], ...]) 
         assert len(rocks._open) <= 40  # those of the last moments
         first = last
     assert found == expected
-    assert Rocks[Detected](groups, RATE).feed(impacts, np.inf) == expected
+    assert RockAssigner[Detected](groups, RATE).feed(impacts, np.inf) == expected
 
 
 def test_channels_of_one_beam_that_are_not_declared_are_told_once() -> None:

@@ -135,7 +135,7 @@ def _rows(
     import numpy as np
 
     from cgid.identification.detection import Event
-    from cgid.identification.prediction.same_beam import Rocks, grouped
+    from cgid.identification.prediction.same_beam import RockAssigner, grouped
     from cgid.identification.training.manifest import path_from
     from cgid.identification.training.recordings import measurable, unit_of
     from cgid.measure.features.extraction import kind_for
@@ -178,7 +178,7 @@ def _rows(
         yield from ({**given, **row} for row in _intervals([[event] for event in events], unit))
         return
     groups = grouped(names, named)
-    rocks = Rocks[Event](groups, recording.sampling_rate).feed(events, np.inf)
+    rocks = RockAssigner[Event](groups, recording.sampling_rate).feed(events, np.inf)
     cells = []
     for rows in groups:
         channel = "+".join(names[row] for row in rows)

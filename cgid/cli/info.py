@@ -184,7 +184,7 @@ def _channels(recording: Any, as_json: bool, beams: Groups) -> tuple[dict[str, A
 
     from cgid.errors import BadData
     from cgid.identification.detection.detector import INVERT_HINT, ImpactDetector
-    from cgid.identification.prediction.same_beam import Detected, Rocks, grouped
+    from cgid.identification.prediction.same_beam import Detected, RockAssigner, grouped
     from cgid.measure.features.extraction import kind_for
     from cgid.signals import channel_name
 
@@ -251,7 +251,7 @@ def _channels(recording: Any, as_json: bool, beams: Groups) -> tuple[dict[str, A
     for rows in grouped([channel.name for channel in names], beams):
         if len(rows) > 1:
             found = sorted((one for row in rows for one in impacts[row]), key=lambda one: one.onset)
-            rocks = {"impacts": len(Rocks[Detected]([rows], rate).feed(found, np.inf))}
+            rocks = {"impacts": len(RockAssigner[Detected]([rows], rate).feed(found, np.inf))}
             described[f"channels {'+'.join(names[row].name for row in rows)}"] = rocks
     return described, clipped
 

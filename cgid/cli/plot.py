@@ -239,11 +239,11 @@ def _n_impacts(
     marks: Sequence[Mark], names: list[str], same_beam: tuple[tuple[str, ...], ...], sampling_rate: float
 ) -> int:
     """Return the number of impacts, each counted once for the channels of one beam."""
-    from cgid.identification.prediction.same_beam import Detected, Rocks, grouped
+    from cgid.identification.prediction.same_beam import Detected, RockAssigner, grouped
 
     rows = {name: row for row, name in enumerate(names)}
     found = [Detected(rows[str(mark.channel)], round(mark.time * sampling_rate)) for mark in marks]
-    return len(Rocks[Detected](grouped(names, same_beam), sampling_rate).feed(found, float("inf")))
+    return len(RockAssigner[Detected](grouped(names, same_beam), sampling_rate).feed(found, float("inf")))
 
 
 def _facts(recording: RecordingFile, duration: float, count: int | None) -> str:

@@ -112,7 +112,7 @@ class Detected(NamedTuple):
     onset: int
 
 
-class Rocks(Generic[T]):
+class RockAssigner(Generic[T]):
     """Assign impacts, in order of time, to rocks: at most one of each channel of a group, within `CROSSING`."""
 
     def __init__(self, groups: Iterable[Sequence[int]], sampling_rate: float) -> None:
@@ -255,7 +255,7 @@ class SameBeam:
         self._source = source
         groups = rows_of(model, channels, settings.same_beam)
         self._rows = {row: rows for rows in groups for row in rows}
-        self._rocks: Rocks[Part] = Rocks(groups, sampling_rate)
+        self._rocks: RockAssigner[Part] = RockAssigner(groups, sampling_rate)
         self._together = Together(sampling_rate, groups)
         self._standing = {rows: _Standing(has_order=model.together > 1) for rows in groups if len(rows) > 1}
         # Of recent impacts of each channel: the largest guard over its limit, and the level.

@@ -35,7 +35,14 @@ from cgid.identification.detection.windows import (
 from cgid.identification.inversion.through_beam import ThroughBeam
 from cgid.identification.model.model import Model
 from cgid.identification.model.reference import Equalisations, MeanSpectrum, equalisations_of
-from cgid.identification.prediction.same_beam import Rocks, agreeing, behind_each_sensor, grouped, joined, pulse_columns
+from cgid.identification.prediction.same_beam import (
+    RockAssigner,
+    agreeing,
+    behind_each_sensor,
+    grouped,
+    joined,
+    pulse_columns,
+)
 from cgid.identification.prediction.settings import require_groups
 from cgid.identification.training.manifest import Annotation, Manifest
 from cgid.identification.training.rows import Rows, Slicing, default_guards, sets_for, union_of
@@ -595,7 +602,7 @@ def _impacts(file: AnnotatedFile, cutting: _Cutting) -> Iterator[AnnotatedRows]:
     # for those of a beam.
     recording = file.recording
     names = [channel.name for channel in recording.channels]
-    rocks: Rocks[_Part] = Rocks(file.groups, recording.sampling_rate)
+    rocks: RockAssigner[_Part] = RockAssigner(file.groups, recording.sampling_rate)
     sign = file.upright
     detector = ImpactDetector(
         recording.sampling_rate,
