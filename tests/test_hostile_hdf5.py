@@ -25,7 +25,7 @@ from cgid.signals import Batch
 from cgid.store import Dataset, read_table
 from cgid.store.hdf5 import RecordingPlan, ShardBuilder, ShardPlan, writing
 from cgid.store.reading import Recording
-from cgid.store.table import Rows, TableHeader, is_table, table_writer
+from cgid.store.table import TableHeader, TableRows, is_table, table_writer
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="inotify and limits as on Linux")
 
@@ -152,7 +152,7 @@ def _write_table(path: Path) -> None:
     random = np.random.default_rng(2)
     with table_writer(path, header, 6) as writer:
         writer.add(
-            Rows(
+            TableRows(
                 labels=np.array(["coal", "gangue"] * (N_ROWS // 2)),
                 specimen=np.arange(N_ROWS, dtype=np.uint64),
                 columns={name: random.random(N_ROWS) for name in ("peak", "width")},

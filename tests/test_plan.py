@@ -25,7 +25,7 @@ from cgid.scene.synthesis.impacts import Recorder, TapPulses, draw
 from cgid.scene.synthesis.plan import QUANTITIES, STAGES, plan
 from cgid.scene.synthesis.synthesis import columns_of
 from cgid.store import read_table
-from cgid.store.table import Rows, is_table
+from cgid.store.table import TableRows, is_table
 from tests.plan_scenes import (
     CASES,
     FIT,
@@ -44,17 +44,17 @@ from tests.plan_scenes import (
 
 def features_of(
     scene: Scene, n_signals: int, seed: int = 0, *, features: object = None, first: int = 0
-) -> Iterator[Rows]:
+) -> Iterator[TableRows]:
     return columns_of(plan(scene, "features", features=features), n_signals, seed, first=first)
 
 
 def closed_forms_of(
     scene: Scene, n_signals: int, seed: int = 0, *, quantities: object = None, first: int = 0
-) -> Iterator[Rows]:
+) -> Iterator[TableRows]:
     return columns_of(plan(scene, "closed-form", quantities=quantities), n_signals, seed, first=first)
 
 
-def parameters_of(scene: Scene, n_signals: int, seed: int = 0, *, first: int = 0) -> Iterator[Rows]:
+def parameters_of(scene: Scene, n_signals: int, seed: int = 0, *, first: int = 0) -> Iterator[TableRows]:
     return columns_of(plan(scene, "parameters"), n_signals, seed, first=first)
 
 

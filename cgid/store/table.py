@@ -51,7 +51,7 @@ class TableHeader:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Rows:
+class TableRows:
     """Some rows of a table: labels, specimens and each column (n,)."""
 
     labels: NDArray[np.str_]
@@ -63,7 +63,7 @@ class Rows:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Table(Rows):
+class Table(TableRows):
     """A complete table with its header.
 
     Attributes
@@ -91,12 +91,12 @@ def check_table_output(output: str | Path, overwrite: bool = False) -> Path:
 class TableWriter:
     """A table being written; made by `table_writer`. It passes complete blocks of rows to `write`."""
 
-    def __init__(self, write: Callable[[Rows], object]) -> None:
+    def __init__(self, write: Callable[[TableRows], object]) -> None:
         self._write = write
-        self._waiting: list[Rows] = []
+        self._waiting: list[TableRows] = []
         self._n_waiting = 0
 
-    def add(self, rows: Rows) -> None:
+    def add(self, rows: TableRows) -> None:
         """Append rows, which must have all columns of the header."""
         self._waiting.append(rows)
         self._n_waiting += len(rows)
@@ -113,7 +113,7 @@ class TableWriter:
             labels, specimen = (
                 np.concatenate([getattr(rows, name) for rows in self._waiting]) for name in ("labels", "specimen")
             )
-            self._write(Rows(labels=labels, specimen=specimen, columns=columns))
+            self._write(TableRows(labels=labels, specimen=specimen, columns=columns))
         self._waiting, self._n_waiting = [], 0
 
 
@@ -131,14 +131,14 @@ def table_writer(
 
 
 @contextlib.contextmanager
-def _written_hdf5(path: Path, header: TableHeader, label_width: int) -> Iterator[Callable[[Rows], object]]:
+def _written_hdf5(path: Path, header: TableHeader, label_width: int) -> Iterator[Callable[[TableRows], object]]:
     dtypes = {"labels": f"S{label_width}", "specimen": "uint64"}
     dtypes |= {f"columns/{name}": "float64" for name in header.units}
     units = {f"columns/{name}": unit for name, unit in header.units.items()}
     head = {"format": TABLE_FORMAT, "schema_version": TABLE_VERSION, "kind": header.kind}
     with _hdf5_columns(path, dtypes, units, {**header.attributes, **head}) as write:
 
-        def write_rows(rows: Rows) -> None:
+        def write_rows(rows: TableRows) -> None:
             values: dict[str, Any] = {f"columns/{name}": rows.columns[name] for name in header.units}
             write(values | {"labels": np.char.encode(rows.labels, "utf-8"), "specimen": rows.specimen})
 
@@ -173,12 +173,12 @@ def _hdf5_columns(
 
 
 @contextlib.contextmanager
-def _written_csv(path: Path, header: TableHeader, _label_width: int) -> Iterator[Callable[[Rows], object]]:
+def _written_csv(path: Path, header: TableHeader, _label_width: int) -> Iterator[Callable[[TableRows], object]]:
     with path.open("w", encoding="utf-8", newline="") as stream:
         stream.write(f"# {header.text}\n")
         stream.write(",".join(["label", "specimen", *header.units]) + "\n")
 
-        def write(rows: Rows) -> None:
+        def write(rows: TableRows) -> None:
             import pandas
 
             labels = [spreadsheet_cell(label) for label in rows.labels.tolist()]
@@ -190,7 +190,7 @@ def _written_csv(path: Path, header: TableHeader, _label_width: int) -> Iterator
 
 
 @contextlib.contextmanager
-def _written_parquet(path: Path, header: TableHeader, _label_width: int) -> Iterator[Callable[[Rows], object]]:
+def _written_parquet(path: Path, header: TableHeader, _label_width: int) -> Iterator[Callable[[TableRows], object]]:
     types = {"label": "string", "specimen": "uint64"} | dict.fromkeys(header.units, "float64")
     with _parquet_columns(path, types, {"cgid": header.text}) as write:
         yield lambda rows: write([rows.labels.tolist(), rows.specimen, *(rows.columns[name] for name in header.units)])

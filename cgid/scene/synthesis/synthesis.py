@@ -21,7 +21,7 @@ from cgid.scene.synthesis.impacts import PulseBlock, contacts_of, pulses_of_bloc
 from cgid.scene.synthesis.noise import MAX_NOISE, add_sensor_noise, background_of
 from cgid.scene.synthesis.plan import OF_TAPS, TRUE, Plan, plan
 from cgid.signals import Batch
-from cgid.store.table import Rows
+from cgid.store.table import TableRows
 
 #: Blocks drawn and measured at once, to share the overhead, and most samples of their frames (16 MB).
 TOGETHER, _MAX_SAMPLES = 4, 1 << 22
@@ -179,7 +179,7 @@ def _digitised_by(sensor: Sensor, sampling_rate: float, peak: Floats, first: int
 # -- columns of a table -----------------------------------------------------------------------------------
 
 
-def columns_of(plan: Plan, n_signals: int, seed: int = 0, *, first: int = 0) -> Iterator[Rows]:
+def columns_of(plan: Plan, n_signals: int, seed: int = 0, *, first: int = 0) -> Iterator[TableRows]:
     """Yield the columns of a plan in batches of at most 1024 signals, making only what a column needs."""
     # Features equal those of `cgid.measure.features.extract` for float32 signals; nan where one cannot be measured.
     n_signals, first = require_count(n_signals, first)
@@ -195,7 +195,7 @@ def columns_of(plan: Plan, n_signals: int, seed: int = 0, *, first: int = 0) -> 
     return (_untimed(plan, seed, block, part) for block, part in several)
 
 
-def _untimed(plan: Plan, seed: int, block: int, part: slice) -> Rows:
+def _untimed(plan: Plan, seed: int, block: int, part: slice) -> TableRows:
     """Return the columns that need no pulse."""
     drawn = drawn_block(plan.scene, seed, block, _spanned(part))
     here, n = plan.for_block(drawn.scene), drawn.labels.size
@@ -207,7 +207,7 @@ def _untimed(plan: Plan, seed: int, block: int, part: slice) -> Rows:
         for rows, contacts in contacts_of(here, drawn.values, drawn.fallen):
             for name in plan.quantities:
                 values[name][rows] = getattr(contacts, name)
-    return Rows(
+    return TableRows(
         labels=drawn.labels[part],
         specimen=drawn.specimen[part],
         columns={name: values[name][part] for name in plan.column_units},
@@ -227,7 +227,7 @@ def _beginning(pulses: PulseBlock) -> int:
     return int(min(max(needed), sampling.samples))
 
 
-def _measured(plan: Plan, n_signals: int, seed: int, first: int) -> Iterator[Rows]:
+def _measured(plan: Plan, n_signals: int, seed: int, first: int) -> Iterator[TableRows]:
     """Yield features; blocks with the same sampling rate are measured together."""
     together = 1 if plan.scene.draws("sampling_rate") else TOGETHER
     n_blocks = at_once(plan.scene, together)
@@ -237,7 +237,7 @@ def _measured(plan: Plan, n_signals: int, seed: int, first: int) -> Iterator[Row
         yield _features(plan, seed, group)
 
 
-def _features(plan: Plan, seed: int, drawn: list[tuple[int, slice, PulseBlock]]) -> Rows:
+def _features(plan: Plan, seed: int, drawn: list[tuple[int, slice, PulseBlock]]) -> TableRows:
     """Return the features of some blocks, each with its number and its requested signals."""
     names, sampling = plan.features, drawn[0][2].scene.sampling
     length = max(_beginning(pulses) for _, _, pulses in drawn)
@@ -255,7 +255,7 @@ def _features(plan: Plan, seed: int, drawn: list[tuple[int, slice, PulseBlock]])
         values[f"{TRUE}{name}"] = np.concatenate([pulses.parameters[name][part] for _, part, pulses in drawn])
     if "sampling_rate" in plan.column_units:
         values["sampling_rate"] = np.full(len(table), sampling.sampling_rate)
-    return Rows(
+    return TableRows(
         labels=np.concatenate([pulses.labels[part] for _, part, pulses in drawn]),
         specimen=np.concatenate([pulses.specimen[part] for _, part, pulses in drawn]),
         columns=values,
