@@ -10,7 +10,7 @@ from cgid.measure.features.extraction import extract_array
 from cgid.measure.features.pulses import PulseBatch
 from cgid.measure.filters import fft_filter
 from cgid.measure.fit import family
-from cgid.measure.fit.fit import MODEL_ERROR, Start, fit_pulses
+from cgid.measure.fit.fit import MODEL_ERROR, PulseStart, fit_pulses
 from cgid.measure.fit.fit_samples import strongest_run
 from cgid.measure.fit.template import curve, relative_times
 from cgid.scene import load_scene, parse_scene, synthesise
@@ -106,7 +106,7 @@ def test_fit_with_a_baseline_is_that_of_scipy(e):
     """The frame is shorter than the window around the pulse: both fits look at the same samples."""
     frames, touch = frames_of(e, 60, 0.01, n=10, seed=4)
     frames = frames[:, BEFORE - 4 : BEFORE + 66] + 0.3
-    start = Start(np.ones(10), np.full(10, 30.0), frames.argmax(axis=1).astype(float))
+    start = PulseStart(np.ones(10), np.full(10, 30.0), frames.argmax(axis=1).astype(float))
     found = fit_pulses(frames, start, np.full(10, 0.01), fit_baseline=True)
     for row, frame in enumerate(frames):
         twin, _ = naive.fitted_pulse(frame, (1.0, 60, touch[row] - BEFORE + 4, e), baseline=True)
@@ -429,7 +429,7 @@ def test_in_much_noise_the_search_ends_where_it_does_from_the_truth(contact, e):
     pulses = PulseBatch(frames, 1.0, BEFORE - 4, remove_baseline=False)
     length, lead, _, _ = relative_times(shape_of(e))
     width = contact / length[0]
-    truth = Start(np.ones(300), np.full(300, width), touch + lead[0] * width)
+    truth = PulseStart(np.ones(300), np.full(300, width), touch + lead[0] * width)
     found, best = (fit_pulses(frames, start, np.full(300, noise)) for start in (pulses.fit_start, truth))
     times = np.arange(frames.shape[1])
     apart = np.array([

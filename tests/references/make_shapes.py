@@ -13,7 +13,7 @@ fitted parameters would explain, has few principal components (Jolliffe 2002, Pr
 
 import numpy as np
 
-from cgid.measure.fit.fit import Start, fit_pulses
+from cgid.measure.fit.fit import PulseStart, fit_pulses
 from cgid.measure.fit.residual import N_SHAPES as N_COMPONENTS
 from cgid.measure.fit.residual import residual_bins
 from cgid.measure.fit.search import BIN, MIDDLES, N_BINS, NODES, Samples, bank
@@ -149,7 +149,7 @@ def main() -> None:
     np.savez(SHAPES_PATH, **of_bank)
     frames = pulses()
     n = len(frames)
-    start = Start(np.ones(n), frames.sum(axis=1), frames.argmax(axis=1).astype(float))
+    start = PulseStart(np.ones(n), frames.sum(axis=1), frames.argmax(axis=1).astype(float))
     fit = fit_pulses(frames, start, np.full(n, 1e-3))
     samples = Samples(frames, np.zeros(n), np.full(n, np.inf), np.zeros(n, np.intp))
     bins, _, node = residual_bins(samples, fit.peak, fit.width, fit.onset, fit.shape)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from cgid._lib.validation import Floats
 from cgid.measure.features.table import Bank, Feature, bank, described
-from cgid.measure.fit.fit import MODEL_ERROR, PulseFit, Start, fit_pulses, without_impact
+from cgid.measure.fit.fit import MODEL_ERROR, PulseFit, PulseStart, fit_pulses, without_impact
 from cgid.measure.fit.fit_samples import strongest_run
 from cgid.measure.fit.residual import N_SHAPES, Residual, fit_residual
 from cgid.measure.fit.search import around
@@ -250,7 +250,7 @@ class PulseBatch(Frames):
         return fitted if alive.size == len(self.samples) else fitted.spread(alive, len(self.samples))
 
     @cached_property
-    def fit_start(self) -> Start:
+    def fit_start(self) -> PulseStart:
         """Start of the fit: the largest sample, or the strongest run of samples for a faint peak."""
         faint = np.flatnonzero(~(self.peak >= FAINT * self.noise))
         peak, peak_index = self.peak.copy(), self._highest[0].astype(np.float64)
@@ -258,7 +258,7 @@ class PulseBatch(Frames):
         if faint.size:
             peak[faint], width[faint], peak_index[faint] = strongest_run(self.samples[faint], self.offset[faint])
         tiny = 1e-12 + 1e-9 * np.abs(self._highest[1])
-        return Start(np.maximum(peak, tiny), np.maximum(width, 1.0), peak_index)
+        return PulseStart(np.maximum(peak, tiny), np.maximum(width, 1.0), peak_index)
 
     @cached_property
     def clip_level(self) -> Floats | None:

@@ -46,16 +46,16 @@ EVIDENCE = 40.0
 
 
 @dataclass(frozen=True, eq=False)
-class Start:
+class PulseStart:
     """Start of the search: peak, width (impulse over peak) and time of the peak [samples], each (n,)."""
 
     peak: Floats
     width: Floats
     peak_time: Floats
 
-    def rows(self, selected: Rows) -> Start:
+    def rows(self, selected: Rows) -> PulseStart:
         """Return some of the rows."""
-        return Start(self.peak[selected], self.width[selected], self.peak_time[selected])
+        return PulseStart(self.peak[selected], self.width[selected], self.peak_time[selected])
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,7 +130,7 @@ def without_impact(samples: NDArray[np.floating], fit: PulseFit) -> dict[int, Pr
 
 def fit_pulses(
     samples: NDArray[np.floating],
-    start: Start,
+    start: PulseStart,
     noise: Floats,
     *,
     offset: Floats | None = None,
@@ -161,7 +161,7 @@ def fit_pulses(
 
 def _fit_block(
     samples: NDArray[np.floating],
-    start: Start,
+    start: PulseStart,
     noise: Floats,
     offset: Floats,
     clip_level: Floats,
