@@ -393,7 +393,7 @@ class LearnedRow(_Mode):
     """Standard deviation of the logarithm of the participation."""
 
 
-class Table:
+class SceneTable:
     """The rows of a table as columns, (n_rows,) each; equal to another and hashable by its numbers."""
 
     def __init__(self, columns: Mapping[str, Floats]) -> None:
@@ -406,7 +406,7 @@ class Table:
         return self.columns[name]
 
     def __eq__(self, other: object) -> bool:
-        return isinstance(other, Table) and self._identity == other._identity
+        return isinstance(other, SceneTable) and self._identity == other._identity
 
     def __hash__(self) -> int:
         return hash(self._identity)
@@ -428,16 +428,16 @@ class TableOf:
     row: type[Section]
 
     def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
-        """Return the schema of a `Table`."""
-        serial = core_schema.plain_serializer_function_ser_schema(Table.rows)
+        """Return the schema of a `SceneTable`."""
+        serial = core_schema.plain_serializer_function_ser_schema(SceneTable.rows)
         return core_schema.no_info_wrap_validator_function(self._read, handler(source), serialization=serial)
 
-    def _read(self, content: Any, row_by_row: Callable[[Any], tuple[Section, ...]]) -> Table:
-        columns = content.columns if isinstance(content, Table) else self._columns(content)
+    def _read(self, content: Any, row_by_row: Callable[[Any], tuple[Section, ...]]) -> SceneTable:
+        columns = content.columns if isinstance(content, SceneTable) else self._columns(content)
         if columns is None:
             rows = row_by_row(content)
             columns = {name: np.array([getattr(row, name) for row in rows]) for name in self.row.model_fields}
-        return Table(columns)
+        return SceneTable(columns)
 
     def _columns(self, content: Any) -> dict[str, Floats] | None:
         """Return the columns of numbers in SI units that meet their rules; None for any other content."""
@@ -458,8 +458,8 @@ class TableOf:
 
 
 if TYPE_CHECKING:
-    ModeTable = Table
-    LearnedTable = Table
+    ModeTable = SceneTable
+    LearnedTable = SceneTable
 else:
     _SIZE = Field(min_length=1, max_length=_MAX_MODES)
     ModeTable = Annotated[tuple[ModeRow, ...], _SIZE, TableOf(ModeRow)]
@@ -562,14 +562,14 @@ class TailBeamSection(Section):
 
     def with_learned(self, modes: Modes) -> TailBeamSection:
         """Return the beam with other learned modes."""
-        made = self.model_copy(update={"learned": Table(modes.columns)})
+        made = self.model_copy(update={"learned": SceneTable(modes.columns)})
         made.__dict__["learned_modes"] = modes  # a copy keeps cached values
         return made
 
 
 def rows_of(modes: Modes) -> list[dict[str, float]]:
     """Return a row of `tail_beam.learned` for each mode."""
-    return Table(modes.columns).rows()
+    return SceneTable(modes.columns).rows()
 
 
 def with_table(content: dict[str, Any], folder: Path) -> dict[str, Any]:
