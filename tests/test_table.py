@@ -10,7 +10,7 @@ from cgid.errors import InvalidValue
 from cgid.measure.features import extraction as features
 from cgid.measure.features import vibration, windows
 from cgid.measure.features.extraction import FEATURES, choose, extract, extract_array
-from cgid.measure.features.table import Bank, Feature, Table
+from cgid.measure.features.table import Bank, Feature, FeatureTable
 from cgid.measure.spectra import MEL_BANDS
 from tests.ringing import PRE_TRIGGER, RATE, ringing_batch
 
@@ -29,7 +29,7 @@ def test_a_feature_is_added_by_one_line(monkeypatch):
         lambda p: p.peak * p.duration / p.moments[0],
         positive=True,
     )
-    monkeypatch.setattr(features, "FEATURES", Table((line, *FEATURES.entries)))
+    monkeypatch.setattr(features, "FEATURES", FeatureTable((line, *FEATURES.entries)))
     assert choose(None)[0] == "form_factor"
     assert extract(half_sine(), 1e5, ["form_factor"]).iloc[0, 0] == pytest.approx(np.pi / 2, rel=0.02)
 
@@ -44,7 +44,7 @@ def test_a_bank_is_added_by_one_line(monkeypatch):
         lambda p, n: p.width(shares[n]),
         [f"{share:g}" for share in shares],
     )
-    monkeypatch.setattr(features, "FEATURES", Table((*FEATURES.entries, line)))
+    monkeypatch.setattr(features, "FEATURES", FeatureTable((*FEATURES.entries, line)))
     assert choose(["width_at_*"]) == ("width_at_0.2", "width_at_0.8")
     low, high = extract_array(half_sine(), 1e5, ["width_at_*"])[0]
     expected = [(1 - 2 * np.arcsin(share) / np.pi) * 1e-3 for share in shares]

@@ -15,7 +15,7 @@ from cgid._lib import validation
 from cgid._lib.validation import Floats, require_rate
 from cgid.errors import BadData, InvalidValue
 from cgid.measure.features.pulses import FAINT, PULSE_FEATURES, PulseBatch
-from cgid.measure.features.table import Feature, ImpactKind, Kind, Table
+from cgid.measure.features.table import Feature, FeatureTable, ImpactKind, Kind
 from cgid.measure.features.vibration import VIBRATION_FEATURES, BeamInversion, VibrationBatch
 from cgid.measure.features.windows import WINDOW_FEATURES, WindowBatch
 from cgid.measure.filters import Equalisation
@@ -42,7 +42,7 @@ BEAM_LEAD = 2.0
 Batches = Mapping[Kind, PulseBatch | VibrationBatch | WindowBatch]
 
 #: All features by name, in column order.
-FEATURES = Table((*PULSE_FEATURES, *VIBRATION_FEATURES, *WINDOW_FEATURES))
+FEATURES = FeatureTable((*PULSE_FEATURES, *VIBRATION_FEATURES, *WINDOW_FEATURES))
 #: Quantities that swing about zero when a structure is struck (`level`: of a sound file); all others are pulses.
 SWINGING = ("acceleration", "velocity", "displacement", "pressure", "level")
 

@@ -152,7 +152,7 @@ def bank(name: str, measure: Callable[[Any, int], Floats], labels: Sequence[str]
     return Bank(**_described(name), measure=measure, labels=labels, **about)
 
 
-class Table(Mapping[str, Feature]):
+class FeatureTable(Mapping[str, Feature]):
     """Features by name, in column order; those of a bank are built on first use."""
 
     def __init__(self, entries: Sequence[Feature | Bank]) -> None:
