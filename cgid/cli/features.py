@@ -58,7 +58,7 @@ def features(
         raise click.UsageError("give at least one FILE, or --list for the table of features")
     selected = None if names is None else choose([name.strip() for name in names.split(",")])
     table = TableOutput(output, overwrite=overwrite, as_json=as_json)
-    rows = _Rows(table, as_json, not keep_baseline, selected, datasets=any(map(is_dataset, files)))
+    rows = _FeatureRows(table, as_json, not keep_baseline, selected, datasets=any(map(is_dataset, files)))
 
     errors = FileErrors(strict=strict, one_output=True)
     with table:
@@ -88,7 +88,7 @@ _Impact = tuple[float, list[float], str]
 
 
 @dataclass(frozen=True)
-class _Rows:
+class _FeatureRows:
     """Measure and print the impacts of files, with the same settings for all."""
 
     table: TableOutput
