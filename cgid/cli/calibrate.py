@@ -14,7 +14,7 @@ from cgid.cli.options import (
     PATH,
     SCENE,
     OutputName,
-    Reading,
+    ReadingOptions,
     json_option,
     laws_option,
     overwrite_option,
@@ -97,7 +97,7 @@ def calibrate(
     picture: str | None,
     overwrite: bool,
     as_json: bool,
-    reading: Reading,
+    reading: ReadingOptions,
 ) -> None:
     """Learn the modes of a beam from RECORDINGs of its impacts, or a dataset of them, and write a scene.
 
@@ -150,7 +150,9 @@ def _of_each(text: str) -> float | dict[str, float]:
     return {name.strip(): share_of("--dimension-error", value.strip()) for name, _, value in parts}
 
 
-def _frames(recordings: tuple[str, ...], scene: Scene, reading: Reading) -> tuple[NDArray[np.floating], float, int]:
+def _frames(
+    recordings: tuple[str, ...], scene: Scene, reading: ReadingOptions
+) -> tuple[NDArray[np.floating], float, int]:
     """Return frames of all usable impacts in the unit of the scene's sensor, their rate, and samples before onset."""
     import numpy as np
 
@@ -180,7 +182,7 @@ def _frames(recordings: tuple[str, ...], scene: Scene, reading: Reading) -> tupl
     return np.asarray(frames, np.float64), rate, before
 
 
-def _found(recording: Any, scene: Scene, reading: Reading) -> list[Event]:
+def _found(recording: Any, scene: Scene, reading: ReadingOptions) -> list[Event]:
     """Return the impacts of a recording in the unit of a scene's sensor."""
     from cgid.calibration.modes import check_scene
     from cgid.cli.events import found_impacts

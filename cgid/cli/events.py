@@ -16,7 +16,7 @@ from cgid.cli.help import Command
 from cgid.cli.options import (
     OUTPUT,
     PATH,
-    Reading,
+    ReadingOptions,
     overwrite_option,
     reading_options,
     require_no_input_written,
@@ -53,7 +53,12 @@ _MOST_MISSING = 0.01
 @same_beam_option
 @reading_options
 def events(
-    files: tuple[str, ...], output: str, overwrite: bool, strict: bool, same_beam: tuple[str, ...], reading: Reading
+    files: tuple[str, ...],
+    output: str,
+    overwrite: bool,
+    strict: bool,
+    same_beam: tuple[str, ...],
+    reading: ReadingOptions,
 ) -> int:
     """Find the impacts in FILEs, or in the recordings of a folder, and write one row for each.
 
@@ -94,7 +99,7 @@ def events(
     return errors.code
 
 
-def _require_trainable(files: Sequence[str], reading: Reading, beams: Groups) -> set[float]:
+def _require_trainable(files: Sequence[str], reading: ReadingOptions, beams: Groups) -> set[float]:
     """Return the sampling rates [Hz] of the recordings; raise an error if no model could be trained on them."""
     from cgid.identification.training.recordings import measurable, require_alike, unit_of
     from cgid.measure.features.extraction import kind_for
@@ -129,7 +134,7 @@ def _require_trainable(files: Sequence[str], reading: Reading, beams: Groups) ->
 
 
 def _rows(
-    file: str, folder: Path, reading: Reading, beams: Groups, rates: Collection[float]
+    file: str, folder: Path, reading: ReadingOptions, beams: Groups, rates: Collection[float]
 ) -> Iterator[dict[str, str]]:
     """Yield a row for each impact of a recording; the columns are those of a manifest and informative ones."""
     import numpy as np
@@ -210,7 +215,7 @@ def _intervals(rocks: Sequence[Sequence[Event]], unit: str) -> Iterator[dict[str
 
 
 def found_impacts(
-    recording: RecordingFile, kind: ImpactKind, reading: Reading, factor: float = 1.0, *, joint: bool = False
+    recording: RecordingFile, kind: ImpactKind, reading: ReadingOptions, factor: float = 1.0, *, joint: bool = False
 ) -> list[Event]:
     """Return the impacts of a recording, whose samples are multiplied first; raises `BadData` if there is none."""
     from cgid.identification.detection import ImpactDetector
@@ -250,7 +255,7 @@ def _peak(event: Event) -> Any:
 # -- one row per recording --------------------------------------------------------------------------------
 
 
-def write_template(data: tuple[str, ...], path: Path, reading: Reading, *, overwrite: bool) -> int:
+def write_template(data: tuple[str, ...], path: Path, reading: ReadingOptions, *, overwrite: bool) -> int:
     """Write a manifest with a row for each recording, with a label if its folder is one."""
     from cgid._lib.files import check_new, write_whole
     from cgid.identification.training.manifest import (
@@ -282,7 +287,7 @@ def write_template(data: tuple[str, ...], path: Path, reading: Reading, *, overw
     return code
 
 
-def _content(file: Path, reading: Reading) -> tuple[str, int]:
+def _content(file: Path, reading: ReadingOptions) -> tuple[str, int]:
     """Return a description of a recording, or why it is unreadable, and an exit code."""
     from cgid.recordings import open_recording
 

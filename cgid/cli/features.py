@@ -9,7 +9,7 @@ import click
 
 from cgid._lib.terminal import counted
 from cgid.cli.help import Command
-from cgid.cli.options import PATH, Reading, printing_options, reading_options
+from cgid.cli.options import PATH, ReadingOptions, printing_options, reading_options
 from cgid.cli.output import FileErrors, print_json, say, warn
 from cgid.cli.table import Column, TableOutput, numbers, output_options, times
 from cgid.errors import BadData
@@ -44,7 +44,7 @@ def features(
     overwrite: bool,
     as_json: bool,
     strict: bool,
-    reading: Reading,
+    reading: ReadingOptions,
 ) -> int:
     """Print the features of every impact in FILEs as one CSV table, in the unit of the file; - is stdin.
 
@@ -114,7 +114,7 @@ class _FeatureRows:
             else:
                 self.table.add(row)
 
-    def signals(self, path: str, reading: Reading) -> None:
+    def signals(self, path: str, reading: ReadingOptions) -> None:
         """Print the impacts of all channels of a recording, or of one signal of a dataset."""
         errors: list[BadData] = []
         signals = reading.signals(path, errors)

@@ -9,7 +9,15 @@ import click
 
 from cgid._lib.terminal import counted
 from cgid.cli.help import Command
-from cgid.cli.options import CHAIN, PATH, Reading, json_option, reading_options_for, same_beam_option, warn_of_volts
+from cgid.cli.options import (
+    CHAIN,
+    PATH,
+    ReadingOptions,
+    json_option,
+    reading_options_for,
+    same_beam_option,
+    warn_of_volts,
+)
 from cgid.cli.output import FileErrors, print_json, say, warn
 from cgid.cli.table import written_table
 
@@ -31,7 +39,7 @@ _LOCAL_HEAD, _HEADER = 30, b"header.npy"
 @reading_options_for("sampling_rate", "unit", "channel", "variable", "format", *CHAIN)
 @same_beam_option
 @json_option
-def info(file: str, as_json: bool, same_beam: tuple[str, ...], reading: Reading) -> int:
+def info(file: str, as_json: bool, same_beam: tuple[str, ...], reading: ReadingOptions) -> int:
     """Describe FILE: a dataset, a table, a model, a recording (every channel), or each recording of a folder."""
     from cgid.identification.prediction.settings import require_groups
     from cgid.identification.training.manifest import recordings_of
@@ -46,7 +54,7 @@ def info(file: str, as_json: bool, same_beam: tuple[str, ...], reading: Reading)
     return errors.code
 
 
-def _describe(file: str, as_json: bool, beams: Groups, reading: Reading) -> None:
+def _describe(file: str, as_json: bool, beams: Groups, reading: ReadingOptions) -> None:
     from cgid.recordings import is_dataset
     from cgid.store.table import is_table
 
@@ -154,7 +162,7 @@ def is_model(file: str) -> bool:
     return not start.startswith(b"PK") or start[_LOCAL_HEAD:] == _HEADER
 
 
-def _recording(file: str, as_json: bool, beams: Groups, reading: Reading) -> dict[str, Any]:
+def _recording(file: str, as_json: bool, beams: Groups, reading: ReadingOptions) -> dict[str, Any]:
     recording = reading.recording(file)
     volts = warn_of_volts(recording)
     channels, clipped = _channels(recording, as_json, recording.named(beams, "--same-beam"))

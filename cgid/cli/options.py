@@ -19,7 +19,7 @@ from cgid.signals import Signal, channel_name
 if TYPE_CHECKING:
     from cgid.identification.model import Model
     from cgid.identification.prediction import PredictionSettings
-    from cgid.identification.training.recordings import Reading as ManifestReading
+    from cgid.identification.training.recordings import Reading
     from cgid.recordings import RecordingFile
 
 F = TypeVar("F", bound=Callable[..., Any])
@@ -172,7 +172,7 @@ def warn_of_volts(recording: RecordingFile) -> list[str]:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Reading:
+class ReadingOptions:
     """Settings for reading an input: the values of `reading_options` of a command."""
 
     sampling_rate: float | None = None
@@ -222,11 +222,11 @@ class Reading:
             raise InvalidValue(f"--dead-time must be between 0 and {MAX_DEAD_TIME:g} ms, got {self.milliseconds:g} ms")
         return self.milliseconds * 1e-3
 
-    def of_manifest(self, *, strict: bool, same_beam: tuple[str, ...] = ()) -> ManifestReading:
+    def of_manifest(self, *, strict: bool, same_beam: tuple[str, ...] = ()) -> Reading:
         """Return the settings for recordings of a manifest that do not state them."""
-        from cgid.identification.training.recordings import Reading as ManifestReading
+        from cgid.identification.training.recordings import Reading
 
-        return ManifestReading(
+        return Reading(
             channels=self.channel or None, same_beam=same_beam, strict=strict, failed=say_error, **self.common
         )
 
@@ -353,7 +353,7 @@ _laws_option = partial(
     help="Add the contact laws of your own module, by its name or the path of its file.",
 )
 laws_option, given_laws_option = _laws_option(expose_value=False), _laws_option()
-#: Options for reading a recording: field of `Reading` -> option.
+#: Options for reading a recording: field of `ReadingOptions` -> option.
 _READING: dict[str, Callable[[Any], Any]] = {
     "sampling_rate": click.option(
         "--rate", "sampling_rate", type=float, help="Set the sampling rate [Hz] if the file does not state it."
@@ -406,8 +406,8 @@ _READING: dict[str, Callable[[Any], Any]] = {
 
 
 def reading_options_for(*names: str) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
-    """Return a decorator that adds the options for some fields of a `Reading`, which the command receives."""
-    return _bundle("reading", Reading, {name: _READING[name] for name in names})
+    """Return a decorator that adds the options for some fields of a `ReadingOptions`, which the command receives."""
+    return _bundle("reading", ReadingOptions, {name: _READING[name] for name in names})
 
 
 reading_options = reading_options_for(*_READING)
@@ -546,7 +546,7 @@ answering_options = _options(
 
 
 def settings_of(
-    reading: Reading, *, model_path: str | None, costs: tuple[str, ...], **given: Any
+    reading: ReadingOptions, *, model_path: str | None, costs: tuple[str, ...], **given: Any
 ) -> tuple[Models, PredictionSettings]:
     """Return the models and the settings; `given` are the other fields of the settings."""
     from cgid.identification.prediction import PredictionSettings

@@ -13,7 +13,7 @@ from cgid.cli.help import Command
 from cgid.cli.options import (
     OUTPUT,
     PATH,
-    Reading,
+    ReadingOptions,
     json_option,
     overwrite_option,
     reading_options,
@@ -67,7 +67,7 @@ def plot(
     same_beam: tuple[str, ...],
     overwrite: bool,
     as_json: bool,
-    reading: Reading,
+    reading: ReadingOptions,
 ) -> None:
     """Plot the recording FILE: waveform, spectrogram and spectrum of each channel, and detected impacts.
 
@@ -184,7 +184,7 @@ class _Finder:
             )
 
 
-def _opened(file: str, reading: Reading) -> RecordingFile:
+def _opened(file: str, reading: ReadingOptions) -> RecordingFile:
     """Return the recording of a file, or the chosen signal of a dataset."""
     from cgid.recordings import is_dataset
 

@@ -18,7 +18,7 @@ from cgid.cli.options import (
     PATH,
     SCENE,
     Models,
-    Reading,
+    ReadingOptions,
     answering_options,
     given_options,
     printing_options,
@@ -316,7 +316,7 @@ def predict(
     overwrite: bool,
     as_json: bool,
     strict: bool,
-    reading: Reading,
+    reading: ReadingOptions,
     **options: Any,
 ) -> int:
     """Identify the material of every impact in FILEs: recordings, folders of them, or datasets; - is stdin.

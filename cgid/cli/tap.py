@@ -13,7 +13,7 @@ from cgid.cli.options import (
     OUTPUT,
     PATH,
     SCENE,
-    Reading,
+    ReadingOptions,
     json_option,
     laws_option,
     overwrite_option,
@@ -79,7 +79,7 @@ def tap(
     picture: str | None,
     overwrite: bool,
     as_json: bool,
-    reading: Reading,
+    reading: ReadingOptions,
 ) -> None:
     """Find natural frequencies, damping ratios and participations of a beam in a RECORDING of hammer taps.
 
@@ -151,7 +151,7 @@ def _modes_of(name: str) -> tuple[Floats, Floats]:
     return modes.frequency, modes.damping_ratio
 
 
-def _read(path: str, hammer: str | None, reading: Reading) -> tuple[Floats, Floats | None, float, str]:
+def _read(path: str, hammer: str | None, reading: ReadingOptions) -> tuple[Floats, Floats | None, float, str]:
     """Return the response (n_channels, n), the hammer's force or None, their rate and the response's quantity."""
     import numpy as np
 

@@ -20,7 +20,7 @@ from cgid.cli.options import (
     OUTPUT,
     SCENE,
     OutputName,
-    Reading,
+    ReadingOptions,
     given_flags,
     json_option,
     laws_option,
@@ -39,7 +39,7 @@ from cgid.errors import BadData, InvalidValue
 
 if TYPE_CHECKING:
     from cgid.identification.training.manifest import Manifest
-    from cgid.identification.training.recordings import Reading as ManifestReading
+    from cgid.identification.training.recordings import Reading
     from cgid.scene import Scene
     from cgid.signals import Batch
     from cgid.store import Dataset
@@ -157,7 +157,7 @@ def train(
     plots: bool,
     overwrite: bool,
     as_json: bool,
-    reading: Reading,
+    reading: ReadingOptions,
     **options: Any,
 ) -> int:
     """Train a model on DATA: labelled recordings, datasets made by cgid generate, or scenes.
@@ -225,9 +225,7 @@ def train(
     return failures[0].exit_code if failures else 0
 
 
-def _correct(
-    data: tuple[str, ...], base: str, path: Path, reading: Reading, how: ManifestReading, **given: bool
-) -> int:
+def _correct(data: tuple[str, ...], base: str, path: Path, reading: ReadingOptions, how: Reading, **given: bool) -> int:
     """Correct a model by labelled impacts."""
     from cgid.cli.correction import correct_model
 
@@ -358,7 +356,7 @@ def _behind(training: Any, scene: Scene | None, points: list[tuple[float, float]
 
 
 def _from_recordings(
-    manifest: Manifest, others: list[str], reading: Reading, options: dict[str, Any]
+    manifest: Manifest, others: list[str], reading: ReadingOptions, options: dict[str, Any]
 ) -> tuple[Any, list[Any]]:
     """Return the training on recordings, and the errors of unreadable ones."""
     from cgid.identification.training import train_on_groups

@@ -9,7 +9,7 @@ import click
 
 from cgid._lib.terminal import counted
 from cgid.cli.help import Command
-from cgid.cli.options import PATH, SCENE, Reading, given_laws_option, json_option, reading_options_for
+from cgid.cli.options import PATH, SCENE, ReadingOptions, given_laws_option, json_option, reading_options_for
 from cgid.cli.output import FileErrors, print_json, progress_bar, say
 
 if TYPE_CHECKING:
@@ -28,7 +28,9 @@ _NO_SUM = "no checksum, "
 @given_laws_option
 @reading_options_for("variable", "format")
 @json_option
-def verify(data: tuple[str, ...], scene: str | None, laws: tuple[str, ...], as_json: bool, reading: Reading) -> int:
+def verify(
+    data: tuple[str, ...], scene: str | None, laws: tuple[str, ...], as_json: bool, reading: ReadingOptions
+) -> int:
     """Find damage in DATA: datasets (folders or files), recordings, tables, models; the exit code is 65 then.
 
     The files of a folder are compared with its SHA256SUMS, single files with their own checksums. A recording of
@@ -130,7 +132,7 @@ def _is_foreign(path: str) -> bool:
     return not is_single_file(file) or is_hdf5(file)
 
 
-def _verify_foreign(path: str, reading: Reading, as_json: bool) -> None:
+def _verify_foreign(path: str, reading: ReadingOptions, as_json: bool) -> None:
     """Report a recording without checksums that is readable to its end, or raise its damage."""
     from cgid.errors import BadData
 
@@ -150,7 +152,7 @@ def _verify_foreign(path: str, reading: Reading, as_json: bool) -> None:
         raise BadData(f"{path}: must be complete, {damage[0]}; copy or export it again, this is not a file of cgid")
 
 
-def _read(path: str, reading: Reading) -> tuple[RecordingFile, int]:
+def _read(path: str, reading: ReadingOptions) -> tuple[RecordingFile, int]:
     """Read a recording to its end, whether or not its rate is known; return it and its samples per channel."""
     from cgid.errors import MissingOption
     from cgid.recordings import open_recording
