@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from cgid._lib.validation import Floats
 from cgid.measure.fit.ar_noise import ORDER, ar_noise_of
-from cgid.measure.fit.fit_samples import Rows, rows_of, windows
+from cgid.measure.fit.fit_samples import Selected, rows_of, windows
 from cgid.measure.fit.optimum import Optimum, Problems, search_nearby
 from cgid.measure.fit.profile import PARABOLIC, Profiled, binned, exact, gaussian_restitution, parabolic
 from cgid.measure.fit.search import SearchResult, around, last_bin, search
@@ -53,7 +53,7 @@ class PulseStart:
     width: Floats
     peak_time: Floats
 
-    def rows(self, selected: Rows) -> PulseStart:
+    def rows(self, selected: Selected) -> PulseStart:
         """Return some of the rows."""
         return PulseStart(self.peak[selected], self.width[selected], self.peak_time[selected])
 

@@ -25,10 +25,10 @@ _GROWTH, _SHORTEST, _MAX_SHARE = 1.4, 3, 0.5
 #: Best run of a pulse over its width (impulse over peak), and mean of that run over the peak.
 _RUN_OVER_WIDTH, _MEAN_OVER_PEAK = 1.1, 0.74
 
-Rows = NDArray[np.intp] | NDArray[np.bool_] | slice
+Selected = NDArray[np.intp] | NDArray[np.bool_] | slice
 
 
-def rows_of(values: NDArray[Any] | None, rows: Rows) -> Any:
+def rows_of(values: NDArray[Any] | None, rows: Selected) -> Any:
     """Return some rows of an array, or None for None."""
     return None if values is None else values[rows]
 
@@ -99,7 +99,7 @@ class Window:
         both = self.slopes_and_residual(parameters)
         return both[:, -1], both[:, :-1]
 
-    def slopes_and_residual(self, parameters: Floats, rows: Rows = slice(None)) -> Floats:
+    def slopes_and_residual(self, parameters: Floats, rows: Selected = slice(None)) -> Floats:
         """Return the slopes of the curve and, last, samples minus curve, (n, n_free + 1, n_points)."""
         curves = slopes_and_pulse(parameters, self.times[rows], self.onset is not None, self.fit_baseline)
         if self._mixing is not None:

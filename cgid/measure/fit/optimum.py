@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid._lib.validation import Floats
-from cgid.measure.fit.fit_samples import Rows, Window, rows_of, tied
+from cgid.measure.fit.fit_samples import Selected, Window, rows_of, tied
 from cgid.measure.fit.least_squares import least_squares
 from cgid.measure.fit.template import MAX_SHAPE, MIN_SHAPE
 
@@ -46,7 +46,7 @@ class Problems:
             out[window.rows] = of_window
         return out
 
-    def tied(self, parameters: Floats, rows: Rows = slice(None)) -> Floats:
+    def tied(self, parameters: Floats, rows: Selected = slice(None)) -> Floats:
         """Return the parameters, with the peak time that follows from a known onset."""
         return tied(parameters, rows_of(self.onset, rows))
 
@@ -72,7 +72,7 @@ class Optimum:
     information: Floats
     converged: NDArray[np.bool_]
 
-    def rows(self, chosen: Rows) -> Optimum:
+    def rows(self, chosen: Selected) -> Optimum:
         """Return copies of some of the rows."""
         return Optimum(*(np.array(getattr(self, one.name)[chosen]) for one in fields(self)))
 
