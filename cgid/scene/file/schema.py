@@ -27,10 +27,10 @@ from cgid.scene.file.sections import (
     PLASTIC,
     ImpactSection,
     Population,
+    PrescribedPulses,
     RandomiseSection,
     SamplingSection,
     TailBeamSection,
-    Tap,
     TargetSection,
     loss_key,
     with_table,
@@ -64,7 +64,7 @@ class Scene(Section):
     """Settings that are random instead of fixed."""
     populations: tuple[Population, ...] = Field(default=(), max_length=64)
     """The rocks that fall."""
-    taps: tuple[Tap, ...] = Field(default=(), max_length=64)
+    taps: tuple[PrescribedPulses, ...] = Field(default=(), max_length=64)
     """Pulses of a prescribed shape, such as those of a hammer."""
     stream: StreamSection | None = None
     """One long recording of many rocks, instead of a frame for each impact."""
@@ -232,7 +232,7 @@ class Scene(Section):
         return len(set(self.dissipations)) > 1
 
     @cached_property
-    def sources(self) -> tuple[Population | Tap, ...]:
+    def sources(self) -> tuple[Population | PrescribedPulses, ...]:
         """Populations and taps, in the order used for drawing one."""
         return (*self.populations, *self.taps)
 
@@ -447,7 +447,7 @@ def _sections_in(annotation: Any) -> list[type[BaseModel]]:
 #: Minimum number of samples before onset with `keep_frame`: baseline and noise are measured there.
 MIN_PRE_TRIGGER = 64
 _SECTIONS: dict[str, type[BaseModel]] = {"impact": ImpactSection, "sampling": SamplingSection, "sensor": Sensor}
-_LISTS: dict[str, type[BaseModel]] = {"populations": Population, "taps": Tap}
+_LISTS: dict[str, type[BaseModel]] = {"populations": Population, "taps": PrescribedPulses}
 #: Settings that replace each other, and randomised settings with another name than the fixed one.
 _INSTEAD = {"velocity": "drop_height", "drop_height": "velocity", "range": "relative_range", "relative_range": "range"}
 _RANDOMISED_AS = {"anti_alias": "anti_alias_frequency", "range": "relative_range"}

@@ -180,7 +180,7 @@ class Population(_Source):
         return self
 
 
-class Tap(_Source):
+class PrescribedPulses(_Source):
     """Pulses of a prescribed shape, such as those of a hammer."""
 
     shape: Shape

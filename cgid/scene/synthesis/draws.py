@@ -22,7 +22,7 @@ from cgid.physics.contact.laws import speed_of_fall
 from cgid.physics.contact.materials import YIELD_OVER_STRENGTH
 from cgid.scene.file.background import HUM_FREQUENCY, BackgroundSection, HumLine
 from cgid.scene.file.distributions import Section, quantity_of
-from cgid.scene.file.sections import SHAPES, Population, RandomiseSection, Tap
+from cgid.scene.file.sections import SHAPES, Population, PrescribedPulses, RandomiseSection
 from cgid.scene.file.sensor import AntiAlias
 
 if TYPE_CHECKING:
@@ -62,7 +62,7 @@ def _units(section: type[Section], *names: str) -> dict[str, str]:
 PARAMETER_UNITS = {
     **_units(Population, *FALL, "velocity"),
     "onset": "s",
-    **_units(Tap, *_LATER[TAPS]),
+    **_units(PrescribedPulses, *_LATER[TAPS]),
 }
 #: Parameters of some scenes; the sampling rate is not among them, because each batch states its own.
 _MORE_UNITS = {
@@ -165,7 +165,7 @@ def drawn_block(scene: Scene, seed: int, block: int, n_blocks: int = 1) -> Drawn
 
 
 def optional_numbers(
-    sources: Sequence[Population | Tap], seed: int, block: int, recording: int = 0
+    sources: Sequence[Population | PrescribedPulses], seed: int, block: int, recording: int = 0
 ) -> dict[str, Floats]:
     """Return the uniform numbers of the optional purposes that the sources use, by name, each (`BLOCK`,)."""
     laws = {name for source in sources for name in source.laws}
@@ -177,7 +177,10 @@ def optional_numbers(
 
 
 def quantities_of(
-    sources: Sequence[Population | Tap], which: NDArray[np.intp], numbers: Mapping[str, Floats], names: Iterable[str]
+    sources: Sequence[Population | PrescribedPulses],
+    which: NDArray[np.intp],
+    numbers: Mapping[str, Floats],
+    names: Iterable[str],
 ) -> dict[str, Floats]:
     """Convert uniform numbers of rocks and taps to the named quantities in SI units; nan where a source has none."""
     # which (n,) is the index of the source. A velocity uses the number of the drop height, a yield pressure or strength
