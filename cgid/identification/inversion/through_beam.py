@@ -278,7 +278,7 @@ class ThroughBeam:
         return np.asarray(np.fft.irfft(out, n_out, axis=1) * (n_out / n))[:, : int(frames.shape[1] * own / rate)]
 
 
-class _Channel:
+class _ChannelState:
     """State of a channel from its impacts, which determines the fit of the next ones."""
 
     # Decisions are made after fixed numbers of impacts, so they do not depend on the batches.
@@ -337,7 +337,7 @@ class BeamStream:
 
     def __init__(self, through: ThroughBeam) -> None:
         self.through = through
-        self._channels: dict[int, _Channel] = {}
+        self._channels: dict[int, _ChannelState] = {}
 
     @property
     def n_sensors(self) -> int:
@@ -354,7 +354,7 @@ class BeamStream:
             del self._channels[old]
         while rest.size:
             numbers = np.unique(channel[rest]).tolist()
-            states = [self._channels.pop(number, _Channel()) for number in numbers]
+            states = [self._channels.pop(number, _ChannelState()) for number in numbers]
             self._channels |= zip(numbers, states, strict=True)
             rows = [rest[channel[rest] == k][: state.n_next] for k, state in zip(numbers, states, strict=True)]
             plans = [state.plan(own.size) for state, own in zip(states, rows, strict=True)]
