@@ -35,7 +35,7 @@ class Modbus(Server):
     """A Modbus TCP server that only answers reads of registers."""
 
     def __init__(self, address: str, plant: PlantState, warn: Callable[[str], None]) -> None:
-        class Handler(socketserver.StreamRequestHandler):
+        class RegisterHandler(socketserver.StreamRequestHandler):
             server: Any
 
             def handle(self) -> None:
@@ -51,7 +51,7 @@ class Modbus(Server):
                     self.wfile.write(struct.pack(">HHHB", transaction, 0, len(answer) + 1, unit) + answer)
                     self.server.completed(self.request)
 
-        super().__init__("--modbus", Address.of("--modbus", address), Handler, TIMEOUT, warn)
+        super().__init__("--modbus", Address.of("--modbus", address), RegisterHandler, TIMEOUT, warn)
 
 
 def answered(request: bytes, plant: PlantState) -> bytes:
