@@ -59,7 +59,7 @@ class WebServer(Server):
     """Serve a few paths by GET and HEAD; on a loopback address only under loopback names (DNS rebinding)."""
 
     def __init__(self, option: str, address: Address, routes: Routes, warn: Callable[[str], None]) -> None:
-        class Handler(BaseHTTPRequestHandler):
+        class PageHandler(BaseHTTPRequestHandler):
             server_version, sys_version = "cgid", ""
             default_request_version = "HTTP/1.0"  # an answer to HTTP/0.9, or to nonsense, would have no headers
 
@@ -91,7 +91,7 @@ class WebServer(Server):
             def log_message(self, *_: Any) -> None:
                 """Log nothing."""
 
-        super().__init__(option, address, Handler, TIMEOUT, warn)
+        super().__init__(option, address, PageHandler, TIMEOUT, warn)
 
 
 def _host(header: str) -> str:
