@@ -43,7 +43,7 @@ class PlantOutputs:
 
                 self._services.append(Mqtt(mqtt, plant, warn))
             if self._commands:
-                from cgid.plant.command import Commands
+                from cgid.plant.commands import Commands
 
                 self._services.append(Commands(self._commands, plant, warn))
             plant.outputs = self._queues = [one for one in self._services if isinstance(one, Output)]
