@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, NamedTuple
 
 from cgid._lib.validation import shown, suggestion
 from cgid.errors import InvalidValue
@@ -228,3 +228,32 @@ def column_title(name: str, unit: str = "") -> str:
     """
     spelled = re.sub("[^A-Za-z0-9]+", "_", unit.translate(_SPELLED)).strip("_") if unit != "1" else ""
     return f"{name}_{spelled}" if spelled else name
+
+
+class Column(NamedTuple):
+    """A column of a table, of texts by default; `form` is the format of numbers in CSV."""
+
+    name: str
+    unit: str = ""
+    dtype: str = "string"
+    form: str = ""
+
+    @property
+    def title(self) -> str:
+        """The name and the unit, as in `time_s`."""
+        return column_title(self.name, self.unit)
+
+
+def numbers(name: str, unit: str = "", form: str = ".8g") -> Column:
+    """Return a column of numbers."""
+    return Column(name, unit, "float64", form)
+
+
+def times(name: str) -> Column:
+    """Return a column of times [s], distinct for samples up to 5 MHz."""
+    return numbers(name, "s", ".7f")
+
+
+def flags(name: str) -> Column:
+    """Return a column of true and false."""
+    return Column(name, dtype="bool")

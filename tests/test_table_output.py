@@ -20,11 +20,12 @@ from scipy.io import wavfile
 
 from cgid.cli.main import run
 from cgid.cli.output import finite
-from cgid.cli.table import ENDINGS, TableOutput, numbers
+from cgid.cli.table import ENDINGS, TableOutput
 from cgid.identification.model import Model
 from cgid.identification.prediction import identify_recording
 from cgid.identification.training.manifest import read_manifest
 from cgid.recordings import open_recording
+from cgid.units import numbers
 from tests.streams_of_pulses import RATE, ROOT, stream, window_model
 
 SAMPLE = str(ROOT / "datasets" / "sample.csv")

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 from cgid._lib.terminal import counted
 from cgid.cli.output import finite, print_json, say, warn
-from cgid.cli.table import Column, TableOutput, flags, numbers, times
+from cgid.cli.table import TableOutput
+from cgid.units import Column, flags, numbers, times
 
 if TYPE_CHECKING:
     from cgid.cli.hints import Hints

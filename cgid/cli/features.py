@@ -11,9 +11,10 @@ from cgid._lib.terminal import counted
 from cgid.cli.help import Command
 from cgid.cli.options import PATH, ReadingOptions, printing_options, reading_options
 from cgid.cli.output import FileErrors, print_json, say, warn
-from cgid.cli.table import Column, TableOutput, numbers, output_options, times
+from cgid.cli.table import TableOutput, output_options
 from cgid.errors import BadData
 from cgid.signals import Signal
+from cgid.units import Column, numbers, times
 
 #: Version of the lines of --json; see `cgid.cli.answer_rows`.
 FEATURES_VERSION = 2

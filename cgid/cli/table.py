@@ -17,7 +17,7 @@ from cgid._lib.terminal import counted, spreadsheet_cell
 from cgid.cli.options import OUTPUT, overwrite_option
 from cgid.cli.output import finite, say
 from cgid.errors import BadData
-from cgid.units import column_title
+from cgid.units import Column
 
 #: Suffixes of table files.
 ENDINGS = (".csv", ".jsonl", ".parquet", ".h5", ".hdf5")
@@ -25,43 +25,6 @@ ENDINGS = (".csv", ".jsonl", ".parquet", ".h5", ".hdf5")
 _MAX_LINE_LENGTH = 1 << 20
 #: Upper bound of the length of the first column names in CSV [characters].
 _MAX_HEAD_LENGTH = 40
-
-
-class Column(NamedTuple):
-    """A column of a table, of texts by default; `form` is the format of numbers in CSV."""
-
-    name: str
-    unit: str = ""
-    dtype: str = "string"
-    form: str = ""
-
-    @property
-    def title(self) -> str:
-        """The name and the unit, as in `time_s`."""
-        return column_title(self.name, self.unit)
-
-    def cell(self, value: Any) -> str:
-        """Return a value for CSV; empty if missing."""
-        if value is None:
-            return ""
-        if self.dtype == "bool":
-            return "true" if value else "false"
-        return spreadsheet_cell(value) if isinstance(value, str) else format(value, self.form)
-
-
-def numbers(name: str, unit: str = "", form: str = ".8g") -> Column:
-    """Return a column of numbers."""
-    return Column(name, unit, "float64", form)
-
-
-def times(name: str) -> Column:
-    """Return a column of times [s], distinct for samples up to 5 MHz."""
-    return numbers(name, "s", ".7f")
-
-
-def flags(name: str) -> Column:
-    """Return a column of true and false."""
-    return Column(name, dtype="bool")
 
 
 def output_options(command: Callable[..., Any]) -> Callable[..., Any]:
@@ -234,7 +197,16 @@ def _csv_writer(put: Callable[[str], object], columns: Sequence[Column]) -> Call
         put(line.getvalue().removesuffix("\r\n"))
 
     put_row(column.title for column in columns)
-    return lambda row: put_row(column.cell(value) for column, value in zip(columns, row, strict=True))
+    return lambda row: put_row(_cell(column, value) for column, value in zip(columns, row, strict=True))
+
+
+def _cell(column: Column, value: Any) -> str:
+    """Return a value for CSV; empty if missing."""
+    if value is None:
+        return ""
+    if column.dtype == "bool":
+        return "true" if value else "false"
+    return spreadsheet_cell(value) if isinstance(value, str) else format(value, column.form)
 
 
 def _plain(value: Any) -> Any:
