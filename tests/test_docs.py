@@ -36,7 +36,9 @@ from typing import Any
 
 import pytest
 
+import cgid
 from cgid.cli.main import run
+from cgid.identification.prediction.answers import COLUMNS
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
@@ -250,6 +252,13 @@ def test_lines_of_json_have_the_keys_of_their_page(capsys: pytest.CaptureFixture
             stated = {"from_s", "to_s", "time_s"} | {key for keys in rows for key in re.findall(r"`(\w+)`", keys)}
         assert keys
         assert keys == keys & stated
+
+
+def test_columns_of_answers_are_described() -> None:
+    titles = {column.title.replace("*", "LABEL") for column in COLUMNS.values()}
+    assert titles - set(re.findall(r"`(\w+)`", cgid.predict.__doc__ or "")) == set()
+    page = (DOCS / "reference" / "lines.md").read_text(encoding="utf-8")
+    assert titles - {"p_LABEL"} - set(re.findall(r"`(\w+)`", page)) == set()
 
 
 def test_named_programs_exist() -> None:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from cgid._lib.terminal import counted
 from cgid.cli.output import finite, print_json, say, warn
 from cgid.cli.table import TableOutput
-from cgid.units import Column, flags, numbers, times
+from cgid.units import Column, numbers
 
 if TYPE_CHECKING:
     from cgid.cli.hints import Hints
@@ -26,8 +26,6 @@ if TYPE_CHECKING:
 #: Version of the lines of --json; it rises if a key goes or has another meaning.
 ANSWERS_VERSION = 5
 
-#: Columns of a table that JSON has, too.
-_IN_JSON = ("channel", "label", "novelty", "overlapping", "clipped", "cut_off", "problem")
 #: The impactor and its units: the median and the ends of the 90 % interval.
 IMPACTOR_UNITS = {"mass": "kg", "radius": "m", "speed": "m/s"}
 
@@ -38,26 +36,6 @@ def impactor_columns() -> tuple[Column, ...]:
         numbers(f"{name}{end}", unit, ".4g") for name, unit in IMPACTOR_UNITS.items() for end in ("", "_low", "_high")
     )
     return (*values, Column("impactor_problem"))
-
-
-def answer_columns(
-    model: Model, *, sets: bool = False, datasets: bool = False, impactors: bool = False
-) -> tuple[Column, ...]:
-    """Return the columns of answers; `sets`, `impactors` if these are requested, `datasets` if there is one."""
-    return (
-        Column("source"),
-        Column("channel"),
-        times("time"),
-        *[times("end")] * (model.kind == "window"),
-        Column("label"),
-        *(numbers(f"p_{label}", form=".4f") for label in model.labels),
-        numbers("novelty", form=".3f"),
-        *(flags(name) for name in ("overlapping", "clipped", "cut_off")),
-        Column("problem"),
-        *[Column("prediction_set")] * sets,
-        *(impactor_columns() if impactors else ()),
-        *[Column("index", dtype="int64"), Column("truth")] * datasets,
-    )
 
 
 class AnswerLines:
@@ -80,12 +58,13 @@ class AnswerLines:
     def begin(self, source: str, model: Model, settings: PredictionSettings) -> None:
         """Set the columns; raises `BadData` if earlier rows have different ones."""
         from cgid.errors import BadData
+        from cgid.identification.prediction.answers import answer_columns
 
         if self.as_json:
             return
-        columns = answer_columns(
-            model, sets=settings.coverage is not None, datasets=self._datasets, impactors=settings.impactors is not None
-        )
+        columns = [Column("source"), *answer_columns(model, settings)]
+        columns += impactor_columns() if settings.impactors is not None else ()
+        columns += [Column("index", dtype="int64"), Column("truth")] * self._datasets
         if lacking := self._table.begin(columns):
             raise BadData(
                 f"{source}: its columns must be those of earlier rows, its model adds {lacking[0].title}; run it alone"
@@ -93,6 +72,8 @@ class AnswerLines:
 
     def answer(self, source: str, answer: Answer, kind: str = "impact", **more: Any) -> None:
         """Print the prediction for an impact or window; `more`: its number in its channel, its index or its truth."""
+        from cgid.identification.prediction.answers import COLUMNS
+
         row = {"source": source, **answer.row, "problem": answer.problem or None, **more}
         impactor = answer.impactor
         if impactor is not None:
@@ -101,7 +82,9 @@ class AnswerLines:
             self._table.add(row)
         if self.as_json or self._listener is not None:
             probabilities = dict(answer.probabilities)
-            content = {name: row[name] for name in (*_IN_JSON, *more, "time_s", "end_s")}
+            content = {
+                column.title: row[column.title] for name, column in COLUMNS.items() if name != "probabilities"
+            } | more
             content["most_likely"] = max(probabilities, key=lambda label: probabilities[label], default=None)
             content |= {"probabilities": probabilities, "in_training_range": answer.in_training_range}
             content["prediction_set"] = None if answer.prediction_set is None else list(answer.prediction_set)
@@ -191,17 +174,19 @@ class RecordingTally:
     """Counts of the predictions of a recording, by label and by mark."""
 
     def __init__(self, kind: str) -> None:
+        from cgid.identification.prediction.answers import COLUMNS
+
         self.kind = kind
         self.labels: Counter[str] = Counter()
         self.marks: Counter[str] = Counter()
+        self._marks = {name: column.title for name, column in COLUMNS.items() if column.dtype == "bool"}
         self.n_outside = 0
 
     def add(self, answers: Iterable[Answer]) -> None:
         """Count more predictions."""
         for answer in answers:
             self.labels[answer.label] += 1
-            marks = {"overlapping": answer.overlapping, "clipped": answer.clipped, "cut off": answer.cut}
-            self.marks.update(name for name, holds in marks.items() if holds)
+            self.marks.update(title for name, title in self._marks.items() if getattr(answer, name))
             self.n_outside += not answer.in_training_range
 
     @property
@@ -216,13 +201,13 @@ class RecordingTally:
             f"{self.kind}s": self.total,
             "labels": dict(sorted(self.labels.items())),
             "out_of_training_range": self.n_outside,
-            **{name.replace(" ", "_"): self.marks[name] for name in ("overlapping", "clipped", "cut off")},
+            **{title: self.marks[title] for title in self._marks.values()},
         }
 
     def text(self) -> str:
         """Return the counts in words."""
         named = ", ".join(f"{label} {count}" for label, count in self.labels.most_common()) or "none"
-        marks = ", ".join(f"{count} {name}" for name, count in sorted(self.marks.items()))
+        marks = ", ".join(f"{count} {title.replace('_', ' ')}" for title, count in sorted(self.marks.items()))
         outside = f", {self.n_outside} out of the training's range" if self.n_outside else ""
         return f"{counted(self.total, self.kind)}: {named}{outside}" + (f", {marks}" if marks else "")
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -22,7 +23,7 @@ from cgid.measure.filters import Equalisation
 from cgid.measure.frames import DETECTION_LIMIT, MINIMUM_FRAME, Problem, ProblemKind, frames_of
 from cgid.recordings.chain import require_measured
 from cgid.signals import Signal, force_factor
-from cgid.units import ELECTRICAL, UNITS, quantity_of
+from cgid.units import ELECTRICAL, UNITS, Column, flags, numbers, quantity_of, times
 
 if TYPE_CHECKING:
     from cgid.identification.inversion.through_beam import BeamStream
@@ -74,22 +75,22 @@ class Answer:
         The impactor, where the settings ask for it.
     """
 
-    time: float
-    label: str
-    probabilities: Mapping[str, float]
-    novelty: float
+    channel: str = field(default="1", metadata={"column": Column("channel")})
+    time: float = field(metadata={"column": times("time")})
+    end: float = field(default=math.nan, metadata={"column": times("end")})
+    label: str = field(metadata={"column": Column("label")})
+    probabilities: Mapping[str, float] = field(metadata={"column": numbers("p_*", form=".4f")})
+    novelty: float = field(metadata={"column": numbers("novelty", form=".3f")})
+    overlapping: bool = field(default=False, metadata={"column": flags("overlapping")})
+    clipped: bool = field(default=False, metadata={"column": flags("clipped")})
+    cut: bool = field(default=False, metadata={"column": flags("cut_off")})
+    problem: str = field(default="", metadata={"column": Column("problem")})
+    prediction_set: tuple[str, ...] | None = field(default=None, metadata={"column": Column("prediction_set")})
     in_training_range: bool = False
-    problem: str = ""
     problem_kind: ProblemKind | None = None
-    prediction_set: tuple[str, ...] | None = None
-    channel: str = "1"
-    end: float = float("nan")
-    overlapping: bool = False
-    clipped: bool = False
-    cut: bool = False
     cause: Cause | None = None
-    unexplained: float = float("nan")
-    level: float = float("nan")
+    unexplained: float = math.nan
+    level: float = math.nan
     pulse: tuple[float, ...] | None = None
     impactor: Mapping[str, Any] | None = None
 
@@ -111,19 +112,24 @@ class Answer:
     @property
     def row(self) -> dict[str, Any]:
         """The row of a table, by the titles of its columns."""
-        return {
-            "channel": self.channel,
-            "time_s": self.time,
-            "end_s": self.end,
-            "label": self.label,
-            **{f"p_{label}": probability for label, probability in self.probabilities.items()},
-            "novelty": self.novelty,
-            "overlapping": self.overlapping,
-            "clipped": self.clipped,
-            "cut_off": self.cut,
-            "problem": self.problem,
-            "prediction_set": "+".join(self.prediction_set or ()),
-        }
+        row = {column.title: getattr(self, name) for name, column in COLUMNS.items() if name != "probabilities"}
+        row |= {f"p_{label}": probability for label, probability in self.probabilities.items()}
+        return row | {"prediction_set": "+".join(self.prediction_set or ())}
+
+
+#: Columns of a table of answers by the field that they show, in order; `p_*` is one column for each label.
+COLUMNS: Mapping[str, Column] = {one.name: one.metadata["column"] for one in fields(Answer) if one.metadata}
+
+
+def answer_columns(model: Model, settings: PredictionSettings) -> tuple[Column, ...]:
+    """Return the columns of a table of the answers of a model."""
+    shown = {"end": model.kind == "window", "prediction_set": settings.coverage is not None}
+    return tuple(
+        column._replace(name=column.name.replace("*", label))
+        for name, column in COLUMNS.items()
+        if shown.get(name, True)
+        for label in (model.labels if name == "probabilities" else ("",))
+    )
 
 
 def suited(signal: Signal, model: Model, mass: float | None = None) -> Signal:

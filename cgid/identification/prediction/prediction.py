@@ -16,7 +16,7 @@ from cgid._lib import validation
 from cgid._lib.validation import require_rate
 from cgid.errors import BadData, MissingOption
 from cgid.identification.model.model import Model
-from cgid.identification.prediction.answers import Answer
+from cgid.identification.prediction.answers import Answer, answer_columns
 from cgid.identification.prediction.pipeline import Pipeline, answers_with_warnings
 from cgid.identification.prediction.settings import PredictionSettings
 from cgid.recordings import read_recording
@@ -260,14 +260,8 @@ def _require_alike(signals: Sequence[Any], sampling_rate: float | None) -> list[
 def _table(answers: Sequence[Answer], model: Model, settings: PredictionSettings) -> pandas.DataFrame:
     import pandas as pd
 
-    flags = ("overlapping", "clipped", "cut_off")
-    titles = ["channel", "time_s", *["end_s"] * (model.kind == "window"), "label"]
-    titles += [*(f"p_{label}" for label in model.labels), "novelty", *flags, "problem"]
-    titles += ["prediction_set"] * (settings.coverage is not None)
     rows = [one.row for one in answers]
-    columns: dict[str, Any] = {title: [row.get(title, np.nan) for row in rows] for title in titles}
-    columns |= {title: np.array(columns[title], bool) for title in flags}
-    texts = ("channel", "label", "problem", "prediction_set")
+    columns = {column.title: column.dtype.replace("string", "object") for column in answer_columns(model, settings)}
     return pd.DataFrame(
-        {name: pd.Series(column, dtype=object if name in texts else None) for name, column in columns.items()}
+        {title: pd.Series([row.get(title) for row in rows], dtype=dtype) for title, dtype in columns.items()}
     )
