@@ -14,8 +14,8 @@ import pytest
 from cgid.cli.main import run
 from cgid.errors import BadData
 from cgid.identification.model import Model
+from cgid.identification.model.confusion import wilson_interval
 from cgid.identification.model.families import softmax
-from cgid.identification.prediction.fraction import wilson_interval
 from cgid.identification.training import Rows, train_on_specimens
 from cgid.identification.training.card import correction_section, write_card
 from cgid.identification.training.correction import Shift, advice, correct, fit_bias_and_slope, shifted

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from cgid.errors import InvalidValue
-from cgid.measure.filters import fft_filter, filter_gain, low_pass_response, mixing_matrix
+from cgid.measure.filters import fft_filter, filter_gain, low_pass_response
 from cgid.measure.fit import family
+from cgid.measure.fit.fit_samples import mixing_matrix
 from tests import naive
 
 RATE = 1e6

@@ -13,12 +13,13 @@ from scipy.io import wavfile
 
 from cgid.cli.main import run
 from cgid.errors import BadData, InvalidValue
-from cgid.identification.detection.windows import RunningVote, measure_windows
+from cgid.identification.detection.windows import measure_windows
 from cgid.identification.model import Model
 from cgid.identification.prediction import Answer, PredictionSettings, identify, identify_recording
 from cgid.identification.prediction.fraction import ShutDecision
 from cgid.identification.prediction.stream import identify_blocks, independence
 from cgid.identification.prediction.support import CavingWatch
+from cgid.identification.prediction.vote import RunningVote
 from cgid.recordings import open_recording, read_recording
 from tests.streams_of_pulses import RATE, ROOT, stream, window_model
 

@@ -20,8 +20,9 @@ from benchmarks.identification.low_rates import FORCES, MODES, simulated
 from cgid.cli.main import run
 from cgid.errors import BadData, InvalidValue
 from cgid.identification.detection.silence import Silence, silence_of
-from cgid.identification.detection.windows import WINDOW_TIME, RunningVote, measure_windows, windows_of
+from cgid.identification.detection.windows import WINDOW_TIME, measure_windows, windows_of
 from cgid.identification.model import Model
+from cgid.identification.prediction.vote import RunningVote
 from cgid.identification.training import train_on_groups, write_card
 from cgid.identification.training.classifier import ImpactClassifier, ShrunkenDiscriminant
 from cgid.identification.training.grouped import (

@@ -40,7 +40,7 @@ from benchmarks.identification.rock import limits
 from cgid import shipped
 from cgid.identification.inversion.through_beam import ThroughBeam
 from cgid.identification.model import Model
-from cgid.identification.prediction.fraction import wilson_interval
+from cgid.identification.model.confusion import wilson_interval
 from cgid.identification.training import ImpactClassifier
 from cgid.identification.training.rows import BEAM_FEATURES, BEAM_GUARDS, DEFAULT_FEATURES, DEFAULT_GUARDS
 from cgid.measure.features import extraction as known

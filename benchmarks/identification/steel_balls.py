@@ -19,8 +19,8 @@ import numpy as np
 
 from cgid._lib.validation import Floats
 from cgid.identification.detection import find_impacts
+from cgid.identification.model.confusion import wilson_interval
 from cgid.identification.prediction import load_model, predict
-from cgid.identification.prediction.fraction import wilson_interval
 from cgid.impactor import MeasuredPulses, population_of
 from cgid.impactor.estimation import Estimates, estimate
 from cgid.recordings import read_recording

@@ -20,7 +20,7 @@ from benchmarks.open.sets import COAL, COLUMNS, GANGUE, LARGEST, LIMIT, OTHER, a
 from cgid._lib.files import read_cells
 from cgid._lib.validation import suggestion
 from cgid.errors import BadData, InvalidValue
-from cgid.identification.prediction.fraction import wilson_interval
+from cgid.identification.model.confusion import wilson_interval
 from cgid.identification.training.card import plain, table
 
 Floats = NDArray[np.float64]

@@ -262,7 +262,7 @@ class _Tally:
 
     def summary(self, n_impacts: int) -> str:
         """Return the counts in one line."""
-        from cgid.identification.prediction.fraction import wilson_interval
+        from cgid.identification.model.confusion import wilson_interval
 
         share = self.right / self.measured
         # Impacts of one specimen are not independent trials.

@@ -19,14 +19,15 @@ from numpy.typing import ArrayLike, NDArray
 from cgid._lib import validation
 from cgid._lib.validation import Floats, rates
 from cgid.errors import InvalidValue
-from cgid.measure.filters import low_pass_response, mixing_matrix
-from cgid.measure.fit.fit_samples import rows_of, windows
+from cgid.measure.filters import low_pass_response
+from cgid.measure.fit.fit_samples import mixing_matrix, rows_of, windows
 from cgid.measure.fit.least_squares import solve_scaled
-from cgid.measure.fit.optimum import bounded, normal_equations
+from cgid.measure.fit.optimum import normal_equations
 from cgid.measure.fit.template import (
     MAX_SHAPE,
     MIN_SHAPE,
     PARAMETERS,
+    bounded,
     covariance_of,
     parameters_of,
     pulse_and_slopes,

@@ -34,8 +34,6 @@ _ROWS = 32
 SENSOR_TAPER = 0.5
 #: Lowest edge of an impulse response over the sampling rate: limits the ringing to a million samples.
 _MIN_EDGE = 2.0**-14
-#: Maximum number of samples of a mixing matrix (2 GiB).
-_MAX_MIXED = 1 << 14
 #: Extent of an impulse response: periods of its edge, and smallest value over its largest.
 _RESPONSE_PERIODS, _RESPONSE_FLOOR = 64, 1e-5
 #: Largest gain of an equalisation [dB]: it cannot restore what a sensor does not record.
@@ -150,22 +148,6 @@ def low_pass_response(sampling_rate: float, edge: float) -> Floats:
     # Ringing below 1e-5 of the largest value is cut off.
     significant = np.flatnonzero(np.abs(response) > _RESPONSE_FLOOR * response[0])
     return np.asarray(response[: significant[-1] + 1])
-
-
-def mixing_matrix(response: Floats, n_samples: int) -> Floats:
-    """Return the matrix (n_samples, n_samples) that applies a symmetric impulse response to rows of samples."""
-    if n_samples > _MAX_MIXED:
-        raise InvalidValue(
-            f"a low-passed pulse must last at most {_MAX_MIXED} samples with the ringing of its filter, got "
-            f"{n_samples}; leave the bandwidth out, which hardly changes such a long pulse, or use fewer samples"
-        )
-    lags = np.zeros(2 * n_samples - 1)
-    truncated = response[:n_samples]
-    lags[n_samples - len(truncated) : n_samples], lags[n_samples - 1 : n_samples - 1 + len(truncated)] = (
-        truncated[::-1],
-        truncated,
-    )
-    return np.ascontiguousarray(np.lib.stride_tricks.sliding_window_view(lags, n_samples)[::-1])
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

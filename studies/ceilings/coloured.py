@@ -24,13 +24,14 @@ from numpy.typing import NDArray
 from cgid._lib.validation import Floats
 from cgid.errors import InvalidValue
 from cgid.impactor.likelihood import Profile, profile
-from cgid.measure.filters import mixing_matrix
-from cgid.measure.fit.fit_samples import by_length, tied
+from cgid.measure.fit.fit_samples import by_length, mixing_matrix, tied
 from cgid.measure.fit.least_squares import solve_scaled
-from cgid.measure.fit.optimum import MAX_STEPS, bounded, normal_equations
+from cgid.measure.fit.optimum import normal_equations
 from cgid.measure.fit.template import (
     MAX_SHAPE,
+    MAX_STEPS,
     MIN_SHAPE,
+    bounded,
     free_parameters,
     pulse_and_slopes,
     relative_times,

@@ -195,3 +195,19 @@ def logit(probabilities: Floats) -> Floats:
     """Return the logarithm of the odds; probabilities are kept `SUREST` away from 0 and 1; nan stays nan."""
     confident = np.clip(probabilities, SUREST, 1.0 - SUREST)
     return np.asarray(np.log(confident / (1.0 - confident)))
+
+
+#: The 97.5 % quantile of the normal distribution.
+_Z = 1.959963984540054
+
+
+def wilson_interval(share: float, total: float) -> tuple[float, float]:
+    """Return the 95 % score interval of a fraction of independent trials (Wilson 1927).
+
+    >>> [round(end, 4) for end in wilson_interval(0.9, 100)]
+    [0.8256, 0.9448]
+    """
+    extra = _Z * _Z / total
+    middle = (share + extra / 2) / (1 + extra)
+    half = _Z * (share * (1 - share) / total + extra / (4 * total)) ** 0.5 / (1 + extra)
+    return middle - half, middle + half

@@ -20,8 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid._lib import validation
-from cgid.errors import BadData
-from cgid.identification.detection.windows import require_times
+from cgid.errors import BadData, InvalidValue
 from cgid.identification.model.anchor import SeamNetworks, pulse_names
 from cgid.identification.model.confusion import Confusion
 from cgid.identification.model.families import BY_NAME, MIN_DIVISOR, Boosting, Contrast, Linear, Network, Standardiser
@@ -41,6 +40,11 @@ UNEXPLAINED = "median_beam_unexplained"
 VOTE_CORRELATION = "vote_correlation"
 #: Of the training record of models of labelled recordings: the levels of recordings, and the names of its numbers.
 LEVEL_RANGE, LEVELS = "level_range", ("deviation", "low", "high", "between", "within")
+
+#: Longest window [s], because it is in memory.
+MAX_WINDOW = 10.0
+#: Shortest hop, as a share of the window; the longest is `MAX_WINDOW`.
+FINEST_HOP = 0.01
 
 # -- the archive ------------------------------------------------------------------------------------------
 
@@ -356,6 +360,19 @@ def _check_arrays(model: Model) -> None:
     Standardiser.from_arrays(arrays, STANDARDISER)  # checks its scale and floor
     if any_through_beam(model.measured) != any(name.startswith("beam.") for name in arrays):
         raise BadData("a model must have the arrays of a beam if and only if features need it")
+
+
+def require_times(window_time: float, hop_time: float) -> None:
+    """Raise `InvalidValue` unless the length of windows [s] and the hop between their starts [s] are valid."""
+    validation.positive("window_time", window_time, "s")
+    validation.positive("hop_time", hop_time, "s")
+    if window_time > MAX_WINDOW:
+        raise InvalidValue(f"window_time must be at most {MAX_WINDOW:g} s, got {window_time:g} s")
+    if not FINEST_HOP * window_time <= hop_time <= MAX_WINDOW:
+        raise InvalidValue(
+            f"hop_time must be between {FINEST_HOP:g} of a window and {MAX_WINDOW:g} s, got {hop_time:g} s for "
+            f"windows of {window_time:g} s"
+        )
 
 
 def _check_windows(model: Model) -> None:

@@ -33,7 +33,7 @@ from collections import deque
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from functools import cache
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
@@ -42,8 +42,10 @@ from cgid._lib.validation import Floats
 from cgid.errors import InvalidValue
 from cgid.identification.model.anchor import Anchor, Basis, Impacts, SeamNetworks, class_edges, impacts_of
 from cgid.identification.model.confusion import SUREST, Confusion, logit
-from cgid.identification.model.model import Model
 from cgid.identification.prediction.settings import COST_EARLY, COST_LATE, RULES, require_costs
+
+if TYPE_CHECKING:
+    from cgid.identification.model.model import Model
 
 __all__ = ["Share"]
 
@@ -405,19 +407,3 @@ def separates(gangue: Collection[str], model: Model) -> bool:
 def as_in(model: Model, labels: Collection[str]) -> tuple[str, ...]:
     """Return labels in any case as a model spells them."""
     return tuple(validation.as_spelled(label, model.labels) for label in labels)
-
-
-#: The 97.5 % quantile of the normal distribution.
-_Z = 1.959963984540054
-
-
-def wilson_interval(share: float, total: float) -> tuple[float, float]:
-    """Return the 95 % score interval of a fraction of independent trials (Wilson 1927).
-
-    >>> [round(end, 4) for end in wilson_interval(0.9, 100)]
-    [0.8256, 0.9448]
-    """
-    extra = _Z * _Z / total
-    middle = (share + extra / 2) / (1 + extra)
-    half = _Z * (share * (1 - share) / total + extra / (4 * total)) ** 0.5 / (1 + extra)
-    return middle - half, middle + half

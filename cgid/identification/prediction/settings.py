@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import compress
-from typing import Any, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -13,9 +13,11 @@ from numpy.typing import ArrayLike, NDArray
 from cgid._lib import validation
 from cgid._lib.validation import UNKNOWN, Floats, Rule, shown
 from cgid.errors import InvalidValue, MissingOption
-from cgid.identification.detection.windows import VOTE_TIME
-from cgid.identification.model.model import Model
+from cgid.identification.prediction.vote import VOTE_TIME
 from cgid.signals import KNOWN
+
+if TYPE_CHECKING:
+    from cgid.identification.model.model import Model
 
 __all__ = ["PredictionSettings"]
 

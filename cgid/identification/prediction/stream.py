@@ -19,12 +19,13 @@ from cgid._lib.validation import Floats
 from cgid.errors import BadData, CgidError, InvalidValue
 from cgid.identification.detection.detector import ImpactDetector
 from cgid.identification.detection.events import Event
-from cgid.identification.detection.windows import RunningVote, complete_windows, measure_windows, windows_of
+from cgid.identification.detection.windows import complete_windows, measure_windows, windows_of
 from cgid.identification.model.model import Model
 from cgid.identification.model.reference import MeanSpectrum, drift
 from cgid.identification.prediction.answers import Answer, answers_from, factor_to, identify_events, unmeasured
 from cgid.identification.prediction.same_beam import SameBeam, Together, pooled, rows_of
 from cgid.identification.prediction.settings import PredictionSettings
+from cgid.identification.prediction.vote import RunningVote
 from cgid.measure.features.extraction import FEATURES, require_measurable
 from cgid.measure.features.table import MIN_BANDWIDTH, ImpactKind
 from cgid.measure.filters import Equalisation

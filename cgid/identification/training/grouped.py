@@ -25,10 +25,11 @@ from cgid._lib.validation import Floats
 from cgid._lib.workers import SERIAL, Workers
 from cgid.errors import BadData
 from cgid.identification.detection.events import EVENT_TIME
-from cgid.identification.detection.windows import CLEAR, VOTE_TIME, RunningVote, independent_windows
+from cgid.identification.detection.windows import CLEAR
 from cgid.identification.model.families import Contrast, Neighbourhood, softmax
 from cgid.identification.model.model import MIN_GROUPS, inputs_of, level_weights
 from cgid.identification.prediction.diagnosis import MIN_LEVELS, upper_end
+from cgid.identification.prediction.vote import VOTE_TIME, RunningVote, independent_windows
 from cgid.identification.training.classifier import (
     ImpactClassifier,
     Weights,

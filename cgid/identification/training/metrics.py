@@ -11,9 +11,9 @@ from sklearn import metrics
 
 from cgid._lib.validation import Floats
 from cgid.errors import InvalidValue
-from cgid.identification.detection.windows import MIN_PROBABILITY, RunningVote
 from cgid.identification.model.conformal import COVERAGES, Conformal
-from cgid.identification.prediction.fraction import wilson_interval
+from cgid.identification.model.confusion import wilson_interval
+from cgid.identification.prediction.vote import MIN_PROBABILITY, RunningVote
 
 if TYPE_CHECKING:
     from cgid.identification.training.rows import Rows

@@ -20,8 +20,9 @@ from cgid._lib import validation
 from cgid._lib.validation import Floats
 from cgid._lib.workers import SERIAL, Workers
 from cgid.errors import BadData, CgidError, InvalidValue
-from cgid.identification.detection.windows import CLEAR, WINDOW_TIME, columns_of, require_times
+from cgid.identification.detection.windows import CLEAR, WINDOW_TIME, columns_of
 from cgid.identification.inversion.through_beam import ThroughBeam
+from cgid.identification.model.model_file import require_times
 from cgid.measure.features.extraction import (
     FEATURES,
     any_through_beam,

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid._lib.validation import Floats
-from cgid.measure.filters import mixing_matrix
+from cgid.errors import InvalidValue
 from cgid.measure.fit.ar_noise import ARNoise
 from cgid.measure.fit.template import free_parameters, relative_times, slopes_and_pulse
 
@@ -26,6 +26,8 @@ _GROWTH, _SHORTEST, _MAX_SHARE = 1.4, 3, 0.5
 _RUN_OVER_WIDTH, _MEAN_OVER_PEAK = 1.1, 0.74
 
 Selected = NDArray[np.intp] | NDArray[np.bool_] | slice
+#: Maximum number of samples of a mixing matrix (2 GiB).
+_MAX_MIXED = 1 << 14
 
 
 def rows_of(values: NDArray[Any] | None, rows: Selected) -> Any:
@@ -156,6 +158,22 @@ def windows(
         selected = rows if among is None else among[rows]
         curve = (fit_baseline, rows_of(onset, rows), response)
         yield Window(samples, selected, first[rows] - before * run, length, run, levels[:, rows], *curve)
+
+
+def mixing_matrix(response: Floats, n_samples: int) -> Floats:
+    """Return the matrix (n_samples, n_samples) that applies a symmetric impulse response to rows of samples."""
+    if n_samples > _MAX_MIXED:
+        raise InvalidValue(
+            f"a low-passed pulse must last at most {_MAX_MIXED} samples with the ringing of its filter, got "
+            f"{n_samples}; leave the bandwidth out, which hardly changes such a long pulse, or use fewer samples"
+        )
+    lags = np.zeros(2 * n_samples - 1)
+    truncated = response[:n_samples]
+    lags[n_samples - len(truncated) : n_samples], lags[n_samples - 1 : n_samples - 1 + len(truncated)] = (
+        truncated[::-1],
+        truncated,
+    )
+    return np.ascontiguousarray(np.lib.stride_tricks.sliding_window_view(lags, n_samples)[::-1])
 
 
 def by_length(required: Floats) -> Iterator[tuple[NDArray[np.intp], int]]:

@@ -12,10 +12,8 @@ from numpy.typing import NDArray
 from cgid._lib.validation import Floats
 from cgid.measure.fit.fit_samples import Selected, Window, rows_of, tied
 from cgid.measure.fit.least_squares import least_squares
-from cgid.measure.fit.template import MAX_SHAPE, MIN_SHAPE
+from cgid.measure.fit.template import MAX_SHAPE, MIN_SHAPE, bounded
 
-#: Largest steps of ln(width), of the peak time over the width, and of s.
-MAX_STEPS = (0.4, 0.5, 0.7)
 _ITERATIONS = 8
 #: The last step, which is not evaluated, is one predicted to reduce the squared residual by less than this fraction of
 #: the noise variance (the remaining error is of higher order).
@@ -116,13 +114,3 @@ def normal_equations(residual: Floats, slopes: Floats) -> tuple[Floats, Floats, 
     information = np.matmul(slopes, np.swapaxes(slopes, 1, 2))
     gradient = np.matmul(slopes, residual[..., None])[..., 0]
     return np.sum(residual**2, axis=1), information, gradient
-
-
-def bounded(step: Floats, free: list[int], width: Floats) -> Floats:
-    """Return steps (n, n_free) in free parameters, none larger than `MAX_STEPS`; width (n,) [samples]."""
-    step = step.copy()
-    for column, parameter in enumerate(free):
-        if 1 <= parameter <= 3:
-            largest = MAX_STEPS[parameter - 1] * (width if parameter == 2 else 1.0)
-            step[:, column] = np.minimum(np.maximum(step[:, column], -largest), largest)
-    return step

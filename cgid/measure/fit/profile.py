@@ -4,15 +4,18 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cache
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cgid._lib.validation import Floats
 from cgid.measure.fit.least_squares import solve_scaled
-from cgid.measure.fit.optimum import Optimum, Problems, bounded
 from cgid.measure.fit.search import BIN, NODES, SearchResult
-from cgid.measure.fit.template import covariance_of, relative_times
+from cgid.measure.fit.template import bounded, covariance_of, relative_times
+
+if TYPE_CHECKING:
+    from cgid.measure.fit.optimum import Optimum, Problems
 
 #: Shapes at which the likelihood is profiled (every other one of the search).
 _EVERY = slice(0, 20, 2)

@@ -30,6 +30,8 @@ MIN_SHAPE, MAX_SHAPE = float(np.log(family.MIN_RESTITUTION)), -float(np.log(fami
 TEMPLATE_PATH, SHAPES_PATH = (Path(__file__).with_name(name) for name in ("template.npy", "shapes.npz"))
 #: Shapes of the tables, from the lowest to 0, and cells of the contact.
 N_SHAPES, N_CELLS = 129, 1024
+#: Largest steps of ln(width), of the peak time over the width, and of s.
+MAX_STEPS = (0.4, 0.5, 0.7)
 _SPACING = -MIN_SHAPE / (N_SHAPES - 1)
 
 
@@ -233,3 +235,13 @@ def parameters_of(peak: Floats, width: Floats, onset: Floats, shape: Floats) -> 
     """Return (peak, ln width, peak time, shape, baseline 0), (n, 5), of pulses given by their onset."""
     _, lead, _, _ = relative_times(shape)
     return np.stack([peak, np.log(width), onset + lead * width, shape, np.zeros_like(peak)], axis=1)
+
+
+def bounded(step: Floats, free: list[int], width: Floats) -> Floats:
+    """Return steps (n, n_free) in free parameters, none larger than `MAX_STEPS`; width (n,) [samples]."""
+    step = step.copy()
+    for column, parameter in enumerate(free):
+        if 1 <= parameter <= 3:
+            largest = MAX_STEPS[parameter - 1] * (width if parameter == 2 else 1.0)
+            step[:, column] = np.minimum(np.maximum(step[:, column], -largest), largest)
+    return step
