@@ -13,7 +13,9 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy import stats
+from sklearn import config_context
 from sklearn import metrics as reference_metrics
+from sklearn.model_selection import GroupKFold, cross_val_score
 from sklearn.utils.estimator_checks import check_estimator
 
 from cgid.errors import BadData, InvalidValue
@@ -46,9 +48,71 @@ def held_out(scene: Scene, training: Training, n: int = 600) -> tuple[np.ndarray
 @pytest.mark.filterwarnings("ignore")
 @pytest.mark.parametrize("family", few(FAMILIES))
 def test_estimator_passes_scikit_learns_own_checks(family: str) -> None:
-    results = check_estimator(ImpactClassifier(family, n_trees=20), on_fail=None, on_skip=None)
+    # The shrinkage of a covariance depends on the number of rows, which a weight is not.
+    known = {"check_sample_weight_equivalence_on_dense_data": "weights are relative"} if family == "linear" else {}
+    estimator = ImpactClassifier(family, n_trees=20)
+    results = check_estimator(estimator, on_fail=None, on_skip=None, expected_failed_checks=known)
     assert [r["check_name"] for r in results if r["status"] == "failed"] == []
     assert sum(r["status"] == "passed" for r in results) > 40
+
+
+def rows_of_two(n: int = 600) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    generator = np.random.default_rng(3)
+    features = generator.normal(size=(n, 3))
+    labels = np.where(features[:, 0] + generator.normal(0, 0.8, n) > 0, "a", "b")
+    # Some rows do not count, some count eightfold, above all those of "a".
+    return features, labels, generator.integers(0, 3, n) * np.where(labels == "a", 4, 1)
+
+
+@pytest.mark.parametrize("family", few(FAMILIES))
+def test_weights_of_rows_are_numbers_of_copies(family: str) -> None:
+    features, labels, weights = rows_of_two()
+    copies = np.repeat(np.arange(len(labels)), weights)
+    settings: dict[str, Any] = {"n_trees": 20, "calibration_folds": 0}  # folds share rows out, not copies
+    weighted = ImpactClassifier(family, **settings).fit(features, labels, sample_weight=weights)
+    repeated = ImpactClassifier(family, **settings).fit(features[copies], labels[copies])
+    plain = ImpactClassifier(family, **settings).fit(features, labels)
+    expected = repeated.predict_proba(features)
+    errors = [np.abs(one.predict_proba(features) - expected).mean() for one in (weighted, plain)]
+    assert errors[0] < errors[1] / 3  # of the bins of trees, the regularisation of networks, and the shrinkage
+
+
+def test_weights_and_groups_are_routed() -> None:
+    features, labels, weights = rows_of_two()
+    with config_context(enable_metadata_routing=True):
+        asked = (
+            ImpactClassifier().set_fit_request(sample_weight=True, groups=True).set_score_request(sample_weight=True)
+        )
+        assert "workers" not in asked.get_metadata_routing().fit.requests
+        params = {"sample_weight": weights, "groups": np.arange(len(labels)) // 2}
+        scores = cross_val_score(asked, features, labels, params=params, cv=GroupKFold(3), error_score="raise")
+    parts = GroupKFold(3).split(features, labels, params["groups"])
+    for score, (training, test) in zip(scores, parts, strict=True):
+        given = {name: values[training] for name, values in params.items()}
+        fitted = ImpactClassifier().fit(features[training], labels[training], **given)
+        assert score == fitted.score(features[test], labels[test], weights[test])
+
+
+def test_processes_do_not_change_the_fit() -> None:
+    features, labels, weights = rows_of_two()
+    one, two = (ImpactClassifier(n_jobs=n).fit(features, labels, sample_weight=weights) for n in (None, 2))
+    assert one.temperature_ == two.temperature_ != 1
+    np.testing.assert_array_equal(one.predict_proba(features), two.predict_proba(features))
+
+
+@pytest.mark.parametrize(
+    ("weights", "message"),
+    [
+        ([1.0, -0.5, 1.0, 1.0], "sample_weight must be 0 or more, got -0.5 at index 1"),
+        ([1.0, np.nan, 1.0, 1.0], "sample_weight must be"),
+        ([1.0, 2.0], r"sample_weight must be one number for each of 4 rows, got shape \(2,\)"),
+        ([0.0] * 4, "sample_weight must be above zero for some rows"),
+        (["a"] * 4, "sample_weight must be a real number"),
+    ],
+)
+def test_bad_weights(weights: list[Any], message: str) -> None:
+    with pytest.raises(InvalidValue, match=message):
+        ImpactClassifier().fit(np.eye(4), ["a", "a", "b", "b"], sample_weight=weights)
 
 
 @pytest.mark.long

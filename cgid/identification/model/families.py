@@ -47,16 +47,20 @@ class Standardiser:
         return {prefix + name: getattr(self, name) for name in self.NAMES}
 
     @classmethod
-    def fit(cls, features: Floats, linear: Sequence[int] = ()) -> Standardiser:
-        """Fit to rows; the columns in `linear` never get a logarithm."""
+    def fit(cls, features: Floats, linear: Sequence[int] = (), weights: Floats | None = None) -> Standardiser:
+        """Fit to rows, of these weights above 0; the columns in `linear` never get a logarithm."""
         logarithmic = np.asarray((features > 0).all(axis=0))
         logarithmic[list(linear)] = False
         # A thousandth of the smallest training value is far outside, but its logarithm is finite.
         floor = np.where(logarithmic, np.maximum(1e-3 * features.min(axis=0), np.finfo(float).tiny), 1.0)
         plain = cls(logarithmic, floor, np.zeros(features.shape[1]), np.ones(features.shape[1])).apply(features)
-        spread = plain.std(axis=0)
+        if weights is None:
+            mean, spread = plain.mean(axis=0), plain.std(axis=0)
+        else:
+            mean = np.average(plain, axis=0, weights=weights)
+            spread = np.sqrt(np.average((plain - mean) ** 2, axis=0, weights=weights))
         usable = spread > 1e-12 * np.maximum(np.abs(plain).max(axis=0), 1e-300)
-        return cls(logarithmic, floor, plain.mean(axis=0), np.where(usable, spread, 1.0))
+        return cls(logarithmic, floor, mean, np.where(usable, spread, 1.0))
 
     def apply(self, features: Floats) -> Floats:
         """Return the standardised rows."""

@@ -9,6 +9,7 @@ from functools import cache
 from typing import Any, ClassVar
 
 import numpy as np
+from joblib import effective_n_jobs
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import cho_factor, cho_solve
 from scipy.optimize import minimize_scalar
@@ -19,13 +20,15 @@ from sklearn.linear_model import LogisticRegression
 from sklearn.model_selection import StratifiedGroupKFold, StratifiedKFold
 from sklearn.neural_network import MLPClassifier
 from sklearn.utils.class_weight import compute_sample_weight
+from sklearn.utils.metadata_routing import UNUSED
 from sklearn.utils.multiclass import check_classification_targets
 from sklearn.utils.validation import check_is_fitted, validate_data
 from threadpoolctl import ThreadpoolController
 
 from cgid._lib import validation
 from cgid._lib.validation import Floats
-from cgid._lib.workers import SERIAL, Workers
+from cgid._lib.workers import Workers
+from cgid.errors import InvalidValue
 from cgid.identification.model.families import Contrast, Linear, Neighbourhood, Network, Standardiser, softmax, squares
 
 #: Maximum number of rows of either side in the training of a contrast, and its iterations.
@@ -49,12 +52,16 @@ class ShrunkenDiscriminant(ClassifierMixin, BaseEstimator):  # type: ignore[misc
     # A nested cross-validation fits it a thousand times on many features and few recordings.
 
     def fit(self, X: Floats, y: NDArray[Any], sample_weight: Floats | None = None) -> ShrunkenDiscriminant:
-        """Fit to features (n_rows, n_features) and labels (n_rows,); weights set the prior probabilities."""
+        """Fit to features (n_rows, n_features) and labels (n_rows,) with weights above 0."""
+        # The weights of a class count for its prior probability; within the class only their ratios count.
         self.classes_, encoded = np.unique(y, return_inverse=True)
         counts = np.bincount(encoded, sample_weight)
         priors = counts / counts.sum()
-        means = np.stack([X[encoded == k].mean(axis=0) for k in range(len(self.classes_))])
-        self.covariance_ = _shrunken_covariance(X - means[encoded], encoded, priors)
+        within = np.ones(len(X)) if sample_weight is None else sample_weight * (np.bincount(encoded) / counts)[encoded]
+        means = np.stack(
+            [np.average(X[encoded == k], axis=0, weights=within[encoded == k]) for k in range(len(self.classes_))]
+        )
+        self.covariance_ = _shrunken_covariance((X - means[encoded]) * np.sqrt(within)[:, None], encoded, priors)
         # A ridge near rounding, so that the factor exists if a feature is constant.
         ridge = 1e-10 * max(float(np.trace(self.covariance_)) / X.shape[1], np.finfo(float).tiny)
         factor = cho_factor(self.covariance_ + ridge * np.eye(X.shape[1]))
@@ -196,6 +203,9 @@ class ImpactClassifier(ClassifierMixin, BaseEstimator):  # type: ignore[misc]
         Learn the training range as well, for `novelty`.
     random_state : int
         Seed of the folds and the network's initial weights.
+    n_jobs : int, optional
+        Processes that fit the folds of the calibration, as in scikit-learn: None for this one, -1 for all cores. The
+        result is the same.
 
     Attributes
     ----------
@@ -217,6 +227,8 @@ class ImpactClassifier(ClassifierMixin, BaseEstimator):  # type: ignore[misc]
         "network": _network,
         "linear": _linear,
     }
+    #: For scikit-learn's routing of metadata: not one of them.
+    __metadata_request__fit: ClassVar[Mapping[str, str]] = {"workers": UNUSED}
 
     def __init__(
         self,
@@ -230,6 +242,7 @@ class ImpactClassifier(ClassifierMixin, BaseEstimator):  # type: ignore[misc]
         class_weight: Weights = None,
         rejects: bool = True,
         random_state: int = 0,
+        n_jobs: int | None = None,
     ) -> None:
         self.family = family
         self.linear = linear
@@ -240,9 +253,16 @@ class ImpactClassifier(ClassifierMixin, BaseEstimator):  # type: ignore[misc]
         self.class_weight = class_weight
         self.rejects = rejects
         self.random_state = random_state
+        self.n_jobs = n_jobs
 
     def fit(
-        self, X: ArrayLike, y: ArrayLike, groups: ArrayLike | None = None, *, workers: Workers = SERIAL
+        self,
+        X: ArrayLike,
+        y: ArrayLike,
+        groups: ArrayLike | None = None,
+        sample_weight: ArrayLike | None = None,
+        *,
+        workers: Workers | None = None,
     ) -> ImpactClassifier:
         """Fit to features (n_impacts, n_features) and labels (n_impacts,).
 
@@ -257,8 +277,11 @@ class ImpactClassifier(ClassifierMixin, BaseEstimator):  # type: ignore[misc]
             Labels.
         groups : array_like, (n_impacts,), optional
             Number of the specimen of each impact; those of one specimen stay together.
-        workers : Workers
-            Processes for the fits.
+        sample_weight : array_like, (n_impacts,), optional
+            Weight of each impact, 0 or more, times that of its class. The training range has no weights: an impact is
+            in it or not.
+        workers : Workers, optional
+            Processes for the fits, in place of `n_jobs`.
 
         Returns
         -------
@@ -269,19 +292,28 @@ class ImpactClassifier(ClassifierMixin, BaseEstimator):  # type: ignore[misc]
         validation.plain("X", X)
         features, labels = validate_data(self, X, y, dtype=np.float64, ensure_min_samples=2)
         check_classification_targets(labels)
+        group_array = None if groups is None else np.asarray(groups)
+        given = None if sample_weight is None else _one_weight_a_row(sample_weight, len(labels))
+        if given is not None:
+            used = given > 0  # a row of no weight is as if it were not there
+            features, labels, given = features[used], labels[used], given[used]
+            group_array = None if group_array is None else group_array[used]
         self.classes_, encoded = np.unique(labels, return_inverse=True)
         if len(self.classes_) < 2:
             raise ValueError(f"classifier needs at least 2 classes, got 1 class: {self.classes_[0]!r}")
+        weights = row_weights(labels, self.class_weight)
+        if given is not None:
+            weights = given if weights is None else given * weights
+        crew = Workers(effective_n_jobs(self.n_jobs)) if workers is None else workers
         with _libraries().limit(limits=1):
-            self.standardiser_ = Standardiser.fit(features, self.linear)
+            self.standardiser_ = Standardiser.fit(features, self.linear, given)
             standardised = self.standardiser_.apply(features)
-            inputs, weights = self._inputs(standardised), row_weights(labels, self.class_weight)
+            inputs = self._inputs(standardised)
             self.estimator_ = self.ESTIMATORS[self.family](self).fit(inputs, encoded, sample_weight=weights)
             if self.rejects:
                 covariance = self.estimator_.covariance_ if self.family == "linear" else None
                 self.neighbourhood_ = Neighbourhood.fit(standardised, encoded, covariance)
-            group_array = None if groups is None else np.asarray(groups)
-            self.temperature_, self.held_out_loss_ = self._temperature(inputs, encoded, weights, group_array, workers)
+            self.temperature_, self.held_out_loss_ = self._temperature(inputs, encoded, weights, group_array, crew)
         return self
 
     def decision_function(self, X: ArrayLike) -> Floats:
@@ -392,6 +424,16 @@ def _scores_left_out(
     with _libraries().limit(limits=1):
         estimator.fit(inputs[training], encoded[training], sample_weight=None if weights is None else weights[training])
         return np.asarray(estimator.decision_function(inputs[test]))
+
+
+def _one_weight_a_row(sample_weight: ArrayLike, n_rows: int) -> Floats:
+    """Return the weights (n_rows,), some of them above 0; raises `InvalidValue` for any other."""
+    weights = validation.not_negative("sample_weight", sample_weight)
+    if weights.shape != (n_rows,):
+        raise InvalidValue(f"sample_weight must be one number for each of {n_rows} rows, got shape {weights.shape}")
+    if not weights.any():
+        raise InvalidValue("sample_weight must be above zero for some rows, got zero for all; leave it out")
+    return weights
 
 
 def row_weights(labels: NDArray[Any], class_weight: Weights) -> Floats | None:
