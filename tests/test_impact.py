@@ -355,7 +355,7 @@ def test_a_restitution_near_nothing_is_refused_or_served_but_never_nan(e, law):
 
 @given(exponents=st.tuples(*(st.floats(-limit, limit) for limit in (170, 110, 200, 300))))
 @settings(max_examples=100, deadline=None, derandomize=True)
-@pytest.mark.filterwarnings("ignore::cgid.physics.HertzRangeWarning")
+@pytest.mark.filterwarnings("ignore::cgid.physics.HertzRangeWarning", "ignore:radius is")
 def test_any_magnitude_is_served_or_refused_without_a_warning(exponents):
     velocity, radius, density, youngs_modulus = (10.0**exponent for exponent in exponents)
     try:
@@ -421,7 +421,8 @@ def test_scaling_all_lengths_densities_moduli_and_speeds_leaves_the_curves(name,
 
 
 def test_float32_refuses_what_it_cannot_hold():
-    ball = Sphere(material=YANG2018_SPHERES[3], radius=1e8)
+    with pytest.warns(UserWarning, match="larger than any rock"):
+        ball = Sphere(material=YANG2018_SPHERES[3], radius=1e8)
     with pytest.warns(HertzRangeWarning):
         impact = Impact(sphere=ball, target=RIGID, velocity=1e30, stiffness="hertz", dissipation=Elastic())
     times = impact.contact_duration * np.linspace(0, 1, 5)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,6 +11,9 @@ from numpy.typing import ArrayLike
 from cgid._lib import validation
 from cgid._lib.validation import Floats
 from cgid.physics.contact.materials import Material
+
+#: Radius [m] above which a number is likely to be in another unit: no rock is larger.
+MAX_RADIUS = 10.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,6 +36,11 @@ class Sphere:
     InvalidValue
         A value is out of range.
 
+    Warns
+    -----
+    UserWarning
+        A radius exceeds 10 m.
+
     Examples
     --------
     A rock that hits with a corner of 5 mm, as far off its centre as its radius of gyration:
@@ -49,7 +58,11 @@ class Sphere:
 
     def __post_init__(self) -> None:
         validation.instance("material", self.material, Material)
-        validation.positive("radius", self.radius, "m")
+        radius = validation.positive("radius", self.radius, "m")
+        if (radius > MAX_RADIUS).any():
+            largest = radius.max()
+            text = f"radius is {largest:g} m, larger than any rock; if it is in mm, give {largest / 1e3:g}"
+            warnings.warn(text, UserWarning, stacklevel=3)
         validation.positive("curvature", self.curvature)
         validation.share("effective_mass", self.effective_mass)
         validation.hold(self, "radius", "curvature", "effective_mass")
