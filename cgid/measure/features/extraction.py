@@ -177,7 +177,7 @@ def extract(
     Returns
     -------
     pandas.DataFrame, (n_signals, n_features)
-        Units as in `FEATURES`.
+        Its `attrs["units"]` has the unit of each column.
 
     Raises
     ------
@@ -199,7 +199,9 @@ def extract(
     values = extract_array(
         samples, sampling_rate, names, pre_trigger=pre_trigger, remove_baseline=remove_baseline, invalid=invalid
     )
-    return pandas.DataFrame(values, columns=list(names))
+    table = pandas.DataFrame(values, columns=list(names))
+    table.attrs["units"] = {name: FEATURES[name].unit for name in names}
+    return table
 
 
 def extract_array(
@@ -237,7 +239,8 @@ def extract_array(
         row, n = min(problems), len(values)
         where = f"signal {row}: " if n > 1 else ""
         more = f" ({len(problems)} of {n} signals cannot be measured)" if len(problems) > 1 else ""
-        raise BadData(f"{where}{problems[row].text}{more}")
+        cure = "; invalid='nan' gives such signals a row of nan" if n > 1 else ""
+        raise BadData(f"{where}{problems[row].text}{more}{cure}")
     return values
 
 
