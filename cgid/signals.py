@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import KW_ONLY, dataclass, field, replace
 from datetime import datetime
 from typing import Any
 
@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 
 from cgid import units
 from cgid._lib import validation
+from cgid._lib.lazy import picture_of
+from cgid._lib.notebook import counts_text, facts_table
 from cgid._lib.validation import Floats, require_rate
 from cgid.errors import BadData, InvalidValue
 
@@ -19,7 +21,7 @@ from cgid.errors import BadData, InvalidValue
 KNOWN: Mapping[str, str] = {"drop_height": "m"}
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Signal:
     """One channel of samples with its sampling rate, unit and origin.
 
@@ -53,6 +55,7 @@ class Signal:
     samples: NDArray[Any]
     sampling_rate: float
     unit: str | None = None
+    _: KW_ONLY
     source: str = "signal"
     channel: str = "1"
     pre_trigger: int | None = None
@@ -87,6 +90,38 @@ class Signal:
             f"Signal({self.name!r}: {len(self.samples)} samples at {self.sampling_rate:g} Hz "
             f"[{self.unit or 'unit unknown'}], {self.duration:.4g} s)"
         )
+
+    def _repr_html_(self) -> str:
+        unit = self.unit or ""
+        facts = {
+            "samples": f"{len(self.samples)} at {self.sampling_rate:g} Hz, {self.duration:.4g} s",
+            "quantity": f"{self.quantity} [{unit}]" if unit else "unit unknown",
+            "range": f"{self.samples.min():.4g} to {self.samples.max():.4g} {unit}",
+        }
+        if self.start_time is not None:
+            facts["start"] = self.start_time.isoformat(" ")
+        return facts_table(
+            f"Signal {self.name}", facts | ({"warnings": "; ".join(self.warnings)} if self.warnings else {})
+        )
+
+    def plot(self, axes: Any = None) -> Any:
+        """Draw the signal over time.
+
+        Parameters
+        ----------
+        axes : matplotlib.axes.Axes, optional
+            New ones by default.
+
+        Returns
+        -------
+        matplotlib.axes.Axes
+
+        Raises
+        ------
+        MissingExtra
+            matplotlib is not installed.
+        """
+        return picture_of("plot_signal", self, axes)
 
     @property
     def name(self) -> str:
@@ -210,12 +245,44 @@ class Batch:
         return len(self.signals)
 
     def __repr__(self) -> str:
-        labels, counts = np.unique(self.labels, return_counts=True)
-        counted_labels = ", ".join(
-            f"{label} {count}" for label, count in zip(labels.tolist(), counts.tolist(), strict=True)
-        )
         size = f"{len(self)} signals of {self.signals.shape[-1]} samples"
-        return f"Batch({size} at {self.sampling_rate:g} Hz [{self.unit}]: {counted_labels})"
+        return f"Batch({size} at {self.sampling_rate:g} Hz [{self.unit}]: {counts_text(self.counts)})"
+
+    def _repr_html_(self) -> str:
+        facts = {
+            "signals": f"{len(self)} of {self.signals.shape[-1]} samples at {self.sampling_rate:g} Hz [{self.unit}]",
+            "labels": counts_text(self.counts),
+            "rocks": len(np.unique(self.specimen)),
+            "parameters": ", ".join(self.parameters) or "none",
+        }
+        return facts_table("Batch", facts)
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """Number of signals of each label."""
+        labels, counts = np.unique(self.labels, return_counts=True)
+        return dict(zip(labels.tolist(), counts.tolist(), strict=True))
+
+    def plot(self, n: int = 20, axes: Any = None) -> Any:
+        """Draw the first signals of each label over time.
+
+        Parameters
+        ----------
+        n : int
+            Number of signals of each label, at most 200.
+        axes : matplotlib.axes.Axes, optional
+            New ones by default.
+
+        Returns
+        -------
+        matplotlib.axes.Axes
+
+        Raises
+        ------
+        MissingExtra
+            matplotlib is not installed.
+        """
+        return picture_of("plot_batches", [self], n, "Batch", axes)
 
     def drop_heights(self) -> Floats | None:
         """Return the drop height of each rock [m]; None if the batch does not store it.

@@ -7,13 +7,16 @@ import os
 from bisect import bisect_right
 from collections.abc import Generator, Iterator
 from contextlib import closing
-from itertools import accumulate
+from functools import cached_property
+from itertools import accumulate, islice
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from cgid._lib.lazy import picture_of
+from cgid._lib.notebook import counts_text, facts_table
 from cgid._lib.terminal import counted
 from cgid.errors import BadData, InvalidValue, NoInput
 from cgid.signals import Batch, Signal
@@ -22,6 +25,9 @@ from cgid.store.folder import LINKED, SUMS, Folder, read_folder
 from cgid.store.gates import Identity, identity_of, opened
 from cgid.store.headers import recording_header, rows, shard_header
 from cgid.units import quantity_of
+
+if TYPE_CHECKING:
+    import pandas
 
 #: Maximum number of signals read at once, and their largest size [bytes].
 _ROWS, _MAX_BATCH = 1024, 32 << 20
@@ -139,6 +145,59 @@ class Dataset:
             f"Dataset({str(self.path)!r}: {len(self)} signals of {self.header.n_samples} samples at "
             f"{self.sampling_rate:g} Hz [{self.unit}])"
         )
+
+    def __getitem__(self, index: int) -> Signal:
+        """Return one signal; a negative index counts from the end."""
+        if isinstance(index, slice):
+            raise InvalidValue(f"{self.path}: index must be one number, got a slice; batches() yields several signals")
+        return self.signal(index + len(self) if -len(self) <= index < 0 else index)
+
+    def _repr_html_(self) -> str:
+        header = self.header
+        facts = {
+            "signals": f"{len(self)} of {header.n_samples} samples at {self.sampling_rate:g} Hz [{self.unit}]",
+            "labels": counts_text(self.parameters["label"].value_counts(sort=False).to_dict()),
+            "parameters": ", ".join(f"{name} [{unit}]" for name, unit in header.parameter_units.items()) or "none",
+        }
+        return facts_table(f"Dataset {self.path.name}", facts)
+
+    def plot(self, n: int = 20, axes: Any = None) -> Any:
+        """Draw the first signals of each label over time.
+
+        Parameters
+        ----------
+        n : int
+            Number of signals of each label, at most 200; fewer of a label that is rare at the begin of the dataset.
+        axes : matplotlib.axes.Axes, optional
+            New ones by default.
+
+        Returns
+        -------
+        matplotlib.axes.Axes
+
+        Raises
+        ------
+        MissingExtra
+            matplotlib is not installed.
+        """
+        return picture_of("plot_batches", islice(self.batches(), 4), n, self.path.name, axes)
+
+    @cached_property
+    def parameters(self) -> pandas.DataFrame:
+        """Label, specimen and stored parameters of each signal, one row a signal; `attrs["units"]` has the units."""
+        import pandas as pd
+
+        units = dict(self.header.parameter_units)
+        stored = {"label": "labels", "specimen": "specimen", **{name: f"parameters/{name}" for name in units}}
+        parts = []
+        for number, count in enumerate(self._counts):
+            state = self._state(number)
+            with closing(rows(self._shards[number], list(stored.values()), 0, count, _IMPACTS, state)) as read:
+                parts += list(read)
+        columns = {name: np.concatenate([part[column] for part in parts]) for name, column in stored.items()}
+        table = pd.DataFrame(columns | {"label": text_of(columns["label"]).astype(object)})
+        table.attrs["units"] = units
+        return table
 
     @property
     def sampling_rate(self) -> float:

@@ -11,10 +11,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from cgid._lib import validation
-from cgid._lib.files import read_regular
+from cgid._lib.files import check_new, read_regular, write_together
+from cgid._lib.notebook import facts_table
 from cgid._lib.validation import Floats
 from cgid.errors import BadData, InvalidValue
 from cgid.identification.model.anchor import SeamNetworks
@@ -55,6 +56,8 @@ from cgid.measure.modal.beam import Beam
 from cgid.units import quantity_of
 
 if TYPE_CHECKING:
+    import pandas
+
     from cgid.identification.inversion.through_beam import ThroughBeam
     from cgid.identification.training.classifier import ImpactClassifier
 
@@ -182,6 +185,18 @@ class Model:
         # They check their arrays.
         _ = self._classifier, self.conformal, self.contrast, self.beam, self.confusion, self.seams, self._level_weights
 
+    def _repr_html_(self) -> str:
+        metrics, (low, high) = self.training.get("metrics", {}), self.sampling_rates
+        facts = {
+            "labels": ", ".join(self.labels),
+            "inputs": f"{len(self.inputs)}, such as {self.inputs[0]}",
+            "signals": f"{self.quantity} [{self.unit}] at {low:g} to {high:g} Hz",
+            "trained on": f"{self.training.get('n_train', 'some')} {self.kind}s",
+        }
+        if isinstance(metrics.get("accuracy"), float):
+            facts["accuracy"] = f"{metrics['accuracy']:.3f}"
+        return facts_table(f"Model ({self.family})", facts)
+
     def __repr__(self) -> str:
         n_more = len(self.inputs) - 4
         inputs = ", ".join(self.inputs[:4]) + (f" and {n_more} more" if n_more > 0 else "")
@@ -283,6 +298,85 @@ class Model:
         if not np.isfinite(probabilities).all():
             raise BadData(f"the {self.family} model gives no finite probabilities for this input; train it again")
         return probabilities
+
+    def predict_proba(self, features: pandas.DataFrame | ArrayLike) -> Floats:
+        """Return the probability of each label for rows of features.
+
+        Parameters
+        ----------
+        features : DataFrame or array_like, (n_impacts, n_inputs)
+            Of a DataFrame the columns named in `inputs` are used; an array is in their order.
+
+        Returns
+        -------
+        ndarray, (n_impacts, n_labels)
+            In the order of `labels`.
+
+        Raises
+        ------
+        InvalidValue
+            A column is missing, or values are not finite or of another number.
+        """
+        return self.probabilities(self._rows_of(features))
+
+    def predict(self, features: pandas.DataFrame | ArrayLike) -> NDArray[np.str_]:
+        """Return the most probable label for rows of features, without a look at their novelty.
+
+        `cgid.predict` also finds the impacts of a recording, and answers "unknown" outside of the training.
+
+        Parameters
+        ----------
+        features : DataFrame or array_like, (n_impacts, n_inputs)
+            As in `predict_proba`.
+
+        Returns
+        -------
+        ndarray of str, (n_impacts,)
+
+        Raises
+        ------
+        InvalidValue
+            As `predict_proba`.
+        """
+        return self.decide(self.predict_proba(features))
+
+    def save(self, path: str | Path, *, overwrite: bool = False) -> Path:
+        """Write the model file, whole or not at all; `Training.save` also writes its card.
+
+        Parameters
+        ----------
+        path : str or Path
+            A name that ends in .npz.
+        overwrite : bool
+            Whether to replace a file of this name.
+
+        Returns
+        -------
+        Path
+
+        Raises
+        ------
+        CannotCreate
+            The file exists, the name ends otherwise, or there is no such folder.
+        WriteFailed
+            The disk is full, for example; nothing is left behind.
+        """
+        checked = check_new(Path(path), "a model", (".npz",), overwrite=overwrite)
+        write_together({checked: self.to_bytes()}, overwrite=overwrite)
+        return checked
+
+    def _rows_of(self, features: Any) -> Floats:
+        """Return rows of features, of a DataFrame by the names of its columns."""
+        columns = getattr(features, "columns", None)
+        if columns is None:
+            return validation.real("features", features)
+        missing = [name for name in self.inputs if name not in columns]
+        if missing:
+            raise InvalidValue(
+                f"features must have the columns {', '.join(self.inputs)}, {', '.join(missing)} missing; measure them "
+                "by cgid.extract(samples, sampling_rate, model.features)"
+            )
+        return validation.real("features", features[list(self.inputs)])
 
     def novelty(self, inputs: Floats, guards: Floats | None = None) -> Floats:
         """Return the novelty of each impact, (n_impacts,); above 1 it is outside the training range.

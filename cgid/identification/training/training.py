@@ -11,6 +11,7 @@ import platform
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib.metadata import version
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -19,6 +20,7 @@ from threadpoolctl import threadpool_limits
 
 from cgid import __version__
 from cgid._lib import validation
+from cgid._lib.notebook import facts_table
 from cgid._lib.validation import Floats
 from cgid._lib.workers import SERIAL, Workers
 from cgid.errors import BadData, InvalidValue
@@ -90,7 +92,7 @@ class Training:
     Attributes
     ----------
     model : Model
-        Ready for `Model.save` and prediction.
+        Ready for prediction.
     metrics : dict
         Results of `cgid.identification.training.metrics.evaluate` on the test rows, such as "accuracy" and
         "accuracy_interval_95"; under "prediction_sets" the coverage of prediction sets.
@@ -111,6 +113,45 @@ class Training:
     def __repr__(self) -> str:
         model, accuracy = f"{self.model.family}: {', '.join(self.model.labels)}", self.metrics["accuracy"]
         return f"Training({model}; accuracy {accuracy:.3f} on {len(self.test_labels)} test rows)"
+
+    def _repr_html_(self) -> str:
+        low, high = self.metrics["accuracy_interval_95"]
+        facts = {
+            "labels": ", ".join(self.model.labels),
+            "inputs": len(self.model.inputs),
+            "accuracy": f"{self.metrics['accuracy']:.3f} ({low:.3f} to {high:.3f})",
+            "test rows": len(self.test_labels),
+        }
+        return facts_table(f"Training ({self.model.family})", facts)
+
+    def save(self, path: str | Path, *, plots: bool = False, overwrite: bool = False) -> list[Path]:
+        """Write the model and its card, and pictures if asked, all or nothing.
+
+        Parameters
+        ----------
+        path : str or Path
+            Name of the model, which ends in .npz; the card has the ending .md.
+        plots : bool
+            Whether to write pictures of confusion, reliability and ROC beside it (extra `plot`).
+        overwrite : bool
+            Whether to replace files of these names.
+
+        Returns
+        -------
+        list of Path
+            The files written.
+
+        Raises
+        ------
+        CannotCreate
+            A file exists, the name ends otherwise, or there is no such folder.
+        WriteFailed
+            The disk is full, for example; nothing is left behind.
+        """
+        from cgid.identification.training.card import check_model_output, write_model
+
+        checked = check_model_output(Path(path), plots=plots, overwrite=overwrite)
+        return write_model(self, checked, plots=plots, overwrite=overwrite)
 
 
 def train_on_specimens(  # noqa: PLR0913

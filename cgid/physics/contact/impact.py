@@ -12,6 +12,8 @@ import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 from cgid._lib import validation
+from cgid._lib.lazy import picture_of
+from cgid._lib.notebook import facts_table
 from cgid._lib.validation import Floats
 from cgid.errors import InvalidValue
 from cgid.physics.contact import bodies
@@ -137,6 +139,41 @@ class Impact:
             f"Impact({f'{shape} of ' if shape else ''}radius {radius} m at {velocity} m/s on "
             f"{type(self.target).__name__}, {self.stiffness}, {type(self.dissipation).__name__})"
         )
+
+    def _repr_html_(self) -> str:
+        def ends(values: ArrayLike, factor: float = 1.0) -> str:
+            numbers = [f"{end * factor:.4g}" for end in (np.min(values), np.max(values))]
+            return " to ".join(dict.fromkeys(numbers))
+
+        facts = {"target": type(self.target).__name__, "law": f"{self.stiffness}, {type(self.dissipation).__name__}"}
+        if self.peak_force.size:
+            facts |= {
+                "radius": f"{ends(self.sphere.radius, 1e3)} mm",
+                "velocity": f"{ends(self.velocity)} m/s",
+                "peak force": f"{ends(self.peak_force, 1e-3)} kN",
+                "contact duration": f"{ends(self.contact_duration, 1e6)} us",
+                "restitution": ends(self.restitution),
+            }
+        return facts_table(f"{type(self).__name__} of {self.peak_force.size}", facts)
+
+    def plot(self, axes: Any = None) -> Any:
+        """Draw the contact force over time; of an array, that of each impact.
+
+        Parameters
+        ----------
+        axes : matplotlib.axes.Axes, optional
+            New ones by default.
+
+        Returns
+        -------
+        matplotlib.axes.Axes
+
+        Raises
+        ------
+        MissingExtra
+            matplotlib is not installed.
+        """
+        return picture_of("plot_impact", self, axes)
 
     def _require_reach(self) -> None:
         with np.errstate(all="ignore"):

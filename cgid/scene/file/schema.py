@@ -13,6 +13,8 @@ from typing import Any, Self, get_args
 from pydantic import BaseModel, Field, PrivateAttr, ValidationError, model_validator
 
 from cgid._lib.files import parse_toml, read_regular
+from cgid._lib.lazy import picture_of
+from cgid._lib.notebook import facts_table
 from cgid._lib.validation import cut, shown, suggestion
 from cgid.errors import BadData, InvalidValue
 from cgid.physics.contact.bodies import Target
@@ -130,6 +132,44 @@ class Scene(Section):
         return f"Scene({self.name!r}: {sources}; {size} at {rate} [{self.sensor.unit}])"
 
     __str__ = __repr__
+
+    def _repr_html_(self) -> str:
+        sampling = self.sampling
+        facts = {
+            "description": self.description,
+            "labels": ", ".join(self.labels),
+            "target": "tail beam" if self.tail_beam is not None else "half space or plate",
+            "sensor": f"{self.sensor.quantity} [{self.sensor.unit}] at {sampling.sampling_rate:g} Hz",
+            "recording" if self.stream is not None else "frames": (
+                f"{self.stream.duration:g} s" if self.stream is not None else f"{samples_of(self)} samples"
+            ),
+        }
+        return facts_table(f"Scene {self.name}", facts)
+
+    def plot(self, n: int = 20, seed: int = 0, axes: Any = None) -> Any:
+        """Draw some signals of each label over time.
+
+        Parameters
+        ----------
+        n : int
+            Number of signals of each label, at most 200; fewer of a label that is rare.
+        seed : int
+            As in `cgid.synthesise`.
+        axes : matplotlib.axes.Axes, optional
+            New ones by default.
+
+        Returns
+        -------
+        matplotlib.axes.Axes
+
+        Raises
+        ------
+        InvalidValue
+            The scene is a stream: generate its recording and draw that.
+        MissingExtra
+            matplotlib is not installed.
+        """
+        return picture_of("plot_scene", self, n, seed, axes)
 
     def _problems_of_dissipation(self) -> list[str]:
         problems = []

@@ -1,0 +1,100 @@
+"""What the methods `plot` of signals, impacts, scenes and datasets draw, on axes of matplotlib."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cgid._lib import validation
+from cgid.errors import InvalidValue, optional
+from cgid.plots.figure import colours_of, plain
+from cgid.plots.recording import written
+from cgid.units import quantity_of
+
+if TYPE_CHECKING:
+    from cgid.physics.contact.impact import Impact
+    from cgid.scene.file.schema import Scene
+    from cgid.signals import Batch, Signal
+
+#: Maximum number of lines of one picture: more cannot be told apart.
+MAX_LINES = 200
+#: Maximum number of points of a line; of a longer one, the smallest and the largest sample of each part are drawn.
+_MAX_POINTS = 20_000
+#: Largest duration that is drawn in ms [s].
+_SHORT = 0.5
+
+
+def plot_signal(signal: Signal, axes: Any = None) -> Any:
+    """Draw a signal over time."""
+    axes, short = _axes(axes), signal.duration <= _SHORT
+    times, samples = _thinned(signal.samples)
+    axes.plot(times / signal.sampling_rate * (1e3 if short else 1.0), samples, lw=0.8, color="C0")
+    axes.set(xlabel=f"time [{'ms' if short else 's'}]", ylabel=_quantity(signal.unit), title=plain(signal.name))
+    return axes
+
+
+def plot_impact(impact: Impact, axes: Any = None) -> Any:
+    """Draw the contact force of an impact, or of each of an array, over time."""
+    axes, n = _axes(axes), impact.peak_force.size
+    if not 1 <= n <= MAX_LINES:
+        raise InvalidValue(f"impact must be 1 to {MAX_LINES} to be drawn, got {n}; take some of its values")
+    times = np.linspace(-0.05, 1.1, 600) * float(np.max(impact.contact_duration))
+    force = impact.force(times).reshape(n, -1)
+    axes.plot(times * 1e3, force.T / 1e3, lw=1.2 if n < 9 else 0.8, color="C0" if n > 9 else None)
+    axes.set(xlabel="time after first contact [ms]", ylabel="contact force [kN]")
+    return axes
+
+
+def plot_batches(batches: Iterable[Batch], n: int, title: str, axes: Any = None) -> Any:
+    """Draw the first `n` signals of each label, on top of one another, in the colours of reports."""
+    n, axes = validation.whole("n", n, 1, MAX_LINES), _axes(axes)
+    drawn: dict[str, list[tuple[NDArray[Any], NDArray[Any]]]] = {}
+    batch = None
+    for batch in batches:
+        times = (np.arange(batch.signals.shape[1]) - batch.pre_trigger) / batch.sampling_rate * 1e3
+        for label in np.unique(batch.labels).tolist():
+            lines = drawn.setdefault(label, [])
+            lines += [(times, row) for row in batch.signals[batch.labels == label][: n - len(lines)]]
+    if batch is None:
+        raise InvalidValue(f"{title}: must have a signal to be drawn, it has none")
+    for label, colour in colours_of(drawn).items():
+        for number, (times, row) in enumerate(drawn[label]):
+            axes.plot(times, row, color=colour, lw=0.8, alpha=0.6, label=None if number else label)
+    axes.set(xlabel="time after onset [ms]", ylabel=_quantity(batch.unit), title=plain(title))
+    axes.legend()
+    return axes
+
+
+def plot_scene(scene: Scene, n: int, seed: int, axes: Any = None) -> Any:
+    """Draw `n` signals of each label of a scene; fewer of a label that is rare."""
+    synthesise = import_module("cgid.scene.synthesis.synthesis").synthesise  # it lies above pictures
+    n = validation.whole("n", n, 1, MAX_LINES)
+    return plot_batches(synthesise(scene, 4 * n * len(scene.labels), seed), n, f"scene {scene.name}", axes)
+
+
+def _axes(axes: Any) -> Any:
+    """Return the axes, or new ones that a notebook shows; raises `MissingExtra` without matplotlib."""
+    if axes is not None:
+        return axes
+    pyplot = optional("matplotlib.pyplot", "pictures need", "plot", name="matplotlib")
+    return pyplot.subplots(figsize=(7, 3.2), layout="constrained")[1]
+
+
+def _thinned(samples: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
+    """Return numbers and values of the samples to draw."""
+    step = -(-len(samples) // (_MAX_POINTS // 2))
+    if step < 3:
+        return np.arange(len(samples)), samples
+    whole = len(samples) // step * step
+    parts = samples[:whole].reshape(-1, step)
+    extremes = np.sort(np.stack([parts.argmin(axis=1), parts.argmax(axis=1)]), axis=0)
+    numbers = (extremes + np.arange(len(parts)) * step).T.ravel()
+    return numbers, samples[numbers]
+
+
+def _quantity(unit: str | None) -> str:
+    return f"{'signal' if unit is None else quantity_of(unit)} [{written(unit)}]"

@@ -1,0 +1,196 @@
+"""What objects show in a notebook, draw, and give by index; and that the package's functions take them."""
+
+from __future__ import annotations
+
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import cgid
+from cgid.errors import BadData, CannotCreate, InvalidValue
+from cgid.identification.training import Training, train_on_specimens
+from cgid.physics import STEEL, YANG2018_SPHERES
+
+matplotlib = pytest.importorskip("matplotlib")
+matplotlib.use("Agg")
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory: pytest.TempPathFactory) -> cgid.Dataset:
+    from cgid.scene import generate
+
+    folder = tmp_path_factory.mktemp("objects") / "data"
+    generate("reference", folder, 60, 5, shard_signals=25)
+    return cgid.Dataset(folder)
+
+
+@pytest.fixture(scope="module")
+def training() -> Training:
+    return train_on_specimens(cgid.synthesise("reference", 400, seed=2), family="linear")
+
+
+@pytest.fixture
+def impact() -> cgid.Impact:
+    return cgid.Impact(
+        sphere=cgid.Sphere(material=YANG2018_SPHERES[1], radius=[0.02, 0.025]),
+        target=cgid.HalfSpace(material=STEEL),
+        velocity=2.0,
+        stiffness="hertz",
+        dissipation=cgid.HuntCrossley(restitution=0.6),
+    )
+
+
+class Cells(HTMLParser):
+    """The texts of a page, and its tags."""
+
+    def __init__(self, page: str) -> None:
+        super().__init__()
+        self.texts: list[str] = []
+        self.tags: list[str] = []
+        self.feed(page)
+
+    def handle_starttag(self, tag: str, attrs: Any) -> None:
+        self.tags.append(tag)
+
+    def handle_data(self, data: str) -> None:
+        self.texts.append(data)
+
+
+def test_notebooks_show_what_an_object_is(dataset: cgid.Dataset, training: Training, impact: cgid.Impact) -> None:
+    batch = next(dataset.batches())
+    scene = cgid.load_scene("tail_beam")
+    shown = {
+        "Signal": (dataset[3], f"{dataset.header.n_samples} at 200000 Hz"),
+        "Batch": (batch, f"coal {np.sum(batch.labels == 'coal')}"),
+        "Dataset": (dataset, "drop_height [m]"),
+        "Scene": (scene, "acceleration [m/s^2] at 25600 Hz"),
+        "Model": (training.model, "coal, gangue"),
+        "Training": (training, f"{training.metrics['accuracy']:.3f}"),
+        "Impact": (impact, "20 to 25 mm"),
+    }
+    for name, (one, expected) in shown.items():
+        cells = Cells(one._repr_html_())
+        assert cells.texts[0].startswith(name)
+        assert any(expected in text for text in cells.texts), (name, cells.texts)
+        assert set(cells.tags) == {"table", "caption", "tr", "th", "td"}
+
+
+def test_text_of_a_file_is_never_a_tag() -> None:
+    signal = cgid.Signal(np.ones(5), 1e3, source="<img src=x>.csv", warnings=("<script>",))
+    assert not {"img", "script"} & set(Cells(signal._repr_html_()).tags)
+
+
+def test_a_signal_is_samples_rate_and_unit() -> None:
+    signal = cgid.Signal([1, 2, 3], 1e3, "kN")
+    assert (signal.samples.tolist(), signal.sampling_rate, signal.unit) == ([1.0, 2.0, 3.0], 1e3, "kN")
+    with pytest.raises(TypeError):
+        cgid.Signal([1, 2, 3], 1e3, "kN", "file.csv")  # type: ignore[misc]
+
+
+def test_dataset_by_index(dataset: cgid.Dataset) -> None:
+    signals = np.concatenate([batch.signals for batch in dataset])
+    for index in (0, 24, 25, 59, -1, -60, np.int64(7)):
+        np.testing.assert_array_equal(dataset[index].samples, signals[index])
+    for index in (60, -61):
+        with pytest.raises(InvalidValue, match=r"index must be in \[0, 59\], got"):
+            dataset[index]
+    with pytest.raises(InvalidValue, match="batches"):
+        dataset[1:3]  # type: ignore[index]
+
+
+def test_parameters_of_a_dataset_are_a_table_with_units(dataset: cgid.Dataset) -> None:
+    table, batches = dataset.parameters, list(dataset)
+    assert table["label"].tolist() == np.concatenate([batch.labels for batch in batches]).tolist()
+    for name in ("drop_height", "radius"):
+        np.testing.assert_array_equal(table[name], np.concatenate([batch.parameters[name] for batch in batches]))
+        assert table.attrs["units"][name] == "m"
+    assert len(table) == len(dataset) == 60
+
+
+def test_pictures_draw_the_values(dataset: cgid.Dataset, impact: cgid.Impact) -> None:
+    axes = dataset[2].plot()
+    np.testing.assert_array_equal(axes.lines[0].get_ydata(), dataset[2].samples)
+    assert axes.get_xlabel() == "time [ms]"
+    assert dataset[3].plot(axes) is axes
+    axes = impact.plot()
+    peaks = [line.get_ydata().max() for line in axes.lines]
+    np.testing.assert_allclose(peaks, impact.peak_force / 1e3, rtol=1e-3)
+    for one in (dataset, next(dataset.batches()), cgid.load_scene("reference")):
+        drawn = one.plot(n=5)
+        assert len(drawn.lines) == 10
+        assert [text.get_text() for text in drawn.get_legend().get_texts()] == ["coal", "gangue"]
+    with pytest.raises(InvalidValue, match=r"n must be .* 200, got 201"):
+        dataset.plot(n=201)
+    matplotlib.pyplot.close("all")
+
+
+def test_long_signal_keeps_its_extremes() -> None:
+    samples = np.random.default_rng(0).normal(size=1_000_003)
+    line = cgid.Signal(samples, 1e4, "g").plot().lines[0]
+    assert len(line.get_ydata()) <= 20_000
+    assert (line.get_ydata().min(), line.get_ydata().max()) == (samples.min(), samples.max())
+    where = np.argmax(line.get_ydata())
+    assert line.get_xdata()[where] == np.argmax(samples) / 1e4
+    matplotlib.pyplot.close("all")
+
+
+def test_many_impacts_are_not_drawn() -> None:
+    impact = cgid.Impact(
+        sphere=cgid.Sphere(material=YANG2018_SPHERES[1], radius=np.full(201, 0.02)),
+        target=cgid.HalfSpace(material=STEEL),
+        velocity=2.0,
+        stiffness="hertz",
+        dissipation=cgid.Elastic(),
+    )
+    with pytest.raises(InvalidValue, match="1 to 200"):
+        impact.plot()
+
+
+def test_a_radius_in_millimetres_asks_back() -> None:
+    with pytest.warns(UserWarning, match=r"radius is 25 m, .*; if it is in mm, give 0\.025") as told:
+        cgid.Sphere(material=STEEL, radius=25)
+    assert told[0].filename == __file__
+
+
+def test_model_predicts_from_a_table_of_features(training: Training) -> None:
+    model = training.model
+    (batch,) = cgid.synthesise("reference", 100, seed=9)
+    table = cgid.extract(batch.signals, batch.sampling_rate, model.features, pre_trigger=batch.pre_trigger)
+    assert list(table.attrs["units"]) == list(model.features)
+    probabilities = model.predict_proba(table)
+    np.testing.assert_array_equal(probabilities, model.predict_proba(table.to_numpy()))
+    shuffled = table[table.columns[::-1]].assign(other=1.0)
+    np.testing.assert_array_equal(probabilities, model.predict_proba(shuffled))
+    assert training.classifier is not None
+    np.testing.assert_allclose(probabilities, training.classifier.predict_proba(table.to_numpy()), atol=1e-12)
+    assert model.predict(table).tolist() == np.array(model.labels)[probabilities.argmax(axis=1)].tolist()
+    assert np.mean(model.predict(table) == batch.labels) > 0.7
+    with pytest.raises(InvalidValue, match=f"{model.features[0]} missing"):
+        model.predict(table.drop(columns=model.features[0]))
+    with pytest.raises(InvalidValue, match="features must be"):
+        model.predict(table.assign(**{model.features[0]: np.nan}))
+
+
+def test_model_and_training_are_saved(training: Training, tmp_path: Path) -> None:
+    model = training.model
+    assert model.save(tmp_path / "mine.npz").read_bytes() == model.to_bytes()
+    with pytest.raises(CannotCreate, match=r"mine\.npz"):
+        model.save(tmp_path / "mine.npz")
+    assert cgid.load_model(model.save(str(tmp_path / "mine.npz"), overwrite=True)).labels == model.labels
+    with pytest.raises(CannotCreate, match=r"\.npz"):
+        model.save(tmp_path / "mine.pkl")
+    files = training.save(tmp_path / "own.npz", plots=True)
+    assert {file.name for file in files} >= {"own.npz", "own.md", "own-roc.png"}
+    with pytest.raises(CannotCreate):
+        training.save(tmp_path / "own.npz")
+
+
+def test_an_error_of_one_of_many_signals_names_the_way_out(dataset: cgid.Dataset) -> None:
+    signals = next(dataset.batches()).signals.copy()
+    signals[4] = 0
+    with pytest.raises(BadData, match=r"^signal 4: .*; invalid='nan' gives such signals a row of nan$"):
+        cgid.extract(signals, dataset.sampling_rate, ["peak_force"])
+    assert cgid.extract(signals, dataset.sampling_rate, ["peak_force"], invalid="nan")["peak_force"].isna().sum() == 1
