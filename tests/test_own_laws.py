@@ -35,7 +35,7 @@ from cgid.recordings import open_recording
 from cgid.recordings.formats import outside_formats
 from cgid.scene import changed, generate, generate_recordings, synthesise
 from cgid.store.verification import verify
-from tests.plan_scenes import scene_of
+from tests.plan_scenes import POPULATION, scene_of
 
 ROOT = Path(__file__).parents[1]
 #: The law of the how-to page.
@@ -146,6 +146,15 @@ def test_a_scene_with_a_law_that_is_not_there_is_refused_by_name(monkeypatch):
     monkeypatch.setattr(own_laws, "_own", {})
     with pytest.raises(BadData, match="got 'cone'; give the module of a law of your own with --laws"):
         scene_of_cones()
+
+
+def test_signals_on_disk_need_no_law(cone, tmp_path, monkeypatch):
+    populations = [POPULATION | {"label": label, "restitution": e} for label, e in (("a", 0.3), ("b", 0.8))]
+    generate(scene_of({"dissipation": "cone"}, populations=populations), tmp_path / "cones", 300, shard_signals=100)
+    monkeypatch.setattr(own_laws, "_own", {})
+    command = ["train", str(tmp_path / "cones"), "-o", str(tmp_path / "m.npz"), "--family", "linear"]
+    assert run([*command, "--features", "peak_force,impulse"]) == 0
+    assert run(["predict", str(tmp_path / "cones"), "--model", str(tmp_path / "m.npz")]) == 0
 
 
 # ---- bad laws -------------------------------------------------------------------------------------------------------

@@ -120,6 +120,9 @@ def shared_beam(
     """Return the beam that scenes and datasets share, and in words where it comes from or why there is none."""
     scenes: list[Scene] = []
     for source in sources:
+        # Only a beam needs the laws of its scene: those of one's own may not be at hand.
+        if isinstance(source, Dataset) and source.quantity == "force":
+            return None, f"{source.path.name}: its signals are the force itself"
         scene = source if isinstance(source, Scene) else stored_scene(source.header.attributes, str(source.path))
         if scene is None:
             return None, "a dataset does not hold its scene"
