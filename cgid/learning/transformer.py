@@ -22,7 +22,7 @@ from cgid._lib.workers import workers as executor
 from cgid.errors import InvalidValue
 from cgid.identification.inversion.through_beam import ThroughBeam
 from cgid.identification.training.rows import BEAM_FEATURES
-from cgid.measure.features.extraction import choose, extract_array
+from cgid.measure.features.extraction import Named, choose, extract_array
 from cgid.measure.frames import DETECTION_LIMIT, MINIMUM_FRAME
 from cgid.scene.file.schema import Scene, load_scene
 from cgid.scene.synthesis.draws import require_seed
@@ -48,9 +48,9 @@ class ImpactFeatures(TransformerMixin, BaseEstimator):  # type: ignore[misc]
     ----------
     sampling_rate : float
         [Hz]; by default that of `scene`.
-    features : str or iterable of str, optional
-        Names of features or banks, such as `"mel_*_hz"`; by default all features of pulses, or with `scene` those that
-        `cgid train` uses for vibrations of its beam.
+    features : str or iterable of str, function or Feature, optional
+        Names of features or banks, such as `"mel_*_hz"`, or features of one's own as in `cgid.extract`; by default all
+        features of pulses, or with `scene` those that `cgid train` uses for vibrations of its beam.
     pre_trigger : int, optional
         Samples before onset, as in `cgid.extract`.
     remove_baseline : bool
@@ -86,7 +86,7 @@ class ImpactFeatures(TransformerMixin, BaseEstimator):  # type: ignore[misc]
     def __init__(
         self,
         sampling_rate: float | None = None,
-        features: str | Iterable[str] | None = None,
+        features: str | Iterable[Named] | None = None,
         *,
         pre_trigger: int | None = None,
         remove_baseline: bool = True,

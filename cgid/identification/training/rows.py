@@ -25,6 +25,7 @@ from cgid.identification.inversion.through_beam import ThroughBeam
 from cgid.identification.model.model_file import require_times
 from cgid.measure.features.extraction import (
     FEATURES,
+    Named,
     any_through_beam,
     choose,
     extract_array,
@@ -262,7 +263,7 @@ def union_of(sets: Sets) -> tuple[str, ...]:
 
 
 def features_for(
-    batches: Iterable[Batch], features: Iterable[str] | None, beam: Beam | None = None
+    batches: Iterable[Batch], features: Iterable[Named] | None, beam: Beam | None = None
 ) -> tuple[Iterator[Batch], tuple[str, ...]]:
     """Return the batches unchanged, and the features to measure on them, by default those for their quantity."""
     batches = iter(batches)
@@ -300,7 +301,7 @@ def linear_columns(features: Sequence[str]) -> tuple[int, ...]:
 
 def measure(
     batches: Iterable[Batch],
-    features: Iterable[str] | None = None,
+    features: Iterable[Named] | None = None,
     progress: Callable[[int], object] | None = None,
     *,
     known: tuple[str, ...] = (),

@@ -59,7 +59,7 @@ from cgid.identification.training.rows import (
     sets_for,
     shift,
 )
-from cgid.measure.features.extraction import any_through_beam, choose
+from cgid.measure.features.extraction import Named, any_through_beam, choose, name_of
 from cgid.measure.features.pulses import MAX_UNEXPLAINED
 from cgid.measure.modal.beam import Beam
 from cgid.signals import Batch
@@ -157,7 +157,7 @@ class Training:
 def train_on_specimens(  # noqa: PLR0913
     data: Iterable[Batch] | Rows,
     *,
-    features: Iterable[str] | None = None,
+    features: Iterable[Named] | None = None,
     guards: Iterable[str] | None = None,
     known: Iterable[str] = (),
     family: str = "logistic",
@@ -180,8 +180,9 @@ def train_on_specimens(  # noqa: PLR0913
     ----------
     data : iterable of Batch, or Rows
         Batches of a dataset or scene; or rows, measured from batches (`cgid.identification.training.measure`).
-    features : iterable of str, optional
-        Default: those in `cgid.identification.training.rows` for the quantity.
+    features : iterable of str, function or Feature, optional
+        Also features of one's own, as in `cgid.extract`. Default: those in `cgid.identification.training.rows` for the
+        quantity.
     guards : iterable of str, optional
         Features that only measure novelty (larger is more novel) and are left out of `features`. Default:
         `DEFAULT_GUARDS` for batches of pulses, else none.
@@ -247,7 +248,7 @@ def train_on_specimens(  # noqa: PLR0913
 def train_on_groups(
     rows: Rows,
     *,
-    features: Iterable[str] | None = None,
+    features: Iterable[Named] | None = None,
     family: str = "linear",
     level_free: bool = False,
     synthetic: Rows | None = None,
@@ -263,7 +264,7 @@ def train_on_groups(
     ----------
     rows : Rows
         From recordings (`cgid.identification.training.recordings.record`).
-    features : iterable of str, optional
+    features : iterable of str, function or Feature, optional
         Default: the best of the sets of `cgid.identification.training.rows`.
     family : {"boosting", "logistic", "network", "linear"}
     level_free : bool
@@ -314,9 +315,9 @@ def train_on_groups(
     return _left_out(training_set, synthetic, level_free, progress, workers, record)
 
 
-def _named_in(rows: Rows, features: Iterable[str] | None) -> tuple[str, ...]:
+def _named_in(rows: Rows, features: Iterable[Named] | None) -> tuple[str, ...]:
     """Return the names of features, which must be those of rows."""
-    names = tuple(features or ())
+    names = tuple(map(name_of, features or ()))
     for name in names:
         validation.choice("feature of rows", name, rows.names)
     return names
@@ -333,7 +334,7 @@ def pulse_sets(n_impacts: int) -> tuple[tuple[str, ...], ...]:
 
 def _measured(
     batches: Iterable[Batch],
-    features: Iterable[str] | None,
+    features: Iterable[Named] | None,
     guards: Iterable[str] | None,
     known: tuple[str, ...],
     beam: Beam | None,

@@ -8,13 +8,15 @@ from cgid._lib.lazy import on_first_use
 
 if TYPE_CHECKING:
     from cgid.measure.features.extraction import FEATURES, choose, extract
+    from cgid.measure.features.own import own_feature
 
 #: Module -> the public names that it defines.
 _NAMES = {
     "extraction": ("FEATURES", "choose", "extract"),
+    "own": ("own_feature",),
 }
 
-__all__ = ["FEATURES", "choose", "extract"]
+__all__ = ["FEATURES", "choose", "extract", "own_feature"]
 
 if not TYPE_CHECKING:  # else a name that does not exist would have a type
     __getattr__, __dir__ = on_first_use(__name__, _NAMES)

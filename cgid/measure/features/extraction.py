@@ -5,8 +5,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
-from typing import TYPE_CHECKING, Literal
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from cgid._lib import validation
 from cgid._lib.validation import Floats, require_rate
 from cgid.errors import BadData, InvalidValue
+from cgid.measure.features.own import outside_features, own_feature
 from cgid.measure.features.pulses import FAINT, PULSE_FEATURES, PulseBatch
 from cgid.measure.features.table import Feature, FeatureTable, ImpactKind, Kind
 from cgid.measure.features.vibration import VIBRATION_FEATURES, BeamInversion, VibrationBatch
@@ -38,11 +39,13 @@ _READ, _FITTED = (2.0, 6), (2.25, 54)
 #: the vibration: the modes detect an impact that the samples alone do not show, such as one during the ring-down of
 #: another.
 BEAM_LEAD = 2.0
+#: An entry of a list of features: a name, or a feature of one's own.
+Named = str | Feature | Callable[[Floats, float], Any]
 #: Signals by kind.
 Batches = Mapping[Kind, PulseBatch | VibrationBatch | WindowBatch]
 
 #: All features by name, in column order.
-FEATURES = FeatureTable((*PULSE_FEATURES, *VIBRATION_FEATURES, *WINDOW_FEATURES))
+FEATURES = FeatureTable((*PULSE_FEATURES, *VIBRATION_FEATURES, *WINDOW_FEATURES), outside_features)
 #: Quantities that swing about zero when a structure is struck (`level`: of a sound file); all others are pulses.
 SWINGING = ("acceleration", "velocity", "displacement", "pressure", "level")
 
@@ -70,13 +73,14 @@ def any_through_beam(features: Iterable[str]) -> bool:
     return any(FEATURES[name].beam for name in features)
 
 
-def choose(features: Iterable[str] | None, kind: Kind = "pulse") -> tuple[str, ...]:
+def choose(features: Iterable[Named] | None, kind: Kind = "pulse") -> tuple[str, ...]:
     """Return the names of features in order, with the columns of banks.
 
     Parameters
     ----------
-    features : iterable of str or None
-        Names of features or banks: `mel_*_hz` stands for all of its columns. None: all of the kind that need neither an
+    features : iterable of str, function or Feature, or None
+        Names of features or banks: `mel_*_hz` stands for all of its columns. A function, or what `own_feature` returns,
+        is a feature of one's own, which is known by its name from then on. None: all of the kind that need neither an
         extra nor a beam.
     kind : {"pulse", "vibration", "window"}
 
@@ -97,12 +101,19 @@ def choose(features: Iterable[str] | None, kind: Kind = "pulse") -> tuple[str, .
     if features is None:
         return FEATURES.names(kind)
     given = (features,) if isinstance(features, str) else tuple(features)
-    names = tuple(name for entry in given for name in FEATURES.expand(entry))
+    names = tuple(name for entry in given for name in FEATURES.expand(name_of(entry)))
     for name in names:
         require_known(name)
     if not names or len(set(names)) != len(names):
         raise InvalidValue(f"features must be named once each, and at least one, got {', '.join(names) or 'none'}")
     return names
+
+
+def name_of(entry: Named) -> str:
+    """Return the name of an entry of a list of features; a feature of one's own is known from then on."""
+    if isinstance(entry, str):
+        return entry
+    return FEATURES.add(entry if isinstance(entry, Feature) else own_feature(entry))
 
 
 def require_known(name: str) -> None:
@@ -150,7 +161,7 @@ def _lack(feature: Feature, sampling_rate: float, n_samples: int) -> str:
 def extract(
     samples: ArrayLike,
     sampling_rate: float,
-    features: Iterable[str] | None = None,
+    features: Iterable[Named] | None = None,
     *,
     pre_trigger: int | None = None,
     remove_baseline: bool = True,
@@ -164,8 +175,10 @@ def extract(
         One positive pulse per row, or one vibration for the features of vibrations.
     sampling_rate : float
         [Hz].
-    features : iterable of str, optional
-        Names of features or banks; by default all features of pulses.
+    features : iterable of str, function or Feature, optional
+        Names of features or banks; by default all features of pulses. A feature of one's own is a function of samples
+        (n_signals, n_samples) without their baseline and the sampling rate, or the result of
+        `cgid.measure.features.own_feature`.
     pre_trigger : int, optional
         Samples before onset, whose mean and standard deviation are baseline and noise. By default all samples up to
         the foot of the pulse (1 % of the way from the first samples to the largest).

@@ -26,6 +26,7 @@ from typing import Any, Literal
 import numpy as np
 
 from cgid._lib.validation import Floats
+from cgid.errors import InvalidValue
 
 #: Kind of an impact: one positive pulse, or a decaying vibration of both signs.
 ImpactKind = Literal["pulse", "vibration"]
@@ -153,12 +154,13 @@ def bank(name: str, measure: Callable[[Any, int], Floats], labels: Sequence[str]
 
 
 class FeatureTable(Mapping[str, Feature]):
-    """Features by name, in column order; those of a bank are built on first use."""
+    """Features by name, in column order; those of a bank are built on first use, one's own come last."""
 
-    def __init__(self, entries: Sequence[Feature | Bank]) -> None:
-        self.entries = tuple(entries)
+    def __init__(self, entries: Sequence[Feature | Bank], outside: Callable[[], Mapping[str, Feature]] = dict) -> None:
+        self.entries, self._outside = tuple(entries), outside
         self._built = {entry.name: entry for entry in entries if isinstance(entry, Feature)}
         self._banks = [entry for entry in entries if isinstance(entry, Bank)]
+        self._own: dict[str, Feature] = {}
 
     def __getitem__(self, name: str) -> Feature:
         if name not in self._built:
@@ -166,14 +168,23 @@ class FeatureTable(Mapping[str, Feature]):
                 feature = bank.column(name)
                 if feature is not None:
                     self._built[name] = feature
-                    break
+                    return feature
+            return self._own[name] if name in self._own else self._outside()[name]
         return self._built[name]
 
     def __iter__(self) -> Iterator[str]:
-        return (name for entry in self.entries for name in entry.columns)
+        yield from (name for entry in self.entries for name in entry.columns)
+        yield from {**self._outside(), **self._own}
 
     def __len__(self) -> int:
-        return sum(len(entry.columns) for entry in self.entries)
+        return sum(1 for _ in self)
+
+    def add(self, feature: Feature) -> str:
+        """Add a feature of one's own, in place of an earlier one of its name; return the name."""
+        if any(feature.name in entry.columns for entry in self.entries):
+            raise InvalidValue(f"feature: name must not be that of a feature of cgid, got {feature.name!r}; rename it")
+        self._own[feature.name] = feature
+        return feature.name
 
     def names(self, kind: Kind) -> tuple[str, ...]:
         """Return the names of a kind's features that need neither an extra nor a beam."""
