@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
@@ -10,6 +11,7 @@ import numpy as np
 import pytest
 
 import cgid
+from cgid.cli.main import run
 from cgid.errors import BadData, CannotCreate, InvalidValue
 from cgid.identification.training import Training, train_on_specimens
 from cgid.physics import STEEL, YANG2018_SPHERES
@@ -172,6 +174,37 @@ def test_model_predicts_from_a_table_of_features(training: Training) -> None:
         model.predict(table.drop(columns=model.features[0]))
     with pytest.raises(InvalidValue, match="features must be"):
         model.predict(table.assign(**{model.features[0]: np.nan}))
+
+
+def test_batches_and_datasets_are_predicted(
+    dataset: cgid.Dataset, training: Training, capsys: pytest.CaptureFixture[str]
+) -> None:
+    table = cgid.predict(dataset)
+    assert list(table)[:4] == ["index", "time_s", "label", "p_coal"]
+    assert table["index"].tolist() == list(range(60))
+    assert table["truth"].tolist() == dataset.parameters["label"].tolist()
+    assert cgid.predict(str(dataset.path)).equals(table)
+    batch = next(dataset.batches())
+    assert cgid.predict(batch).equals(table[: len(batch)])
+    assert run(["predict", str(dataset.path), "--json"]) == 0
+    lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    printed = [line["probabilities"]["coal"] for line in lines if "probabilities" in line]
+    np.testing.assert_allclose(table["p_coal"], printed, atol=1e-9)
+    own = cgid.predict(batch, model=training)
+    assert own.equals(cgid.predict(batch, model=training.model))
+    assert not own["p_coal"].equals(table["p_coal"][: len(batch)])
+    with pytest.raises(BadData, match="quantity must be the model's, acceleration"):
+        cgid.predict(dataset, model="default-acceleration")
+
+
+def test_labels_that_a_model_lacks_are_not_judged(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    cgid.scene.generate("lookalikes", tmp_path / "alike", 50, 3)
+    labels = cgid.Dataset(tmp_path / "alike").parameters["label"].value_counts()
+    assert run(["predict", str(tmp_path / "alike"), "-o", str(tmp_path / "answers.csv")]) == 0
+    error = capsys.readouterr().err
+    foreign = labels.drop(["coal", "gangue"], errors="ignore")
+    assert f"{foreign.sum()} impacts of labels that the model lacks (" in error
+    assert "0.0000" not in error
 
 
 def test_model_and_training_are_saved(training: Training, tmp_path: Path) -> None:

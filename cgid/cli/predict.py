@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from itertools import count
@@ -31,7 +32,6 @@ from cgid.cli.table import TableOutput, output_options
 from cgid.errors import CgidError
 
 if TYPE_CHECKING:
-    from cgid._lib.validation import Floats
     from cgid.identification.model import Model
     from cgid.identification.prediction import Answer, PredictionSettings
     from cgid.impactor import ImpactorColumns
@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from cgid.plots.report import Report
     from cgid.recordings import RecordingFile
     from cgid.recordings.recording import Channel
-    from cgid.signals import Batch, Signal
+    from cgid.signals import Signal
 
 
 def _report(
@@ -155,56 +155,30 @@ class _Prediction:
     def dataset(self, path: str) -> None:
         """Print the prediction for every signal of a dataset, and the accuracy."""
         from cgid.cli.hints import Hints
-        from cgid.errors import BadData
-        from cgid.identification.prediction import identify_frames
+        from cgid.identification.prediction.batches import identify_batches
         from cgid.store import Dataset
-        from cgid.units import UNITS
 
-        self._require_one_signal(path)
         dataset = Dataset(path)
         model = self.models.of(dataset.quantity)
-        if dataset.quantity != model.quantity:
-            raise BadData(
-                f"{path}: the quantity must be the model's, {model.quantity} [{model.unit}], got {dataset.quantity} "
-                f"[{dataset.unit}]; train a model on such signals"
-            )
-        units = UNITS[dataset.quantity]
-        factor = units[dataset.unit] / units[model.unit] * (-1 if self.settings.invert else 1)
-        warn_of_model(path, path, dataset.sampling_rate, model, self.settings)
-        self.lines.begin(path, model, self.settings)
-        number, tally = count(), _Tally()
+        tally, number = _Tally(model.labels), count()
         hints = Hints(model, dataset.sampling_rate, path, *given_options(), labelled=True)
         with progress_bar(len(dataset), "signals", "predicting") as progress:
-            for batch in dataset.batches():
-                answers = identify_frames(
-                    batch.signals if factor == 1 else batch.signals * factor,
-                    batch.sampling_rate,
-                    model,
-                    self.settings,
-                    pre_trigger=batch.pre_trigger,
-                    drop_height=self._heights(path, batch, model),
-                )
+            for batch, answers in identify_batches(dataset.batches(), model, self.settings, path):
+                if not tally.specimens:
+                    warn_of_model(path, path, dataset.sampling_rate, model, self.settings)
+                    self.lines.begin(path, model, self.settings)
                 hints.add(answers)
                 truths = zip(answers, batch.labels.tolist(), batch.specimen.tolist(), strict=True)
                 for answer, truth, specimen in truths:
                     self.lines.answer(path, answer, index=next(number), truth=truth)
                     tally.add(answer, truth, specimen)
                 progress(len(batch))
-        if tally.measured:
+        if tally.measured or tally.foreign:
             say(f"{path}: {tally.summary(len(dataset))}", err=True)
         for hint in hints.hints():
             self.lines.hint(path, hint)
         for factor in hints.wrong_scales().values():
             self.lines.warning(path, f"{path}: {hints.level_warning(factor)}")
-
-    def _require_one_signal(self, path: str) -> None:
-        """Raise `InvalidValue` for channels of one beam, which a dataset does not have."""
-        from cgid.errors import InvalidValue
-
-        if self.settings.same_beam:
-            raise InvalidValue(
-                f"{path}: --same-beam is for recordings, a dataset has one signal an impact; leave it out"
-            )
 
     def dataset_signal(self, path: str, index: int, signal: Signal) -> None:
         """Print the prediction for one signal of a dataset."""
@@ -212,13 +186,14 @@ class _Prediction:
 
         from cgid.errors import BadData
         from cgid.identification.prediction import identify, suited
+        from cgid.identification.prediction.batches import drop_heights, require_one_signal
         from cgid.store import Dataset
 
-        self._require_one_signal(path)
+        require_one_signal(self.settings, path)
         model = self.models.of(signal.quantity)
         fitting = suited(signal, model, self.settings.mass)
         warn_of_model(fitting.name, fitting.name, fitting.sampling_rate, model, self.settings)
-        height = self._heights(path, Dataset(path).impact(index), model)
+        height = drop_heights(Dataset(path).impact(index), model, self.settings, path)
         (answer,) = identify(
             fitting, model, self.settings, drop_height=None if height is None else float(np.max(height))
         )
@@ -227,20 +202,13 @@ class _Prediction:
         self.lines.begin(path, model, self.settings)
         self.lines.answer(path, answer, index=index)
 
-    def _heights(self, path: str, batch: Batch, model: Model) -> Floats | float | None:
-        """Return the stored drop heights of a batch if the model needs them; else the given one."""
-        from cgid.errors import InvalidValue
-
-        stored, given = batch.drop_heights() if "drop_height" in model.known else None, self.settings.drop_height
-        if stored is not None and given is not None:
-            raise InvalidValue(f"{path}: --drop-height must be left out, this dataset stores that of each impact")
-        return given if stored is None else stored
-
 
 @dataclass
 class _Tally:
     """Counts of the predictions for the labelled impacts of a dataset."""
 
+    labels: tuple[str, ...]  # of the model
+    foreign: Counter[str] = field(default_factory=Counter)  # impacts by label that the model lacks
     measured: int = 0
     right: int = 0
     unknown: int = 0
@@ -252,7 +220,9 @@ class _Tally:
         self.specimens.add(specimen)
         self.unknown += answer.label == "unknown"
         self.answered_right += answer.label == truth
-        if not answer.probabilities:
+        if truth not in self.labels:
+            self.foreign[truth] += 1
+        if truth in self.foreign or not answer.probabilities:
             return
         self.measured += 1
         # The most probable label is used, so that the accuracy agrees with the model card.
@@ -264,12 +234,18 @@ class _Tally:
         """Return the counts in one line."""
         from cgid.identification.model.confusion import wilson_interval
 
+        counts = f"{self.unknown} unknown"
+        if self.foreign:
+            names = ", ".join(self.foreign)
+            counts += f"; {counted(self.foreign.total(), 'impact')} of labels that the model lacks ({names}) not judged"
+        if not self.measured:
+            return f"no accuracy, {counts}"
         share = self.right / self.measured
         # Impacts of one specimen are not independent trials.
         low, high = wilson_interval(share, min(self.measured, len(self.specimens)))
         text = (
             f"accuracy of the most probable label {share:.4f} (95 % interval {low:.4f} to {high:.4f}) "
-            f"on {self.measured} of {counted(n_impacts, 'labelled impact')}; {self.unknown} unknown"
+            f"on {self.measured} of {counted(n_impacts, 'labelled impact')}; {counts}"
         )
         if self.covered is None:
             return text

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -17,18 +17,22 @@ from cgid._lib.validation import require_rate
 from cgid.errors import BadData, MissingOption
 from cgid.identification.model.model import Model
 from cgid.identification.prediction.answers import Answer, answer_columns
+from cgid.identification.prediction.batches import identify_batches
 from cgid.identification.prediction.pipeline import Pipeline, answers_with_warnings
 from cgid.identification.prediction.settings import PredictionSettings
-from cgid.recordings import read_recording
+from cgid.recordings import is_dataset, read_recording
 from cgid.recordings.chain import Chain, Statement
 from cgid.recordings.recording import Blocks, Channel, require_one_rate
 from cgid.recordings.variables import full_scale_of
 from cgid.shipped import MODELS, model_path
-from cgid.signals import Signal
-from cgid.units import UNITS
+from cgid.signals import Batch, Signal
+from cgid.units import UNITS, quantity_of
 
 if TYPE_CHECKING:
     import pandas
+
+    from cgid.identification.training.training import Training
+    from cgid.store.reading import Dataset
 
 #: Fields of `PredictionSettings` that `predict` accepts: all except those of the gangue fraction.
 _SETTINGS = (
@@ -80,10 +84,10 @@ def default_model(quantity: str | None, settings: PredictionSettings) -> str:
 
 
 def predict(
-    samples: ArrayLike | Signal | Sequence[Signal] | str | Path,
+    samples: ArrayLike | Signal | Sequence[Signal] | Batch | Dataset | str | Path,
     sampling_rate: float | None = None,
     unit: str | None = None,
-    model: Model | str | Path | None = None,
+    model: Model | Training | str | Path | None = None,
     *,
     sensitivity: Statement | None = None,
     gain: Statement | None = None,
@@ -94,14 +98,15 @@ def predict(
 
     Parameters
     ----------
-    samples : str or Path; or Signal, or list of Signal; or array_like, (n_samples,) or (n_samples, n_channels)
-        A file, which `read_recording` reads into memory. Signals are channels of one length, with their rate, unit and
-        names. An array is in `unit`; the columns of a DataFrame name its channels, else they are numbered from 1.
+    samples : str, Path, Signal, list of Signal, Batch, Dataset, or array_like (n_samples,) or (n_samples, n_channels)
+        A recording, which `read_recording` reads into memory, or the path of a dataset. Signals are channels of one
+        length, with their rate, unit and names. A batch or dataset has one impact a signal. An array is in `unit`; the
+        columns of a DataFrame name its channels, else they are numbered from 1.
     sampling_rate : float, optional
         [Hz]; required for an array, and for a file that does not state it.
     unit : str, optional
         One of `cgid.units.UNITS`, such as "N", "kN", "g", "m/s^2" or "V"; required likewise.
-    model : Model, str or Path, optional
+    model : Model, Training, str or Path, optional
         A model, or an argument of `load_model`; by default the shipped one for this quantity.
     sensitivity, gain, full_scale : str, float, mapping or list, optional
         Conversion of volts, coulombs or integers to the measured quantity, such as ``sensitivity="10.2 mV/g"``; as
@@ -117,7 +122,8 @@ def predict(
         One row for each impact (or window, by the model), in order of time, with the columns of `cgid predict`:
         `channel`, `time_s`, `label`, one `p_LABEL` for each label of the model, `novelty` (above 1 the label is
         "unknown"), `overlapping`, `clipped`, `cut_off`, `problem`. Windows also have `end_s`, and a coverage adds
-        `prediction_set`. Without impacts it has no rows.
+        `prediction_set`. Without impacts it has no rows. A batch or dataset has one row for each signal, with its
+        `index` instead of a channel, and its true label as `truth`.
 
     Warns
     -----
@@ -158,6 +164,13 @@ def predict(
     for name in settings:
         validation.choice("setting", name, _SETTINGS)
     applied = replace(PredictionSettings(), **settings)
+    model = cast("Model | str | Path | None", getattr(model, "model", model))  # of a Training
+    if isinstance(samples, str | Path) and is_dataset(samples):
+        from cgid.store.reading import Dataset
+
+        samples = Dataset(samples)
+    if isinstance(samples, Batch) or hasattr(samples, "batches"):
+        return _of_batches(samples, model, applied)
     if isinstance(samples, str | Path):
         signals = read_recording(
             samples, sampling_rate=sampling_rate, unit=unit, sensitivity=sensitivity, gain=gain, full_scale=full_scale
@@ -255,6 +268,23 @@ def _require_alike(signals: Sequence[Any], sampling_rate: float | None) -> list[
     channels = [one.channel for one in signals]
     names = channels if len(set(channels)) == len(channels) else [one.name for one in signals]
     return [replace(one, sampling_rate=rate, channel=name) for one, name in zip(signals, names, strict=True)]
+
+
+def _of_batches(samples: Any, model: Model | str | Path | None, settings: PredictionSettings) -> pandas.DataFrame:
+    """Return one row for each signal of a batch or dataset: its number, answer and true label, but no channel."""
+    given = default_model(quantity_of(samples.unit), settings) if model is None else model
+    loaded = given if isinstance(given, Model) else load_model(given)
+    settings.check(loaded)
+    batches = [samples] if isinstance(samples, Batch) else samples.batches()
+    answers: list[Answer] = []
+    truths: list[str] = []
+    for batch, answers_of_batch in identify_batches(batches, loaded, settings, str(getattr(samples, "path", "batch"))):
+        answers += answers_of_batch
+        truths += batch.labels.tolist()
+    table = _table(answers, loaded, settings).drop(columns="channel")
+    table.insert(0, "index", np.arange(len(table)))
+    table["truth"] = np.array(truths, object)
+    return table
 
 
 def _table(answers: Sequence[Answer], model: Model, settings: PredictionSettings) -> pandas.DataFrame:
