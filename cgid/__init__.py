@@ -8,6 +8,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from cgid._lib.lazy import on_first_use
+
 if TYPE_CHECKING:
     from cgid import calibration as calibration
     from cgid import errors as errors
@@ -55,39 +57,27 @@ if TYPE_CHECKING:
 
 __version__ = "0.2.0"
 
-#: Public name -> module that defines it.
-_HOMES = {
-    "Batch": "cgid.signals",
-    "Dataset": "cgid.store.reading",
-    "Elastic": "cgid.physics.contact.laws",
-    "HalfSpace": "cgid.physics.contact.bodies",
-    "HuntCrossley": "cgid.physics.contact.laws",
-    "Impact": "cgid.physics.contact.impact",
-    "ImpactClassifier": "cgid.identification.training.classifier",
-    "ImpactFeatures": "cgid.learning.transformer",
-    "ImpactDetector": "cgid.identification.detection.detector",
-    "Material": "cgid.physics.contact.materials",
-    "Model": "cgid.identification.model.model",
-    "RIGID": "cgid.physics.contact.bodies",
-    "Scene": "cgid.scene.file.schema",
-    "Signal": "cgid.signals",
-    "Sphere": "cgid.physics.contact.bodies",
-    "ThinPlate": "cgid.physics.contact.bodies",
-    "Viscoelastic": "cgid.physics.contact.laws",
-    "estimate_impactors": "cgid.impactor",
-    "extract": "cgid.measure.features.extraction",
-    "fft_filter": "cgid.measure.filters",
-    "find_impacts": "cgid.identification.detection.detector",
-    "identify_recording": "cgid.identification.prediction.pipeline",
-    "load_model": "cgid.identification.prediction.prediction",
-    "load_scene": "cgid.scene.file.schema",
-    "open_recording": "cgid.recordings",
-    "predict": "cgid.identification.prediction.prediction",
-    "read_recording": "cgid.recordings",
-    "stream": "cgid.learning.transformer",
-    "synthesise": "cgid.scene.synthesis.synthesis",
-    "train_on_groups": "cgid.identification.training.training",
-    "train_on_specimens": "cgid.identification.training.training",
+#: Module -> the public names that it defines.
+_NAMES = {
+    "identification.detection.detector": ("ImpactDetector", "find_impacts"),
+    "identification.model.model": ("Model",),
+    "identification.prediction.pipeline": ("identify_recording",),
+    "identification.prediction.prediction": ("load_model", "predict"),
+    "identification.training.classifier": ("ImpactClassifier",),
+    "identification.training.training": ("train_on_groups", "train_on_specimens"),
+    "impactor": ("estimate_impactors",),
+    "learning.transformer": ("ImpactFeatures", "stream"),
+    "measure.features.extraction": ("extract",),
+    "measure.filters": ("fft_filter",),
+    "physics.contact.bodies": ("HalfSpace", "RIGID", "Sphere", "ThinPlate"),
+    "physics.contact.impact": ("Impact",),
+    "physics.contact.laws": ("Elastic", "HuntCrossley", "Viscoelastic"),
+    "physics.contact.materials": ("Material",),
+    "recordings": ("open_recording", "read_recording"),
+    "scene.file.schema": ("Scene", "load_scene"),
+    "scene.synthesis.synthesis": ("synthesise",),
+    "signals": ("Batch", "Signal"),
+    "store.reading": ("Dataset",),
 }
 
 #: Public modules.
@@ -96,20 +86,6 @@ _MODULES = (
     *("measure", "physics", "plots", "recordings", "scene", "store"),
 )
 
-__all__ = sorted([*_HOMES, "__version__"])  # pyright: ignore[reportUnsupportedDunderAll]
-
-
 if not TYPE_CHECKING:  # else a name that does not exist would have a type
-
-    def __getattr__(name: str) -> object:
-        from importlib import import_module
-
-        if name in _MODULES:
-            return import_module(f"cgid.{name}")
-        if name not in _HOMES:
-            raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-        return getattr(import_module(_HOMES[name]), name)
-
-
-def __dir__() -> list[str]:
-    return [*__all__, *_MODULES]
+    __all__, __getattr__, __dir__ = on_first_use(__name__, _NAMES, _MODULES)
+    __all__ += ["__version__"]

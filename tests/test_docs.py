@@ -306,6 +306,8 @@ def test_packages_say_what_is_public(monkeypatch: pytest.MonkeyPatch) -> None:
     for name in sorted(packages | described):
         module = importlib.import_module(name)
         assert module.__all__, name
+        if module.__file__.endswith("__init__.py") and module.__name__ in described:
+            assert set(module.__all__) <= set(dir(module)) <= {*module.__all__, *getattr(module, "_MODULES", ())}, name
         for one in module.__all__:
             assert hasattr(module, one) or importlib.util.find_spec(f"{name}.{one}"), f"{name}.{one}"
 

@@ -10,9 +10,15 @@ from typing import TYPE_CHECKING
 from cgid._lib.lazy import on_first_use
 
 if TYPE_CHECKING:
-    from cgid.calibration.gain import Calibration, calibrated
-    from cgid.calibration.modes import SiteCalibration, calibrate, usable_impacts
-    from cgid.calibration.taps import Flaw, Tap, TapTest, tap_test
+    from cgid.calibration.gain import Calibration as Calibration
+    from cgid.calibration.gain import calibrated as calibrated
+    from cgid.calibration.modes import SiteCalibration as SiteCalibration
+    from cgid.calibration.modes import calibrate as calibrate
+    from cgid.calibration.modes import usable_impacts as usable_impacts
+    from cgid.calibration.taps import Flaw as Flaw
+    from cgid.calibration.taps import Tap as Tap
+    from cgid.calibration.taps import TapTest as TapTest
+    from cgid.calibration.taps import tap_test as tap_test
 
 #: Module -> the public names that it defines.
 _NAMES = {
@@ -21,17 +27,5 @@ _NAMES = {
     "taps": ("Flaw", "Tap", "TapTest", "tap_test"),
 }
 
-__all__ = [
-    "Calibration",
-    "Flaw",
-    "SiteCalibration",
-    "Tap",
-    "TapTest",
-    "calibrate",
-    "calibrated",
-    "tap_test",
-    "usable_impacts",
-]
-
 if not TYPE_CHECKING:  # else a name that does not exist would have a type
-    __getattr__, __dir__ = on_first_use(__name__, _NAMES)
+    __all__, __getattr__, __dir__ = on_first_use(__name__, _NAMES)

@@ -7,21 +7,12 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from cgid._lib.lazy import on_first_use
+
 if TYPE_CHECKING:
-    from types import ModuleType
-
-    from cgid.identification import detection, model, prediction, training
-
-#: The rooms and modules with public names, loaded on first use.
-#: The rooms and modules with public names, loaded on first use.
-__all__ = ["detection", "model", "prediction", "training"]
-
-
-if not TYPE_CHECKING:
-
-    def __getattr__(name: str) -> ModuleType:
-        from importlib import import_module
-
-        if name not in __all__:
-            raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-        return import_module(f"{__name__}.{name}")
+    from cgid.identification import detection as detection
+    from cgid.identification import model as model
+    from cgid.identification import prediction as prediction
+    from cgid.identification import training as training
+else:  # a name that does not exist would have a type
+    __all__, __getattr__, __dir__ = on_first_use(__name__, {}, modules=("detection", "model", "prediction", "training"))

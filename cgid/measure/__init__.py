@@ -4,20 +4,11 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from cgid._lib.lazy import on_first_use
+
 if TYPE_CHECKING:
-    from types import ModuleType
-
-    from cgid.measure import features, filters, modal
-
-#: The rooms and modules with public names, loaded on first use.
-__all__ = ["features", "filters", "modal"]
-
-
-if not TYPE_CHECKING:
-
-    def __getattr__(name: str) -> ModuleType:
-        from importlib import import_module
-
-        if name not in __all__:
-            raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-        return import_module(f"{__name__}.{name}")
+    from cgid.measure import features as features
+    from cgid.measure import filters as filters
+    from cgid.measure import modal as modal
+else:  # a name that does not exist would have a type
+    __all__, __getattr__, __dir__ = on_first_use(__name__, {}, modules=("features", "filters", "modal"))

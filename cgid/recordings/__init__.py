@@ -18,3 +18,7 @@ __all__ = [
     "read_recording",
     "to_sep005",
 ]
+
+
+def __dir__() -> list[str]:
+    return __all__

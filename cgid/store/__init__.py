@@ -7,11 +7,15 @@ from typing import TYPE_CHECKING
 from cgid._lib.lazy import on_first_use
 
 if TYPE_CHECKING:
-    from cgid.store.dataset import export
-    from cgid.store.description import FORMAT, SCHEMA_VERSION
-    from cgid.store.reading import Dataset
-    from cgid.store.table import Table, read_table
-    from cgid.store.verification import Verified, remedy, verify
+    from cgid.store.dataset import export as export
+    from cgid.store.description import FORMAT as FORMAT
+    from cgid.store.description import SCHEMA_VERSION as SCHEMA_VERSION
+    from cgid.store.reading import Dataset as Dataset
+    from cgid.store.table import Table as Table
+    from cgid.store.table import read_table as read_table
+    from cgid.store.verification import Verified as Verified
+    from cgid.store.verification import remedy as remedy
+    from cgid.store.verification import verify as verify
 
 #: Module -> the public names that it defines.
 _NAMES = {
@@ -22,7 +26,5 @@ _NAMES = {
     "verification": ("Verified", "remedy", "verify"),
 }
 
-__all__ = ["FORMAT", "SCHEMA_VERSION", "Dataset", "Table", "Verified", "export", "read_table", "remedy", "verify"]
-
 if not TYPE_CHECKING:  # else a name that does not exist would have a type
-    __getattr__, __dir__ = on_first_use(__name__, _NAMES)
+    __all__, __getattr__, __dir__ = on_first_use(__name__, _NAMES)

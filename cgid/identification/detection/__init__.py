@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING
 from cgid._lib.lazy import on_first_use
 
 if TYPE_CHECKING:
-    from cgid.identification.detection.detector import ImpactDetector, find_impacts
-    from cgid.identification.detection.events import Event
+    from cgid.identification.detection.detector import ImpactDetector as ImpactDetector
+    from cgid.identification.detection.detector import find_impacts as find_impacts
+    from cgid.identification.detection.events import Event as Event
 
 #: Module -> the public names that it defines.
 _NAMES = {
@@ -16,7 +17,5 @@ _NAMES = {
     "events": ("Event",),
 }
 
-__all__ = ["Event", "ImpactDetector", "find_impacts"]
-
 if not TYPE_CHECKING:  # else a name that does not exist would have a type
-    __getattr__, __dir__ = on_first_use(__name__, _NAMES)
+    __all__, __getattr__, __dir__ = on_first_use(__name__, _NAMES)

@@ -7,8 +7,10 @@ from typing import TYPE_CHECKING
 from cgid._lib.lazy import on_first_use
 
 if TYPE_CHECKING:
-    from cgid.measure.features.extraction import FEATURES, choose, extract
-    from cgid.measure.features.own import own_feature
+    from cgid.measure.features.extraction import FEATURES as FEATURES
+    from cgid.measure.features.extraction import choose as choose
+    from cgid.measure.features.extraction import extract as extract
+    from cgid.measure.features.own import own_feature as own_feature
 
 #: Module -> the public names that it defines.
 _NAMES = {
@@ -16,7 +18,5 @@ _NAMES = {
     "own": ("own_feature",),
 }
 
-__all__ = ["FEATURES", "choose", "extract", "own_feature"]
-
 if not TYPE_CHECKING:  # else a name that does not exist would have a type
-    __getattr__, __dir__ = on_first_use(__name__, _NAMES)
+    __all__, __getattr__, __dir__ = on_first_use(__name__, _NAMES)
