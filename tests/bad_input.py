@@ -384,9 +384,7 @@ def _manifests(folder: Path, good: np.ndarray) -> None:
     )
     (folder / "m_group.csv").write_text("path,label,start_s,end_s\ntwice.csv,coal,0,0.005\ntwice.csv,gangue,0.005,\n")
     (folder / "m_both.csv").write_text("path,label\ngood.csv,coal\ngood.csv,gangue\n")
-    (folder / "m_half.csv").write_text(
-        "path,start_s,end_s,label,peak\ngood.csv,0,1,,9\ntwice.csv,0,1,coal,9\nb.csv,,,,9\n"
-    )
+    (folder / "m_empty.csv").write_text("path,start_s,end_s,label,peak\ngood.csv,0,1,,9\ntwice.csv,0,1,,9\n")
     (folder / "m_outside.csv").write_text("path,start_s,end_s,label\ngood.csv,0,1,coal\ntwice.csv,7,8,gangue\n")
     (folder / "m_overlap.csv").write_text("path,start_s,end_s,label\ntwice.csv,0,4e-3,coal\ntwice.csv,3e-3,1,gangue\n")
     (folder / "m_shale.csv").write_text("path,label\ngood.csv,coal\ntwice.csv,shale\n")
@@ -547,7 +545,7 @@ _COMMANDS = r"""
 65 | train m_group.csv --by impact -o new.npz | at least 2 groups
 65 | train m_both.csv -o new.npz | good.csv
 65 | train m_group.csv --test-share 0.5 -o new.npz | --test-share
-65 | train m_half.csv -o new.npz | m_half.csv
+65 | train m_empty.csv -o new.npz | m_empty.csv: some row must have a label, none of 2 has
 65 | train m_outside.csv --strict -o new.npz | twice.csv
 65 | train m_overlap.csv -o new.npz | twice.csv
 65 | train m_group.csv --by window --window 0 -o new.npz | --window

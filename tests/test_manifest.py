@@ -10,8 +10,10 @@ import pytest
 
 from cgid.errors import BadData, CannotCreate, CgidError
 from cgid.identification.training.manifest import (
+    Manifest,
     folder_manifest,
     is_manifest,
+    joined,
     manifest_text,
     path_from,
     read_manifest,
@@ -139,7 +141,7 @@ MISTAKES = {
     "near a column": ("path,starts_s,label\na,1,b\n", "'start_s'"),
     "no path column": ("label,group\na,b\n", "must include path"),
     "too many cells": ("path,label\na,b,c\n", "row 2: must have 2 cells"),
-    "no label": ("path,label\na,\n", "every row must have a label, 1 of 1 have none (the first is row 2)"),
+    "no label": ("path,label\na,\n", "some row must have a label, none of 1 has; fill in the column label"),
     "endless label": (f"path,label\na,{'x' * 101}\n", "at most 100 characters"),
     "negative start": ("path,label,start_s\na,b,-1\n", "start and end must rise"),
     "start no number": ("path,label,start_s\na,b,soon\n", "start must be a number in s, got 'soon'"),
@@ -154,7 +156,7 @@ MISTAKES = {
     "invert neither yes nor no": ("path,label,invert\na,b,maybe\n", "invert must be yes or no"),
     "sensor without a reference": ("path,label,sensor\na,b,left\n", "sensor left must have a reference run"),
     "one sensor unsaid": ("path,label,sensor,reference\nr,,s,yes\na,b,s,no\nc,d,,no\n", "must have a sensor"),
-    "half of the labels": ("path,label\na,\nb,coal\nc,\n", "2 of 3 have none (the first is row 2); fill in"),
+    "near a column beside own ones": ("path,lable,weather\na,b,rain\n", "got 'lable'; did you mean 'label'?"),
     "recording in two groups": ("path,label,start_s,end_s,group\na,b,0,1,x\na,c,1,2,y\n", "must be in one group"),
     "rate of one row": ("path,label,start_s,end_s,rate_Hz\na,b,0,1,8e3\na,c,1,2,\n", "one rate, got 8000.0 and none"),
     "unit of one row": ("path,label,start_s,end_s,unit\na,b,0,1,\na,c,1,2,g\n", "one unit, got none and g"),
@@ -226,6 +228,77 @@ def test_no_damage_is_more_than_an_error_of_ours(tmp_path: Path) -> None:
                 read_manifest(tmp_path / name)
             except CgidError as error:
                 assert all(line.startswith(str(tmp_path)) for line in str(error).splitlines())
+
+
+# -- rows without a label, and stretches --------------------------------------------------------------------
+
+
+def times(text: str, folder: Path) -> list[tuple[str, float, float]]:
+    return [(one.label, one.start, one.end) for one in read_manifest(written(folder, text)).annotations]
+
+
+def test_rows_without_a_label_are_counted_and_left_out(tmp_path: Path) -> None:
+    manifest = read_manifest(written(tmp_path, "path,label,reference\na,,\nb,coal,no\nc,,no\nd,gangue,\n"))
+    assert [one.written for one in manifest.annotations] == ["b", "d"]
+    assert manifest.n_unlabelled == 2
+    assert joined([manifest, manifest_of_others(tmp_path)]).n_unlabelled == 2
+
+
+def manifest_of_others(folder: Path) -> Manifest:
+    return read_manifest(written(folder, "path,label\ne,coal\n", "others.csv"))
+
+
+def test_columns_of_the_user_do_not_matter(tmp_path: Path) -> None:
+    plain = read_manifest(written(tmp_path, "path,label\na,coal\n")).annotations
+    text = "Weather,path,label,,label_of_anna,By,weather\nrain,a,coal,,gangue,Anna,sun\n"
+    assert read_manifest(written(tmp_path, text)).annotations == plain
+
+
+def test_a_stretch_labels_the_rows_in_it(tmp_path: Path) -> None:
+    head = "path,start_s,end_s,label\n"
+    rows = "a,9.998,10.1,\na,20,20.2,\na,39.9,40.05,\na,50,50.1,\nb,20,20.2,\n"
+    manifest = read_manifest(written(tmp_path, head + rows + "a,10,40,coal\n"))
+    assert [(one.written, one.label, one.start, one.end) for one in manifest.annotations] == [("a", "coal", 10, 40)]
+    assert manifest.n_unlabelled == 2  # at 50 s, and of another recording
+    assert times(head + "a,20,20.2,\na,,,gangue\n", tmp_path) == [("gangue", 0, math.inf)]
+
+
+def test_a_row_with_a_label_keeps_it_in_a_stretch_and_is_told(tmp_path: Path) -> None:
+    text = "path,start_s,end_s,label,unit\na,20,20.2,gangue,g\na,30,30.2,coal,g\na,39.9,40.1,gangue,g\na,10,40,coal,\n"
+    with pytest.warns(UserWarning, match="row 5: the stretch 10 s to 40 s is coal and holds 2 rows labelled gangue"):
+        manifest = read_manifest(written(tmp_path, text))
+    found = {(one.label, one.start, one.end): one for one in manifest.annotations}
+    assert set(found) == {
+        *(("gangue", 20, 20.2), ("coal", 30, 30.2), ("gangue", 39.9, 40.1)),
+        *(("coal", 10, 20), ("coal", 20.2, 30), ("coal", 30.2, 39.9)),
+    }
+    parts = [one for one in manifest.annotations if one.stretch]
+    assert {one.name for one in parts} == {"a from 10 to 40 s"}
+    assert {one.unit for one in manifest.annotations} == {"g"}  # the stretch takes it from its rows
+
+
+def test_a_shorter_stretch_is_cut_from_a_longer_one(tmp_path: Path) -> None:
+    text = "path,start_s,end_s,label\na,,,coal\na,10,20,gangue\na,12,12.1,\na,15,15.1,coal\n"
+    with pytest.warns(UserWarning, match="holds 1 row labelled"):
+        found = times(text, tmp_path)
+    assert sorted(found, key=lambda one: one[1]) == [
+        *(("coal", 0, 10), ("gangue", 10, 15), ("coal", 15, 15.1), ("gangue", 15.1, 20), ("coal", 20, math.inf)),
+    ]
+
+
+def test_a_stretch_without_a_channel_is_of_all_channels(tmp_path: Path) -> None:
+    text = (
+        "path,channel,start_s,end_s,label\na,1,11,11.1,\na,2+3,12,12.1,\na,,10,20,coal\nb,,10,20,coal\nb,1,30,31,coal\n"
+    )
+    manifest = read_manifest(written(tmp_path, text))
+    assert [(one.written, one.channels, one.start, one.end) for one in manifest.annotations] == [
+        *(("a", ("1",), 10, 20), ("a", ("2", "3"), 10, 20), ("b", None, 10, 20), ("b", ("1",), 30, 31)),
+    ]
+
+
+def test_stretches_that_cross_are_still_a_mistake(tmp_path: Path) -> None:
+    with pytest.raises(BadData, match="intervals must not overlap, coal and gangue do at 15 s"):
+        times("path,start_s,end_s,label\na,10,20,coal\na,15,25,gangue\n", tmp_path)
 
 
 # -- spellings of labels ----------------------------------------------------------------------------------

@@ -63,8 +63,9 @@ def events(
     """Find the impacts in FILEs, or in the recordings of a folder, and write one row for each.
 
     Fill in the column label (and group, such as a day or a support, if several recordings share one), then train on the
-    table: cgid train events.csv -o mine.npz. Delete the rows that you cannot label. An impact measured by several
-    channels is one row. With --same-beam, each beam and each other channel has rows of its own.
+    table: cgid train events.csv -o mine.npz. Rows that you leave empty do not train; a row with start_s, end_s and
+    label alone labels all that lies in its time. An impact measured by several channels is one row. With --same-beam,
+    each beam and each other channel has rows of its own.
     """
     from cgid._lib.files import check_new, write_whole
     from cgid.identification.prediction.settings import require_groups

@@ -255,13 +255,20 @@ def _manifest(item: str) -> Manifest:
     from cgid.identification.training.manifest import folder_manifest, is_manifest, read_manifest, unlabelled
 
     if is_manifest(item):
-        return read_manifest(item)
+        return _noted(read_manifest(item))
     if not Path(item).is_dir():
         raise BadData(f"{item}: {unlabelled('a recording', item)}")
-    manifest = folder_manifest(item)
+    manifest = _noted(folder_manifest(item))
     counts = Counter(one.label for one in manifest.annotations if not one.reference)
     counted_labels = ", ".join(f"{label} {count}" for label, count in sorted(counts.items()))
     say(f"cgid: labels of {manifest.source}: {counted_labels}", err=True)
+    return manifest
+
+
+def _noted(manifest: Manifest) -> Manifest:
+    """Return a manifest, and say how many of its rows have no label."""
+    if n := manifest.n_unlabelled:
+        say(f"cgid: {counted(n, 'row')} of {manifest.source} without a label are left out", err=True)
     return manifest
 
 

@@ -1,7 +1,8 @@
 """The manifest of labelled recordings: labels of files or intervals, and the groups they belong to.
 
-A CSV file has one row per interval, with any of `COLUMNS`; a TOML file has one `[[recording]]` per file, and top-level
-values apply to all. A folder whose subfolders are labels is a manifest, too. Paths are relative to the manifest.
+A CSV file has one row per interval, with any of `COLUMNS` and the user's own; a TOML file has one `[[recording]]` per
+file, and top-level values apply to all. A folder whose subfolders are labels is a manifest, too. Paths are relative to
+the manifest.
 """
 
 from __future__ import annotations
@@ -24,18 +25,19 @@ from cgid._lib.terminal import counted, spreadsheet_cell, text_of_cell
 from cgid._lib.validation import shown
 from cgid.errors import BadData, CannotCreate, CgidError, InvalidValue, NoInput
 from cgid.identification.prediction.settings import require_groups
+from cgid.identification.training.stretches import Row, resolved
 from cgid.recordings.chain import Chain, Gain
 from cgid.units import quantity_of
 
 #: The columns of a row.
 COLUMNS = (
     *("path", "label", "start", "end", "group", "channel", "gain", "sensor", "reference", "rate", "unit"),
-    *("variable", "format", "sensitivity", "full_scale", "invert", "same_beam"),
+    *("variable", "format", "sensitivity", "full_scale", "invert", "same_beam", "chosen"),
 )
 #: Name of a column -> its title in a CSV file, where they differ.
 _TITLES = {"start": "start_s", "end": "end_s", "rate": "rate_Hz"}
 #: Columns of a CSV file for the person who labels the rows.
-INFORMATIVE = ("time_s", "peak", "peak_unit", "flags", "content", "note")
+INFORMATIVE = ("time_s", "peak", "peak_unit", "flags", "content", "note", "by")
 #: Columns of numbers, which a spreadsheet may write with a decimal comma.
 _NUMBERS = ("start", "end", "gain", "rate", "sensitivity", "full_scale")
 #: Names of manifests in a folder, and suffixes of recordings in it.
@@ -93,15 +95,18 @@ class Annotation:
     sensitivity: tuple[str, ...] | None = None
     full_scale: tuple[str, ...] | None = None
     same_beam: tuple[str, ...] = ()  # groups of channels of one beam, such as 1+2, whose impacts are one row
+    chosen: str = ""  # how the row came to be labelled, "random" if it was drawn at random
+    stretch: tuple[float, float] | None = None  # the whole of which this row remains, around rows in it [s]
 
     @property
     def name(self) -> str:
         """A unique name: the file, the chosen channels, and the interval."""
         channels = "" if self.channels is None else f" channel {'+'.join(map(str, self.channels))}"
-        if self.start == 0 and self.end == math.inf:
+        start, end = self.stretch or (self.start, self.end)
+        if start == 0 and end == math.inf:
             return self.written + channels
-        end = "its end" if self.end == math.inf else f"{self.end:g} s"
-        return f"{self.written}{channels} from {self.start:g} to {end}"
+        until = "its end" if end == math.inf else f"{end:g} s"
+        return f"{self.written}{channels} from {start:g} to {until}"
 
 
 def annotation_of(row: Mapping[str, Any], folder: Path, labels: tuple[str, ...] | None) -> Annotation:
@@ -150,6 +155,8 @@ def annotation_of(row: Mapping[str, Any], folder: Path, labels: tuple[str, ...] 
         sensitivity=sensitivity,
         full_scale=full_scale,
         same_beam=tuple("+".join(group) for group in require_groups(_of_channels(row.get("same_beam")) or ())),
+        chosen=_word("chosen", row.get("chosen", "")),
+        stretch=row.get("stretch"),
     )
 
 
@@ -252,6 +259,7 @@ class Manifest:
 
     source: str
     annotations: tuple[Annotation, ...] = ()
+    n_unlabelled: int = 0  # rows without a label, which are left out
 
     @property
     def labels(self) -> tuple[str, ...]:
@@ -300,15 +308,13 @@ def read_manifest(path: str | Path) -> Manifest:
     path = Path(path)
     rows, labels = _csv_rows(path) if path.suffix.lower() == ".csv" else _toml_rows(path)
     annotations, mistakes = [], []
-    empty = [where for where, row in rows if not row.get("label") and not row.get("reference")]
-    if empty:
+    kept, empty = resolved(str(path), rows)
+    if rows and not kept:
         mistakes.append(
-            f"{path}: every row must have a label, {len(empty)} of {len(rows)} have none (the first is {empty[0]}); "
-            "fill in the column label, or delete these rows"
+            f"{path}: some row must have a label, none of {len(rows)} has; fill in the column label of those that you "
+            "know, the others are left out"
         )
-    for where, row in rows:
-        if where in empty:
-            continue
+    for where, row in kept:
         try:
             annotations.append(annotation_of(row, path.parent, labels))
         except InvalidValue as error:
@@ -319,15 +325,12 @@ def read_manifest(path: str | Path) -> Manifest:
     if mistakes:
         more = len(mistakes) - _MAX_MISTAKES
         raise BadData(*mistakes[:_MAX_MISTAKES], *[f"{path}: and {more} more mistakes"] * (more > 0))
-    return Manifest(source=str(path), annotations=_in_one_spelling(str(path), annotations))
+    return Manifest(source=str(path), annotations=_in_one_spelling(str(path), annotations), n_unlabelled=len(empty))
 
 
 def _in_one_spelling(source: str, annotations: Sequence[Annotation]) -> tuple[Annotation, ...]:
     used = validation.one_spelling(source, [one.label for one in annotations if not one.reference])
     return tuple(replace(one, label=used[one.label]) if one.label in used else one for one in annotations)
-
-
-Row = tuple[str, Mapping[str, Any]]
 
 
 def _text(path: Path) -> str:
@@ -363,21 +366,31 @@ def _csv_rows(path: Path) -> tuple[list[Row], tuple[str, ...] | None]:
             continue
         if not names:
             names = [by_title.get(cell.lower(), "") for cell in cells]
+            allowed = tuple(_TITLES.get(name, name) for name in COLUMNS)
             titles = [
                 _TITLES.get(name, name or cell.lower())
                 for name, cell in zip(names, cells, strict=True)
-                if name not in INFORMATIVE
+                if name in COLUMNS or not (name or _is_own(cell, cells, allowed))
             ]
-            allowed = tuple(_TITLES.get(name, name) for name in COLUMNS)
             _check_names(titles, allowed, f"{path}: columns", required="path")
             continue
         if len(cells) > len(names):
             raise BadData(f"{path}: row {number}: must have {len(names)} cells like the header, got {len(cells)}")
-        row = {name: cell for name, cell in zip(names, cells, strict=False) if cell and name not in INFORMATIVE}
+        row = {name: cell for name, cell in zip(names, cells, strict=False) if cell and name in COLUMNS}
         if separator != ",":
             row |= {name: _with_points(row[name]) for name in _NUMBERS if name in row}
         rows.append((f"row {number}", row))
     return rows, None
+
+
+def _is_own(title: str, titles: Sequence[str], allowed: Sequence[str]) -> bool:
+    """Return whether a column is the user's own, not a misspelling of one that the table lacks.
+
+    >>> _is_own("weather", ["path", "weather"], COLUMNS), _is_own("lable", ["path", "lable"], COLUMNS)
+    (True, False)
+    """
+    used = {one.lower() for one in titles}
+    return not validation.similar(title, [name for name in allowed if name.lower() not in used])
 
 
 def _with_points(cell: str) -> str:
@@ -506,7 +519,8 @@ def joined(manifests: Sequence[Manifest]) -> Manifest:
     )
     if mistakes := contradictions(annotations):
         raise BadData(*(f"{source}: {text}" for text in mistakes[:_MAX_MISTAKES]))
-    return Manifest(source=source, annotations=tuple(annotations))
+    n_unlabelled = sum(one.n_unlabelled for one in manifests)
+    return Manifest(source=source, annotations=tuple(annotations), n_unlabelled=n_unlabelled)
 
 
 def unlabelled(name: str, given: str) -> str:

@@ -424,7 +424,8 @@ def _joined(measured: Sequence[tuple[AnnotatedFile, list[AnnotatedRows]]], cutti
     rates = [recording.sampling_rate for recording in recordings]
     warnings, measured_sources = [], set(sources)
     for file, _ in measured:
-        empty = [one.name for one in file.annotations if one.name not in measured_sources]
+        names = dict.fromkeys(one.name for one in file.annotations)  # parts of a stretch have one name
+        empty = [name for name in names if name not in measured_sources]
         message = (f"{name}: there must be {cutting.slicing.by}s that can be measured, there is none" for name in empty)
         warnings += [*file.recording.warnings, *(f"{text}; check start and end" for text in message)]
     return Rows(
