@@ -75,6 +75,32 @@ def test_blocks_are_the_whole_whatever_their_length(specimen, tmp_path):
 
 @pytest.mark.long
 @by_name
+def test_samples_of_a_part_are_those_of_the_whole(specimen, tmp_path, monkeypatch):
+    """At the start, across blocks, at the end and behind it; a format that can be sought reads no more."""
+    monkeypatch.setattr("cgid.recordings.recording.BLOCK_LENGTH", 700)
+    recording = open_recording(written(specimen, tmp_path, blows(3000)), **specimen.options)
+    whole = np.concatenate(list(recording.blocks()), axis=1)
+    for start, stop in ((0, 1), (0, 3000), (1234, 1240), (650, 2999), (2990, 4000), (3000, 3001), (5000, 5001), (7, 7)):
+        part = recording.samples(start, stop)
+        assert np.array_equal(part, whole[:, start:stop]) and part.shape[0] == len(recording.channels), (start, stop)
+    for wrong in ((-1, 5), (5, 4), (0.5, 2)):
+        with pytest.raises(InvalidValue, match=r"st(art|op) must be"):
+            recording.samples(*wrong)
+    sought = [name for name in ("WAV", "NPY", "NPZ", "HDF5", "TDMS", "FLAC") if specimen.name.startswith(name)]
+    assert recording._contents.seekable or not sought
+
+
+def test_samples_of_a_part_know_gaps_and_units(tmp_path):
+    """A row of text that is missing is nan, and volts are what the sensor measured."""
+    rows = [f"{n / 1000:.3f},{n}" for n in range(100) if n not in (40, 41)]
+    (tmp_path / "a.csv").write_text("time (s),beam (V)\n" + "\n".join(rows) + "\n")
+    recording = open_recording(tmp_path / "a.csv", sensitivity="100 mV/g")
+    part = recording.samples(38, 44)[0]
+    assert np.isnan(part).tolist() == [False, False, True, True, False, False]
+    assert part[[0, 1, 4, 5]] == pytest.approx(np.array([38, 39, 42, 43]) * 98.0665, rel=1e-12)
+
+
+@by_name
 def test_a_file_cut_off_is_refused_or_warned_of(specimen, tmp_path):
     if specimen.name.split()[0] not in LENGTHS:
         pytest.skip(f"nothing in a {specimen.name} file tells where it should end")

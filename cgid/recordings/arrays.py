@@ -53,12 +53,12 @@ def read_npy(path: Path, source: str) -> Blocks:
     n_samples, n_channels = (rows, columns) if is_upright else (columns, rows)
     by_sample = is_upright != fortran_order or n_channels == 1
 
-    def read(length: int, channels: Sequence[int]) -> Iterator[NDArray[Any]]:
+    def read(length: int, channels: Sequence[int], begin: int = 0) -> Iterator[NDArray[Any]]:
         # Either the numbers of one sample are contiguous, or those of one channel.
         together, picked = (n_channels, list(channels)) if by_sample else (1, [0])
         starts = [0] if by_sample else [channel * n_samples for channel in channels]
         with path.open("rb") as file:
-            for first in range(0, n_samples, length):
+            for first in range(begin, n_samples, length):
                 n = min(length, n_samples - first)
                 parts = []
                 for start in starts:
@@ -72,6 +72,7 @@ def read_npy(path: Path, source: str) -> Blocks:
     return Blocks(
         n_channels=n_channels,
         read=read,
+        seekable=True,
         n_samples=n_samples,
         full_scales=[full_scale_of(dtype)] * n_channels,
         integers=[dtype.kind in "iu"] * n_channels,
@@ -82,10 +83,10 @@ def _records(path: Path, source: str, n_samples: int, dtype: np.dtype[Any], offs
     """Return the fields of the records of an NPY file as channels, with the times among them."""
 
     def variable(name: str, stored: np.dtype[Any]) -> Variable:
-        def read(length: int, _channels: Sequence[int]) -> Iterator[NDArray[Any]]:
+        def read(length: int, _channels: Sequence[int], begin: int = 0) -> Iterator[NDArray[Any]]:
             with path.open("rb") as file:
-                file.seek(offset)
-                for first in range(0, n_samples, length):
+                file.seek(offset + begin * dtype.itemsize)
+                for first in range(begin, n_samples, length):
                     n = min(length, n_samples - first)
                     records = np.fromfile(file, dtype, n)
                     if records.size < n:
@@ -98,6 +99,7 @@ def _records(path: Path, source: str, n_samples: int, dtype: np.dtype[Any], offs
             n_channels=1,
             n_samples=n_samples,
             read=read,
+            seekable=True,
             about={"unit": column.unit} if column.unit else {},
             full_scale=full_scale_of(stored),
             is_integer=stored.kind in "iu",
@@ -171,8 +173,8 @@ def _variable(group: str, name: str, array: NDArray[Any], axes: tuple[int | None
     across, along = axes
     rows = array.reshape(1, -1) if across is None else np.moveaxis(array, (across, along), (0, 1)).squeeze()
 
-    def read(length: int, channels: Sequence[int]) -> Iterator[NDArray[Any]]:
-        for first in range(0, rows.shape[1], length):
+    def read(length: int, channels: Sequence[int], begin: int = 0) -> Iterator[NDArray[Any]]:
+        for first in range(begin, rows.shape[1], length):
             yield _floats(rows[list(channels), first : first + length])
 
     return Variable(
@@ -181,6 +183,7 @@ def _variable(group: str, name: str, array: NDArray[Any], axes: tuple[int | None
         n_channels=rows.shape[0],
         n_samples=rows.shape[1],
         read=read,
+        seekable=True,
         full_scale=full_scale_of(array.dtype),
         is_integer=array.dtype.kind in "iu",
     )
@@ -223,14 +226,15 @@ def read_generated(path: Path) -> Blocks:
 
     recording = Recording(path)
 
-    def read(length: int, channels: Sequence[int]) -> Iterator[NDArray[Any]]:
-        with closing(recording.blocks(length)) as rows:
+    def read(length: int, channels: Sequence[int], begin: int = 0) -> Iterator[NDArray[Any]]:
+        with closing(recording.blocks(length, begin)) as rows:
             for row in rows:
                 yield row[None][list(channels)]
 
     return Blocks(
         n_channels=1,
         read=read,
+        seekable=True,
         n_samples=recording.n_samples,
         units=[recording.unit],
         sampling_rate=recording.sampling_rate,
@@ -261,8 +265,8 @@ def read_hdf5(path: Path, source: str, variable: str | None) -> Blocks:
         about = dict(array.attributes)
         factor, offset = (_number(about.pop(name, default)) for name, default in _PACKING.items())
 
-        def read(length: int, channels: Sequence[int]) -> Iterator[NDArray[Any]]:
-            stored = array_blocks(path, source, array, axes, length, channels)
+        def read(length: int, channels: Sequence[int], begin: int = 0) -> Iterator[NDArray[Any]]:
+            stored = array_blocks(path, source, array, axes, length, channels, begin)
             return stored if (factor, offset) == (1.0, 0.0) else (offset + factor * block for block in stored)
 
         across, along = axes
@@ -272,6 +276,7 @@ def read_hdf5(path: Path, source: str, variable: str | None) -> Blocks:
             n_channels=1 if across is None else array.shape[across],
             n_samples=array.shape[along],
             read=read,
+            seekable=True,
             about=about,
             is_integer=array.is_integer and (factor, offset) == (1.0, 0.0),
             fault=array.fault,

@@ -85,9 +85,9 @@ class OutsideFormat:
             if not isinstance(blocks, Blocks):
                 raise TypeError(f"its function read must return cgid.recordings.Blocks, got {type(blocks).__name__}")
 
-        def read(length: int, channels: Sequence[int]) -> Iterator[Any]:
+        def read(length: int, channels: Sequence[int], *start: int) -> Iterator[Any]:
             with self._reader_errors(source):
-                yield from blocks.read(length, channels)
+                yield from blocks.read(length, channels, *start)
 
         return replace(blocks, read=read)
 

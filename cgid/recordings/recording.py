@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cgid._lib.validation import require_rate
+from cgid._lib.validation import require_rate, whole
 from cgid.errors import BadData, CgidError, InvalidValue, MissingOption, NoInput, optional
 from cgid.recordings.chain import Chain, scaled
 from cgid.recordings.gaps import Gaps
@@ -41,8 +41,9 @@ SIMULTANEOUS = 0.05
 #: Largest arrays that a format read completely may unpack to [bytes].
 MAX_ARRAYS = 2 << 30
 
-#: (block length, channels) -> blocks (len(channels), at most length), from the first sample on.
-ReadBlocks = Callable[[int, Sequence[int]], Iterator[NDArray[Any]]]
+#: (block length, channels) -> blocks (len(channels), at most length), from the first sample on; of a file that can be
+#: read from any place also (block length, channels, first sample).
+ReadBlocks = Callable[..., Iterator[NDArray[Any]]]
 
 
 class Remark(str):
@@ -61,6 +62,8 @@ class Blocks:
         `length`) of float32 or float64. Each call begins with the first sample, because a recording may be read several
         times. A block may also be a pair (index of its first sample, array): missing samples before it are a gap, and
         later times stay correct.
+    seekable : bool
+        Whether ``read(length, channels, first)`` begins with the sample `first` without reading those before it.
     n_samples : int or None
         Per channel; None if unknown before reading.
     names : sequence of str
@@ -97,8 +100,9 @@ class Blocks:
     """
 
     n_channels: int
-    read: Callable[[int, Sequence[int]], Iterator[NDArray[Any] | tuple[int, NDArray[Any]]]]
+    read: Callable[..., Iterator[NDArray[Any] | tuple[int, NDArray[Any]]]]
     n_samples: int | None = None
+    seekable: bool = False
     names: Sequence[str] = ()
     units: Sequence[str | None] = ()
     sampling_rate: float | None = None
@@ -128,16 +132,23 @@ class Blocks:
         Blocks
         """
 
-        def read(length: int, channels: Sequence[int]) -> Iterator[NDArray[Any]]:
-            for first in range(0, samples.shape[1], length):
+        def read(length: int, channels: Sequence[int], start: int = 0) -> Iterator[NDArray[Any]]:
+            for first in range(start, samples.shape[1], length):
                 yield samples[list(channels), first : first + length]
 
-        return cls(n_channels=samples.shape[0], read=read, **{"n_samples": samples.shape[1], **about})
+        about = {"n_samples": samples.shape[1], "seekable": True, **about}
+        return cls(n_channels=samples.shape[0], read=read, **about)
 
-    def joined(self, length: int, channels: Sequence[int]) -> Iterator[NDArray[Any]]:
-        """Yield the blocks of `read` in order, with nan where samples are missing."""
-        count = 0
-        blocks = self.read(length, channels)
+    def joined(self, length: int, channels: Sequence[int], start: int = 0) -> Iterator[NDArray[Any]]:
+        """Yield the blocks of `read` in order, from the sample `start` on, with nan where samples are missing."""
+        if start and not (self.seekable and not self.gaps):
+            for whole_block in self.joined(length, channels):
+                if start < whole_block.shape[1]:
+                    yield whole_block[:, start:]
+                start = max(start - whole_block.shape[1], 0)
+            return
+        count = start
+        blocks = self.read(length, channels, start) if start else self.read(length, channels)
         for block in _shifted(blocks, self.gaps) if self.gaps else blocks:
             first, samples = block if isinstance(block, tuple) else (count, block)
             if first < count or samples.shape[0] != len(channels):
@@ -466,6 +477,41 @@ class RecordingFile:
             first += block.shape[1]
             yield block
 
+    def samples(self, start: int, stop: int) -> NDArray[Any]:
+        """Return the samples from index `start` to before `stop`, fewer at the end of the recording.
+
+        WAV, NPY, NPZ, HDF5, TDMS, FLAC and other lossless sound are read there only; other formats in one pass up to
+        `stop`. Numbers that are not finite are unchanged, and missing samples are nan.
+
+        Parameters
+        ----------
+        start, stop : int
+            From 0; `start` at most `stop`.
+
+        Returns
+        -------
+        ndarray, (n_channels, n_samples)
+            float32 or float64.
+
+        Raises
+        ------
+        InvalidValue
+            `start` or `stop` is no such number.
+        BadData, NoInput
+            As `blocks`.
+        """
+        start = whole("start", start, 0)
+        stop = whole("stop", stop, start)
+        if self.n_samples is not None:
+            stop = min(stop, self.n_samples)
+        parts, left = [np.empty((len(self._selected), 0), np.float32)], stop - start
+        for block in self._blocks(min(left, BLOCK_LENGTH), start) if left > 0 else ():
+            parts.append(block[:, :left])
+            left -= block.shape[1]
+            if left <= 0:
+                break
+        return np.concatenate(parts, axis=1)
+
     def blocks_with_gaps(self, *, joint: bool = False) -> Iterator[NDArray[Any]]:
         """Yield the samples as `blocks` does, with nan for impossible numbers; `warnings` report where.
 
@@ -516,12 +562,12 @@ class RecordingFile:
                 signals.append(signal)
         return signals, faults
 
-    def _blocks(self, length: int) -> Iterator[NDArray[Any]]:
-        count = 0
+    def _blocks(self, length: int, start: int = 0) -> Iterator[NDArray[Any]]:
+        count = start
         # Memory must not grow with the number of channels.
         length = min(length, max(MAX_NUMBERS // self._contents.n_channels, 1))
         with clear_errors(self.source):
-            for block in scaled(self._contents.joined(length, self._selected), self._factors):
+            for block in scaled(self._contents.joined(length, self._selected, start), self._factors):
                 count += block.shape[1]
                 yield block
         if not count:

@@ -205,12 +205,12 @@ def read_wav(path: Path, source: str) -> Blocks:
         if head.coding.kind == "i" and 0 < head.valid_bits <= 8 * (head.coding.width - 1) and head.coding.width == 4:
             _check_bits(file.read(min(size, _CHECKED)), head, warnings)
 
-    def blocks(length: int, channels: Sequence[int]) -> Iterator[NDArray[Any]]:
+    def blocks(length: int, channels: Sequence[int], begin: int = 0) -> Iterator[NDArray[Any]]:
         block_size = length * head.frame_size
         picked = list(channels)
         with path.open("rb") as file:
-            file.seek(start)
-            for first in range(0, size, block_size):
+            file.seek(start + begin * head.frame_size)
+            for first in range(begin * head.frame_size, size, block_size):
                 raw = file.read(min(block_size, size - first))
                 complete = len(raw) - len(raw) % head.frame_size
                 yield np.ascontiguousarray(head.coding.decoded(raw[:complete]).reshape(-1, head.n_channels).T[picked])
@@ -221,6 +221,7 @@ def read_wav(path: Path, source: str) -> Blocks:
     return Blocks(
         n_channels=head.n_channels,
         read=blocks,
+        seekable=True,
         n_samples=size // head.frame_size,
         sampling_rate=head.sampling_rate,
         rate_from="header of the WAV file",
@@ -311,6 +312,8 @@ AUDIO_MAGICS = {
     "AU": (b".snd", b"dns."),
 }
 _CODINGS = ("PCM_", "FLOAT", "DOUBLE", "VORBIS", "OPUS", "ALAC_")
+#: In these, a sample depends on those before it.
+_LOSSY = ("VORBIS", "OPUS")
 _UNKNOWN_SIZE, _ALIGNED = (1 << 32) - 1, 8
 #: Samples of each channel to decode at once.
 _DECODED = 1 << 14
@@ -349,9 +352,11 @@ def read_audio(path: Path, source: str) -> Blocks:
     if not is_ended:
         raise BadData(f"{source}: an OGG file must end with a last page, there is none; it looks cut off, {hint}")
 
-    def read(length: int, channels: Sequence[int]) -> Iterator[NDArray[Any]]:
-        picked, count = list(channels), 0
+    def read(length: int, channels: Sequence[int], start: int = 0) -> Iterator[NDArray[Any]]:
+        picked, count = list(channels), start
         with opened() as sound:
+            if start:
+                sound.seek(start)
             # `SoundFile.blocks` repeats samples where a file is damaged.
             while len(frames := sound.read(min(length, _DECODED), dtype="float64", always_2d=True)):
                 count += len(frames)
@@ -363,6 +368,7 @@ def read_audio(path: Path, source: str) -> Blocks:
     return Blocks(
         n_channels=n_channels,
         read=read,
+        seekable=n_samples is not None and coding not in _LOSSY,
         n_samples=n_samples,
         sampling_rate=rate,
         rate_from="header of the audio file",

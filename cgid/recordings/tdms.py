@@ -77,8 +77,8 @@ class _Tdms:
                     f"{status.read_length} follow; these were read, the file may be damaged"
                 )
 
-    def blocks(self, channel: Any, length: int) -> Iterator[NDArray[Any]]:
-        """Yield the samples of a channel, (1, at most `length`)."""
+    def blocks(self, channel: Any, length: int, start: int = 0) -> Iterator[NDArray[Any]]:
+        """Yield the samples of a channel from `start` on, (1, at most `length`)."""
         with self.library_errors():
             chunk = len(next(iter(channel.data_chunks()), ()))
         # Part of a chunk costs as much as all of it: read complete ones, or the channel if its chunks are long.
@@ -89,7 +89,7 @@ class _Tdms:
                 f"{self.source}: channel {channel.name} of {step} samples is written in one part and so must be of at "
                 f"most {MAX_ARRAYS >> 30} GiB; export it again in smaller parts, or as WAV"
             )
-        for first in range(0, len(channel), step):
+        for first in range(start, len(channel), step):
             count = min(step, len(channel) - first)
             with self.library_errors():
                 samples = np.asarray(channel.read_data(first, count))
@@ -132,8 +132,8 @@ def read_tdms(path: Path, source: str, variable: str | None) -> Blocks:
 
 
 def _variable(file: _Tdms, group: str, channel: Any) -> Variable:
-    def blocks(length: int, _channels: Sequence[int]) -> Iterator[NDArray[Any]]:
-        return file.blocks(channel, length)
+    def blocks(length: int, _channels: Sequence[int], start: int = 0) -> Iterator[NDArray[Any]]:
+        return file.blocks(channel, length, start)
 
     about = _values(channel.properties)
     owners = (channel.properties, file.tdms[group].properties, file.tdms.properties)
@@ -153,6 +153,7 @@ def _variable(file: _Tdms, group: str, channel: Any) -> Variable:
         n_channels=1,
         n_samples=len(channel),
         read=blocks,
+        seekable=True,
         about=about,
         warning=f"its scale {', '.join(sorted(scales))} is not known, so its numbers are not in its unit"
         if scales

@@ -218,6 +218,7 @@ class Variable:
     n_channels: int
     n_samples: int
     read: ReadBlocks
+    seekable: bool = False
     group: str = ""
     about: Values = field(default_factory=dict)
     full_scale: float | None = None
@@ -309,6 +310,7 @@ def contents_of(
     return Blocks(
         n_channels=sum(one.n_channels for one in selected),
         read=first.read if len(selected) == 1 else _joined(selected, n_samples, source),
+        seekable=all(one.seekable for one in selected),
         n_samples=n_samples + n_lost,
         gaps=gaps,
         names=names,
@@ -352,7 +354,12 @@ def _begun_together(
     return together, max(known), said
 
 
-def _from(variable: Variable, first: int, length: int, channels: Sequence[int]) -> Iterator[NDArray[Any]]:
+def _from(
+    variable: Variable, first: int, length: int, channels: Sequence[int], start: int = 0
+) -> Iterator[NDArray[Any]]:
+    if variable.seekable:
+        yield from variable.read(length, channels, first + start)
+        return
     for block in variable.read(length, channels):
         if first < block.shape[1]:
             yield block[:, first:]
@@ -479,10 +486,10 @@ def _joined(selected: Sequence[Variable], n_samples: int, source: str) -> ReadBl
     """Return the blocks of several one-channel arrays, `n_samples` long."""
     nothing: NDArray[Any] = np.empty((1, 0))
 
-    def blocks(length: int, channels: Sequence[int]) -> Iterator[NDArray[Any]]:
-        streams = [selected[channel].read(length, (0,)) for channel in channels]
+    def blocks(length: int, channels: Sequence[int], *start: int) -> Iterator[NDArray[Any]]:
+        streams = [selected[channel].read(length, (0,), *start) for channel in channels]
         waiting = [next(stream, nothing) for stream in streams]
-        left = n_samples
+        left = n_samples - sum(start)
         while left:
             # The pieces of the arrays may differ in length.
             n = min(left, *(piece.shape[1] for piece in waiting))

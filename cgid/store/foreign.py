@@ -151,9 +151,15 @@ def foreign_columns(path: Path, needed: Sequence[str]) -> tuple[list[str], int]:
 
 
 def array_blocks(
-    path: Path, source: str, array: ForeignArray, axes: tuple[int | None, int], length: int, channels: Sequence[int]
+    path: Path,
+    source: str,
+    array: ForeignArray,
+    axes: tuple[int | None, int],
+    length: int,
+    channels: Sequence[int],
+    start: int = 0,
 ) -> Iterator[NDArray[Any]]:
-    """Yield the samples of these channels as float32 or float64; `axes` are that of the channels and of the samples."""
+    """Yield the samples of these channels from `start` on, as float32 or float64; axes: of channels and of samples."""
     (across, along), name = axes, array.path
     lowest, n_read = (0, 1) if across is None else (min(channels), max(channels) + 1 - min(channels))
     with _opened(path, source) as file:
@@ -165,7 +171,7 @@ def array_blocks(
         if fault := storage_fault(dataset, path.stat().st_size):
             raise BadData(f"{source}: {name} {fault}; the file is damaged, copy it again")
         sample_type = np.float32 if dataset.dtype.kind == "f" and dataset.dtype.itemsize == 4 else np.float64
-        for first in range(0, array.shape[along], length):
+        for first in range(start, array.shape[along], length):
             index: list[Any] = [0] * len(array.shape)
             index[along] = slice(first, first + length)
             if across is not None:
