@@ -70,6 +70,12 @@ class ClusterFailed(CgidError, ConnectionError):
     exit_code = 69
 
 
+class Stopped(CgidError):
+    """Work ended before its result because its caller asked for it (exit code 130)."""
+
+    exit_code = 130
+
+
 class CannotCreate(CgidError, OSError):
     """An output cannot be created (exit code 73)."""
 

@@ -21,7 +21,7 @@ from importlib.metadata import version
 from typing import Any, TypeVar
 
 from cgid._lib import validation
-from cgid.errors import INTERRUPTIONS, ClusterFailed, InvalidValue, optional
+from cgid.errors import INTERRUPTIONS, ClusterFailed, InvalidValue, Stopped, optional
 
 #: The scheduler must answer and have a worker within this time [s].
 TIMEOUT = 10.0
@@ -41,12 +41,17 @@ Part = TypeVar("Part")
 Result = TypeVar("Result")
 
 
+def _never() -> bool:
+    return False
+
+
 @dataclass(frozen=True)
 class Workers:
     """The executor; made by `workers`."""
 
     jobs: int = 1  # number of processes on this machine; 1 is this process
     client: Any = None  # `distributed.Client` of a cluster, or None
+    stopped: Callable[[], bool] = _never  # asked before each part; once true, work ends with `Stopped`
 
     @property
     def is_serial(self) -> bool:
@@ -70,6 +75,7 @@ class Workers:
         # dropped.
         if self.is_serial:
             for part in parts:
+                self._go_on()
                 yield function(common, part)
             return
         import joblib
@@ -88,7 +94,8 @@ class Workers:
         try:
             with _deaf_children():
                 results = joblib.Parallel(batch_size=1, return_as=way, **executor)(tasks)
-            for result in results:  # noqa: UP028 - `yield from` would pass on an interruption before the warning is off
+            for result in results:
+                self._go_on()
                 yield result
             if failures:
                 raise failures[0]
@@ -102,6 +109,10 @@ class Workers:
                 if results is not None:
                     results.close()
             threading.excepthook = hook
+
+    def _go_on(self) -> None:
+        if self.stopped():
+            raise Stopped("the work was stopped; start it again")
 
     def _sent(self, common: Any) -> Any:
         """Return a reference to the common data for each part of a cluster's work."""
