@@ -24,6 +24,7 @@ def correct_model(
     from cgid.identification.training import Training
     from cgid.identification.training.card import correction_section, write_model
     from cgid.identification.training.correction import advice, correct, require_correctable, require_known
+    from cgid.identification.training.metrics import drawn_text
     from cgid.identification.training.recordings import record
     from cgid.identification.training.rows import Slicing
     from cgid.shipped import model_path
@@ -40,7 +41,9 @@ def correct_model(
     correction = correct(model, rows)
     for warning in correction.warnings:
         warn(warning)
-    training = Training(correction.model, dict(correction.after), correction.labels, correction.probabilities, None)
+    training = Training(
+        correction.model, dict(correction.after), correction.labels, correction.probabilities, None, correction.rows
+    )
     written = write_model(
         training, path, plots=plots, further=[correction_section(correction.model.training["correction"])]
     )
@@ -49,6 +52,8 @@ def correct_model(
         print_json({"model": str(path), "advice": advice(correction), **summary})
     else:
         heard = "" if summary["n_rocks"] == summary["n"] else f" of {summary['n_rocks']} rocks"
+        if "drawn" in summary:
+            say(drawn_text(summary["drawn"]))
         say(f"accuracy {accuracy_text(summary)} on this beam, cross-validated over {summary['n']} impacts{heard}")
         say(f"before {accuracy_text(summary['before'])}")
         say(f"moved {correction.shift}")

@@ -429,6 +429,8 @@ def _with_synthetic(data: list[str], recorded: Any, options: dict[str, Any]) -> 
 
 def print_training(training: Any, path: Path, written: list[Path], as_json: bool) -> None:
     """Print the results of a training, with warnings."""
+    from cgid.identification.training.metrics import drawn_text
+
     metrics, about = training.metrics, training.model.training
     if about["n_left_out"]:
         what = "windows" if training.model.kind == "window" else "impacts"
@@ -440,6 +442,8 @@ def print_training(training: Any, path: Path, written: list[Path], as_json: bool
     if as_json:
         print_json({"model": str(path), **metrics})
         return
+    if "drawn" in metrics:
+        say(drawn_text(metrics["drawn"]))
     like = " for recordings like these" if "recorded" in about else ""
     say(f"accuracy {accuracy_text(metrics)}{like}")
     for vote in metrics.get("running", []):

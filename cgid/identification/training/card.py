@@ -15,6 +15,7 @@ from cgid._lib.terminal import counted, printable
 from cgid.errors import CannotCreate
 from cgid.identification.detection.detector import VIBRATION_DEAD_TIME
 from cgid.identification.model.model import MIN_GROUPS, Model
+from cgid.identification.training.metrics import drawn_text
 from cgid.signals import KNOWN
 
 if TYPE_CHECKING:
@@ -149,6 +150,7 @@ def _fields(model: Model, name: str, pictures: tuple[str, ...]) -> dict[str, Any
     """Return the values of the placeholders of the template."""
     training, labels = model.training, list(map(plain, model.labels))
     metrics, is_window = training["metrics"], model.kind == "window"
+    drawn = [metrics["drawn"]] if "drawn" in metrics else []
     guards = zip(model.guards, model.guard_limits, strict=True)
     return {
         "name": plain(name),
@@ -170,7 +172,8 @@ def _fields(model: Model, name: str, pictures: tuple[str, ...]) -> dict[str, Any
         "sources": ", ".join(plain(source or "unknown") for source in training["sources"]),
         "seed": plain(training["seed"]),
         "versions": ", ".join(plain(f"{name} {version}") for name, version in training["versions"].items()),
-        "recalls": _rows((f"recall of {plain(one)}", f"{value:.4f}") for one, value in metrics["recall"].items()),
+        "recalls": "".join(f"| of impacts drawn at random | {drawn_text(one)} |\n" for one in drawn)
+        + _rows((f"recall of {plain(one)}", f"{value:.4f}") for one, value in metrics["recall"].items()),
         "areas": _rows(
             (f"area under the ROC curve, {plain(one)}", f"{area:.4f}") for one, area in metrics["roc_area"].items()
         ),

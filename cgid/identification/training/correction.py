@@ -25,8 +25,8 @@ from cgid.errors import BadData, InvalidValue
 from cgid.identification.model.families import Contrast, Standardiser, softmax
 from cgid.identification.model.model import Model
 from cgid.identification.model.model_file import STANDARDISER
-from cgid.identification.training.grouped import SAME_IMPACT, groups_of_labels, warnings_of_few
-from cgid.identification.training.metrics import clustered_interval, evaluate
+from cgid.identification.training.grouped import groups_of_labels, warnings_of_few
+from cgid.identification.training.metrics import clustered_interval, evaluate, evaluate_drawn
 from cgid.identification.training.rows import Rows
 from cgid.measure.features.extraction import FEATURES
 from cgid.units import quantity_of
@@ -82,6 +82,7 @@ class Correction:
     after: Mapping[str, Any]
     labels: NDArray[np.str_]  # (n_lumps,)
     probabilities: Floats  # (n_lumps, n_labels), cross-validated
+    rows: Rows  # the labelled impacts, in this order
     n_unknown: int  # labelled impacts outside the training, which are not used
     warnings: tuple[str, ...] = ()  # of impacts left out, and of few groups; one line each
 
@@ -100,7 +101,7 @@ def correct(model: Model, rows: Rows) -> Correction:
     rows = rows[known]
     labels, features = rows.labels, rows.columns(model.features)
     _require_labels(labels, model, " within its training")
-    trials, rocks = _trials(rows), _rocks(rows)
+    trials, rocks = _trials(rows), rows.rock
     truth = np.array([model.labels.index(label) for label in labels])
     impacts = _LabelledImpacts.of(model, features, truth, trials if _each_teaches_all(truth, trials) else rocks)
     shift, probabilities = impacts.learned()
@@ -118,6 +119,7 @@ def correct(model: Model, rows: Rows) -> Correction:
         "slope": shift.slope,
         "gain": shift.gain,
         **{name: after[name] for name in _REPORTED},
+        **({"drawn": drawn} if (drawn := evaluate_drawn(rows, probabilities, model.labels)) else {}),
         "before": {name: before[name] for name in _REPORTED},
         "sources": sorted({rows.digests[k] for k in rows.file.tolist()}) if len(rows.file) else list(rows.digests),
     }
@@ -131,6 +133,7 @@ def correct(model: Model, rows: Rows) -> Correction:
         after,
         labels,
         probabilities,
+        rows,
         n_unknown,
         (*_word_of_trained(left_out), *warnings_of_few(groups_of_labels(rows))),
     )
@@ -161,21 +164,10 @@ def _word_of_trained(left_out: NDArray[np.bool_]) -> tuple[str, ...]:
     return (what,) * (n > 0)
 
 
-def _rocks(rows: Rows) -> NDArray[np.intp]:
-    """Return the number of the rock of each row: the rows of a recording at one time, one for each channel."""
-    if not len(rows.file):
-        return np.arange(len(rows.labels))
-    order = np.lexsort((rows.time, rows.file))
-    begins = (np.diff(rows.file[order]) != 0) | (np.diff(rows.time[order]) > SAME_IMPACT)
-    rocks = np.empty(len(order), np.intp)
-    rocks[order] = np.append(0, np.cumsum(begins))
-    return rocks
-
-
 def _trials(rows: Rows) -> NDArray[np.intp]:
     """Return the number of the independent trial of each row: its group, or with a single group its rock."""
     groups = np.unique(rows.group, return_inverse=True)[1]
-    return groups if groups.max() > 0 else _rocks(rows)
+    return groups if groups.max() > 0 else rows.rock
 
 
 def _each_teaches_all(truth: NDArray[np.intp], trials: NDArray[np.intp]) -> bool:

@@ -39,15 +39,13 @@ from cgid.identification.training.classifier import (
     row_weights,
 )
 from cgid.identification.training.metrics import paired_difference
-from cgid.identification.training.rows import Rows, Sets, adapted, linear_columns
+from cgid.identification.training.rows import SAME_IMPACT, Rows, Sets, adapted, linear_columns
 
 #: Maximum number of folds: up to this number of groups each is a fold; more groups share this many folds, in the inner
 #: loop a quarter of it, since it is run for each fold of the outer one.
 MAX_FOLDS, INNER_FOLDS = 20, 5
 #: Minimum number of blocks of time of a single recording; more, up to `MAX_FOLDS`, if a label is in too few of them.
 MIN_BLOCKS = 8
-#: Impacts on two channels within this time are one impact [s].
-SAME_IMPACT = 10e-3
 
 
 @dataclass(frozen=True, kw_only=True)

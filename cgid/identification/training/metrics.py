@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -9,6 +10,7 @@ from numpy.typing import NDArray
 from scipy import stats
 from sklearn import metrics
 
+from cgid._lib.terminal import counted
 from cgid._lib.validation import Floats
 from cgid.errors import InvalidValue
 from cgid.identification.model.conformal import COVERAGES, Conformal
@@ -130,6 +132,46 @@ def clustered_interval(hits: NDArray[np.bool_], group: NDArray[np.integer]) -> t
     return max(float(low), 0.0), min(float(high), 1.0)
 
 
+def evaluate_drawn(rows: Rows, probabilities: Floats, classes: Sequence[str]) -> dict[str, Any]:
+    """Return how many of the impacts that were drawn at random are right; nothing if a table says of none that it was.
+
+    An impact of several channels is one. "accuracy_interval_95" is for the recordings of the table; "of_others" for
+    recordings like them, of which each is one trial, where there are several.
+    """
+    if not len(rows.chosen) or not (drawn := rows.chosen == "random").any():
+        return {}
+    rows, logs = rows[drawn], np.log(np.maximum(probabilities[drawn], MIN_PROBABILITY))
+    _, first, rock = np.unique(rows.rock, return_index=True, return_inverse=True)
+    votes = np.stack([np.bincount(rock, column) for column in logs.T], axis=1)
+    is_right = np.array(classes)[np.argmax(votes, axis=1)] == rows.labels[first]
+    n, recording = len(is_right), (rows.file if len(rows.file) else rows.group)[first]
+    several = len(np.unique(recording)) > 1
+    return {
+        "n": n,
+        "n_right": int(is_right.sum()),
+        "accuracy": float(is_right.mean()),
+        "accuracy_interval_95": list(wilson_interval(float(is_right.mean()), n)),
+        "n_recordings": len(np.unique(recording)),
+        "of_others": list(clustered_interval(is_right, recording)) if several else None,
+    }
+
+
+def drawn_text(drawn: Mapping[str, Any]) -> str:
+    """Return the accuracy of impacts that were drawn at random.
+
+    >>> drawn_text({"n": 48, "n_right": 40, "accuracy": 5 / 6, "accuracy_interval_95": [0.704, 0.913],
+    ...             "n_recordings": 1, "of_others": None})
+    'right on 40 of 48 impacts drawn at random: 83 % (70 to 91)'
+    """
+    low, high = (f"{100 * end:.0f}" for end in drawn["accuracy_interval_95"])
+    text = f"right on {drawn['n_right']} of {counted(drawn['n'], 'impact')} drawn at random: "
+    text += f"{100 * drawn['accuracy']:.0f} % ({low} to {high})"
+    if drawn["of_others"] is None:
+        return text
+    low, high = (f"{100 * end:.0f}" for end in drawn["of_others"])
+    return f"{text} in these {drawn['n_recordings']} recordings, ({low} to {high}) in others like them"
+
+
 #: Minimum number of rows for a vote of a recording or interval; an impact on two channels is two rows.
 MIN_VOTING = 3
 
@@ -140,6 +182,8 @@ def evaluate_recordings(rows: Rows, probabilities: Floats) -> dict[str, Any]:
     metrics = evaluate(rows.labels, probabilities, tuple(classes.tolist()))
     is_correct = classes[np.argmax(probabilities, axis=1)] == rows.labels
     metrics["accuracy_interval_95"] = list(clustered_interval(is_correct, rows.group))
+    if drawn := evaluate_drawn(rows, probabilities, classes.tolist()):
+        metrics["drawn"] = drawn
     if rows.kind == "window":
         metrics["running"] = [_running(rows, probabilities, time) for time in VOTE_TIMES]
     if len(rows.labels) < MIN_VOTING * len(rows.sources):  # intervals around single impacts

@@ -62,6 +62,8 @@ from cgid.recordings.recording import clear_errors
 from cgid.signals import channel_name
 from cgid.units import UNITS, quantity_of
 
+_NONE = np.empty(0, np.str_)
+
 
 @dataclass(frozen=True, kw_only=True)
 class Reading:
@@ -445,10 +447,47 @@ def _joined(measured: Sequence[tuple[AnnotatedFile, list[AnnotatedRows]]], cutti
         file=np.repeat(np.arange(len(measured)), [sum(piece.n_rows for piece in parts) for _, parts in measured])[
             complete
         ],
+        files=tuple((str(one.path), str(one.channels)) for file, _ in measured for one in file.annotations[:1]),
         channel=np.repeat([piece.channel for piece in pieces], [piece.n_rows for piece in pieces])[complete],
+        chosen=np.array([one.chosen for one in annotations]) if any(one.chosen for one in annotations) else _NONE,
         snr=snr[complete] if cutting.augment and cutting.slicing.by == "window" else np.empty(0),
         left_out=int((~complete & (snr == np.inf)).sum()),
         warnings=tuple(warnings),
+    )
+
+
+def labelled(rows: Rows, manifest: Manifest) -> Rows:
+    """Return the impacts that a manifest labels, of impacts that were measured once, such as without any label.
+
+    The result is that of `record` for the same features, but for impacts that two rows of a table share.
+    """
+    if rows.slicing is None or rows.slicing.by != "impact":
+        raise InvalidValue("rows must be impacts of recordings, got others; measure them with record(..., by impact)")
+    place = {key: number for number, key in enumerate(rows.files)}
+    annotations = [one for one in manifest.annotations if not one.reference]
+    owner = np.full(len(rows.labels), -1)
+    by_file: dict[int, list[int]] = {}
+    for number, one in enumerate(annotations):
+        if (file := place.get((str(one.path), str(one.channels)))) is not None:
+            by_file.setdefault(file, []).append(number)
+    for file, numbers in by_file.items():
+        numbers.sort(key=lambda number: annotations[number].start)
+        inside = np.flatnonzero(rows.file == file)
+        last = np.searchsorted([annotations[number].start for number in numbers], rows.time[inside], side="right") - 1
+        ends = np.array([annotations[number].end for number in numbers])
+        is_in = (last >= 0) & (rows.time[inside] < ends[last])
+        owner[inside[is_in]] = np.array(numbers)[last[is_in]]
+    rows, owners = rows[owner >= 0], [annotations[number] for number in owner[owner >= 0].tolist()]
+    sources, source = _numbered([one.name for one in owners])
+    groups, group = _numbered([one.group for one in owners])
+    return replace(
+        rows,
+        labels=np.array([one.label for one in owners], np.str_),
+        chosen=np.array([one.chosen for one in owners], np.str_),
+        sources=sources,
+        source=source,
+        groups=groups,
+        group=group,
     )
 
 

@@ -57,6 +57,8 @@ DEFAULT_VIBRATION_FEATURES = (
 #: Features of a model with a beam, and its guards.
 BEAM_FEATURES = BEAM_PULSE
 BEAM_GUARDS = ("beam_unexplained", "beam_surely_unexplained")
+#: Impacts on two channels within this time are one impact [s].
+SAME_IMPACT = 10e-3
 #: Synthetic rows of a label per recorded one; more would outweigh the measurements.
 MAX_SYNTHETIC = 10
 
@@ -112,8 +114,12 @@ class Rows:
         Start of a window, or time of an impact, in its recording.
     file : ndarray of int, (n_rows,)
         Number in `digests` of the recording of each row. Empty for scenes and datasets.
+    files : tuple of (str, str)
+        Path and chosen channels of each number in `file`.
     channel : ndarray of str, (n_rows,)
         Name of the channel of each impact, "" for a window. Empty for scenes and datasets.
+    chosen : ndarray of str, (n_rows,)
+        How each row came to be labelled, "random" if it was drawn at random; empty if no table says so.
     snr : ndarray, (n_rows,) [dB]
         Power of a window over that of the noise added to a copy of it; infinite for a row as recorded. Empty without
         copies.
@@ -147,7 +153,9 @@ class Rows:
     slicing: Slicing | None = None
     time: Floats = field(default_factory=lambda: np.empty(0))
     file: NDArray[np.intp] = field(default_factory=lambda: np.empty(0, np.intp))
+    files: tuple[tuple[str, str], ...] = ()
     channel: NDArray[np.str_] = field(default_factory=lambda: np.empty(0, np.str_))
+    chosen: NDArray[np.str_] = field(default_factory=lambda: np.empty(0, np.str_))
     snr: Floats = field(default_factory=lambda: np.empty(0))
     references: Mapping[str, Floats] = field(default_factory=dict)
     beam: Beam | None = None
@@ -188,9 +196,20 @@ class Rows:
 
     def __getitem__(self, selected: NDArray[np.bool_]) -> Rows:
         """Return the rows of a mask."""
-        names = ("features", "labels", "group", "source", "known", "time", "file", "channel", "snr")
+        names = ("features", "labels", "group", "source", "known", "time", "file", "channel", "chosen", "snr")
         columns = {name: getattr(self, name) for name in names}
         return replace(self, **{name: column[selected] for name, column in columns.items() if len(column)})
+
+    @property
+    def rock(self) -> NDArray[np.intp]:
+        """The number of the rock of each row: the rows of a recording at one time, one for each channel."""
+        if not len(self.file):
+            return np.arange(len(self.labels))
+        order = np.lexsort((self.time, self.file))
+        begins = (np.diff(self.file[order]) != 0) | (np.diff(self.time[order]) > SAME_IMPACT)
+        rocks = np.empty(len(order), np.intp)
+        rocks[order] = np.append(0, np.cumsum(begins))
+        return rocks
 
     @property
     def is_recorded(self) -> NDArray[np.bool_]:

@@ -102,6 +102,9 @@ class Training:
         The model's probabilities, in the order of `model.labels`.
     classifier : ImpactClassifier or None
         The scikit-learn estimator of the model; None for a corrected model.
+    rows : Rows or None
+        The test rows, in the order of `test_labels`, with the recording, time and channel of each; only these of the
+        rows that trained if a model was tested on all that it was trained on, group by group.
     """
 
     model: Model
@@ -109,6 +112,7 @@ class Training:
     test_labels: NDArray[np.str_]
     test_probabilities: Floats
     classifier: ImpactClassifier | None
+    rows: Rows | None = None
 
     def __repr__(self) -> str:
         model, accuracy = f"{self.model.family}: {', '.join(self.model.labels)}", self.metrics["accuracy"]
@@ -383,12 +387,12 @@ def _require_labels(rows: Rows, class_weights: Weights) -> None:
 def _trained(
     rows: Rows,
     classifier: ImpactClassifier,
-    judged: tuple[NDArray[np.str_], Floats],
+    judged: tuple[Rows, Floats],
     metrics: dict[str, Any],
     record: Mapping[str, Any],
     **fields: Any,
 ) -> Training:
-    """Return the model of a classifier, with its `record` for the card and its labels and predictions in the test."""
+    """Return the model of a classifier, with its `record` for the card and its rows and predictions in the test."""
     slicing = rows.slicing if rows.kind == "window" else None
     model = Model.from_classifier(
         classifier,
@@ -409,7 +413,8 @@ def _trained(
         },
         **fields,
     )
-    return Training(model, metrics, *judged, classifier)
+    tested, probabilities = judged
+    return Training(model, metrics, tested.labels, probabilities, classifier, tested)
 
 
 # -- many specimens: held out -----------------------------------------------------------------------------
@@ -525,7 +530,7 @@ def _tried_on_left_out(
     return _trained(
         rows,
         classifier,
-        (labels[test], probabilities),
+        (rows[test], probabilities),
         metrics | {"prediction_sets": sets},
         record,
         features=names,
@@ -608,7 +613,7 @@ def _left_out(
     return _trained(
         rows,
         classifier,
-        (recorded_rows.labels, judged.probabilities),
+        (recorded_rows, judged.probabilities),
         evaluate_recordings(recorded_rows, judged.probabilities),
         {
             **record,
