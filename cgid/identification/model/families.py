@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 import numpy as np
@@ -47,24 +47,39 @@ class Standardiser:
         return {prefix + name: getattr(self, name) for name in self.NAMES}
 
     @classmethod
-    def fit(cls, features: Floats, linear: Sequence[int] = (), weights: Floats | None = None) -> Standardiser:
-        """Fit to rows, of these weights above 0; the columns in `linear` never get a logarithm."""
+    def fit(
+        cls, features: Floats, linear: Sequence[int] = (), weights: Floats | None = None
+    ) -> tuple[Standardiser, Floats]:
+        """Return one fitted to rows, of these weights above 0, and the rows standardised.
+
+        The columns in `linear` never get a logarithm.
+        """
         logarithmic = np.asarray((features > 0).all(axis=0))
         logarithmic[list(linear)] = False
         # A thousandth of the smallest training value is far outside, but its logarithm is finite.
         floor = np.where(logarithmic, np.maximum(1e-3 * features.min(axis=0), np.finfo(float).tiny), 1.0)
-        plain = cls(logarithmic, floor, np.zeros(features.shape[1]), np.ones(features.shape[1])).apply(features)
+        standardiser = cls(logarithmic, floor, np.zeros(features.shape[1]), np.ones(features.shape[1]))
+        plain = standardiser._logs(features)
         if weights is None:
             mean, spread = plain.mean(axis=0), plain.std(axis=0)
         else:
             mean = np.average(plain, axis=0, weights=weights)
             spread = np.sqrt(np.average((plain - mean) ** 2, axis=0, weights=weights))
         usable = spread > 1e-12 * np.maximum(np.abs(plain).max(axis=0), 1e-300)
-        return cls(logarithmic, floor, mean, np.where(usable, spread, 1.0))
+        standardiser = replace(standardiser, mean=mean, scale=np.where(usable, spread, 1.0))
+        return standardiser, standardiser._scaled(plain)
 
     def apply(self, features: Floats) -> Floats:
         """Return the standardised rows."""
-        logs = np.log(np.maximum(features, self.floor), where=self.logarithmic, out=features.copy())
+        return self._scaled(self._logs(features))
+
+    def _logs(self, features: Floats) -> Floats:
+        # Columns are picked, since numpy's `where` takes four times as long.
+        columns, logs = np.flatnonzero(self.logarithmic), features.copy()
+        logs[:, columns] = np.log(np.maximum(features[:, columns], self.floor[columns]))
+        return logs
+
+    def _scaled(self, logs: Floats) -> Floats:
         with np.errstate(over="ignore"):  # infinite rows are reported later
             return np.asarray((logs - self.mean) / self.scale)
 

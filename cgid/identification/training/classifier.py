@@ -157,10 +157,10 @@ def contrast_of(known: Floats, others: Floats, linear: tuple[int, ...], seed: in
     rows = [part[pick.permutation(len(part))[:_MAX_CONTRASTED]] for part in (known, others)]
     inputs, other = np.concatenate(rows), np.repeat([0, 1], [len(part) for part in rows])
     with _libraries().limit(limits=1):
-        standardiser = Standardiser.fit(inputs, linear)
+        standardiser, standardised = Standardiser.fit(inputs, linear)
         network = _Perceptron(
             (32, 32), activation="tanh", solver="lbfgs", alpha=0.1, max_iter=_CONTRAST_ITERATIONS, random_state=seed
-        ).fit(standardiser.apply(inputs), other)
+        ).fit(standardised, other)
         contrast = Contrast(standardiser, Network(Network.export(network), inputs.shape[1], 2), 0.0)
         return replace(contrast, limit=float(np.quantile(contrast.scores(known), _INSIDE)))
 
@@ -171,8 +171,8 @@ _NOISE_RANGE, _NOISE_RIDGE = (-10.0, 25.0), 0.2
 
 def noise_contrast(copies: Floats, snr: Floats, linear: tuple[int, ...]) -> Contrast:
     """Return a ridge regression of ln(noise power / window power) on noisy copies; the caller sets its limit."""
-    standardiser = Standardiser.fit(copies, linear)
-    inputs, targets = standardiser.apply(copies), -np.clip(snr, *_NOISE_RANGE) * np.log(10) / 10
+    standardiser, inputs = Standardiser.fit(copies, linear)
+    targets = -np.clip(snr, *_NOISE_RANGE) * np.log(10) / 10
     middle = inputs.mean(axis=0)
     centred = inputs - middle
     ridge = _NOISE_RIDGE * len(inputs) * np.eye(inputs.shape[1])
@@ -306,8 +306,7 @@ class ImpactClassifier(ClassifierMixin, BaseEstimator):  # type: ignore[misc]
             weights = given if weights is None else given * weights
         crew = Workers(effective_n_jobs(self.n_jobs)) if workers is None else workers
         with _libraries().limit(limits=1):
-            self.standardiser_ = Standardiser.fit(features, self.linear, given)
-            standardised = self.standardiser_.apply(features)
+            self.standardiser_, standardised = Standardiser.fit(features, self.linear, given)
             inputs = self._inputs(standardised)
             self.estimator_ = self.ESTIMATORS[self.family](self).fit(inputs, encoded, sample_weight=weights)
             if self.rejects:

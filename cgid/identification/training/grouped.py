@@ -401,9 +401,8 @@ def _fitted(
     training_set: TrainingSet, candidate: Candidate, selected: NDArray[np.bool_] | None = None, *, rejects: bool = False
 ) -> ImpactClassifier:
     """Return a candidate trained on the chosen rows, or on all."""
-    rows = adapted(
-        training_set.rows[training_set.rows.is_clear if selected is None else selected & training_set.rows.is_clear]
-    )
+    clear = training_set.rows.is_clear
+    rows = adapted(training_set.rows.only(candidate.features, clear if selected is None else selected & clear))
     classifier = ImpactClassifier(
         candidate.family,
         linear=linear_columns(candidate.features * rows.n_channels),
@@ -417,7 +416,6 @@ def _fitted(
 
 def _scores(candidate: Candidate, training_set: TrainingSet, fold: NDArray[np.bool_]) -> Floats:
     """Return the scores of a fold by a candidate trained on the other rows, (n_rows, n_labels)."""
-    scores = _fitted(training_set, candidate, ~fold).decision_function(
-        training_set.rows[fold].inputs(candidate.features)
-    )
+    left_out = training_set.rows.only(candidate.features, fold).inputs(candidate.features)
+    scores = _fitted(training_set, candidate, ~fold).decision_function(left_out)
     return np.stack([np.zeros(len(scores)), scores], axis=1) if scores.ndim == 1 else scores

@@ -63,6 +63,8 @@ from cgid.signals import channel_name
 from cgid.units import UNITS, quantity_of
 
 _NONE = np.empty(0, np.str_)
+#: Windows whose noisy copies are measured at once.
+_COPIED = 64
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -631,9 +633,12 @@ def _windows(file: AnnotatedFile, cutting: _Cutting) -> Iterator[AnnotatedRows]:
             times = annotation.start + first / rate
             features = measure_windows(windows, rate, cutting.names, equalisation)
             yield AnnotatedRows(annotation, times, features, np.full(len(times), np.inf))
-            for time, (snr, noisy) in zip(times, copies.of(windows) if cutting.augment else (), strict=False):
+            for some in range(0, len(times) if cutting.augment else 0, _COPIED):
+                # Measured together: a call takes some milliseconds however few its windows are.
+                snr, noisy = map(np.concatenate, zip(*copies.of(windows[some : some + _COPIED]), strict=True))
                 features = measure_windows(noisy, rate, cutting.names, equalisation)
-                yield AnnotatedRows(annotation, np.full(len(snr), time), features, snr)
+                n_copies = len(snr) // len(times[some : some + _COPIED])
+                yield AnnotatedRows(annotation, np.repeat(times[some : some + _COPIED], n_copies), features, snr)
 
 
 def _impacts(file: AnnotatedFile, cutting: _Cutting) -> Iterator[AnnotatedRows]:

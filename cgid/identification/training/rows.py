@@ -221,9 +221,14 @@ class Rows:
         """Mask of the rows that train the labels: all but very noisy copies."""
         return np.asarray(self.snr >= CLEAR) if len(self.snr) else np.ones(len(self.labels), bool)
 
-    def only(self, names: tuple[str, ...]) -> Rows:
-        """Return the same rows with some of the features."""
-        return replace(self, names=names, features=self.columns(names))
+    def only(self, names: Sequence[str], selected: NDArray[np.bool_] | None = None) -> Rows:
+        """Return the rows, or those of a mask, with some of the features."""
+        if selected is None:
+            return replace(self, names=tuple(names), features=self.columns(names))
+        columns = columns_of(self.names, names, self.features.shape[1])
+        # The other columns are not copied.
+        rows = replace(self, features=self.features[:0])[selected]
+        return replace(rows, names=tuple(names), features=self.features[np.ix_(np.flatnonzero(selected), columns)])
 
     def columns(self, names: Sequence[str]) -> Floats:
         """Return the columns of some features, channel by channel."""
