@@ -72,7 +72,7 @@ def compared(rate: float, n_files: int, by: str | None) -> tuple[float, float, i
         rows = record(folder_manifest(folder), reading=Reading(), slicing=Slicing(by=by))
         accuracy = float(train_on_groups(rows).model.header["training"]["metrics"]["accuracy"])
         recordings = {source: read_recording(folder / source.split(" from ")[0])[0].samples for source in rows.sources}
-    length = round(max(0.35, (rows.slicing.window_time if rows.slicing.by == "window" else 0.35)) * rate)
+    length = round((rows.slicing.window_time if rows.slicing.by == "window" else 0.35) * rate)
     inputs = []
     for source, time in zip(rows.source, rows.time, strict=True):
         samples, first = recordings[rows.sources[source]], max(round((time - 0.01) * rate), 0)
