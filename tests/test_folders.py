@@ -76,6 +76,7 @@ def test_info_describes_each_recording_of_a_folder(loggers: Path, capsys: pytest
     # Volts are told of the channel that has them, and never "none".
     assert "channel support: the samples are a voltage [V]" in described[1]["warnings"][0]
     assert described[2]["warnings"] == "none" and described[2]["channel 1"]["impacts"] == 6
+    assert [one["channel 1"].get("name") for one in (described[0], described[2])] == ["hammer", "wall"]
     assert "broken.wav" in err
 
 

@@ -237,6 +237,7 @@ def _channels(recording: Any, as_json: bool, beams: Groups) -> tuple[dict[str, A
         middle = {"median": median[row]} if is_short else {"mean": total[row] / max(n_read[row], 1)}
         missing = n_samples - int(n_read[row])
         described[f"channel {channel.name}"] = {
+            **({"name": channel.stated} if channel.stated and channel.name == "1" else {}),
             "samples": n_samples,
             **({"not_finite": missing} if missing else {}),
             "sampling_rate_hz": rate,

@@ -318,16 +318,19 @@ class Channel:
     Attributes
     ----------
     name : str
-        Name in the file, else number from 1.
+        Name in the file, else number from 1; 1 for an only channel.
     unit : str or None
         None if neither the file nor the user states it.
     origin : str
         Origin of the samples, such as "from V, sensitivity 10.2 mV/g"; "" if they are the numbers of the file.
+    stated : str
+        Name in the file, "" without one.
     """
 
     name: str
     unit: str | None = None
     origin: str = field(default="", repr=False, compare=False)
+    stated: str = field(default="", repr=False, compare=False)
 
     @property
     def quantity(self) -> str | None:
@@ -380,7 +383,7 @@ class RecordingFile:
         links = (chain or Chain()).links(contents, self._selected, unit, source)
         self._factors = [link.factor for link in links]
         self.channels = tuple(
-            Channel(name=contents.label(index), unit=link.unit, origin=link.origin)
+            Channel(name=contents.label(index), unit=link.unit, origin=link.origin, stated=contents.name(index))
             for index, link in zip(self._selected, links, strict=True)
         )
         self.n_samples, self.start_time = contents.n_samples, contents.start_time
