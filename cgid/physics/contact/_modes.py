@@ -250,7 +250,8 @@ def remember(m: Structure, h: float) -> None:
         after, later = free[begin : _TIMES - _NEGATIVE + j], answer[begin - j + _NEGATIVE :]
         for k in range(len(after)):
             after[k] += own[j] * later[k]
-    cells[STAGE] = cells[STAGE + END]
+    for i in range(_POINTS):
+        cells[STAGE, i] = cells[STAGE + END, i]
     _look_ahead(m, time)
 
 
@@ -282,7 +283,8 @@ def advance(m: Structure, time: float) -> None:
     """Let the modes take up the impulses until a time, and tabulate their free motion from there."""
     at, past, weights, clock = np.zeros(_TIMES), np.zeros(_TIMES), np.empty(_POINTS), m.cells[_CLOCK]
     first = _spread((time - clock[0]) / clock[1], weights)
-    at[first : first + _POINTS] = weights
+    for i in range(_POINTS):
+        at[first + i] = weights[i]
     moved = np.zeros((4, m.share.size))
     cosine, sine, real, imaginary = moved[0], moved[1], moved[2], moved[3]
     for j in range(_TIMES):

@@ -186,7 +186,8 @@ def follow(
     """
     m, here, tabulated = structure(angular.size), 0, 0.0
     first_step[0] = 0
-    m.loss[:] = loss
+    for r in range(angular.size):
+        m.loss[r] = loss[r]
     for i in range(rows.size):
         if len(steps) - here < MAX_STEPS:
             return

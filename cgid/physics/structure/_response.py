@@ -100,6 +100,14 @@ def _add_ring(samples: Array, weights: Array, n_alive: int, table: Array, skippe
 
 
 @jit
+def _copy(pairs: Array, to: Array) -> None:
+    """Copy pairs (2, n), perhaps to another precision; numba takes seconds for the checks of an assignment."""
+    for k in range(2):
+        for r in range(to.shape[1]):
+            to[k, r] = pairs[k, r]
+
+
+@jit
 def _size(pairs: Array, r: int) -> float:
     """Return the absolute values of complex numbers in pairs (2, n)."""
     return math.sqrt(pairs[0, r] * pairs[0, r] + pairs[1, r] * pairs[1, r])
@@ -129,7 +137,7 @@ def ring(
             end = min(here + length, samples.size)
             if alive > 0 and end > 0:
                 skipped = max(-here, 0)
-                quiet[:] = state
+                _copy(state, quiet)
                 _add_ring(samples[here + skipped : end], quiet, alive, table, skipped)
             for r in range(alive):
                 re = state[0, r] * hop[0, r] - state[1, r] * hop[1, r]
@@ -139,7 +147,7 @@ def ring(
                 new, at = ringing[order[following]], start[order[following]]
                 skipped = max(-at, 0)
                 if end > at + skipped:
-                    quiet[:] = new
+                    _copy(new, quiet)
                     _add_ring(samples[at + skipped : end], quiet, n_poles, table, skipped)
                 left = here + length - at
                 for r in range(n_poles):
