@@ -144,7 +144,7 @@ def test_the_page_holds_everything(report: Report) -> None:
     ):
         assert told in text
     for share in {share.channel: share for share in report.shares}.values():
-        assert f"gangue at the end ({share.low:.0%} to {share.high:.0%}" in text
+        assert f"gangue at the end ({share.low:.0%} to {share.high:.0%}, trained seam" in text
     (turn,) = re.findall(r"Shut the window at (\d\.\d\d) s", text)
     assert float(turn) == pytest.approx(report.turns[0].time, abs=0.006)
     assert len(seen.references) == 3

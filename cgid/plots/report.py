@@ -75,7 +75,8 @@ class Report:
         last = {share.channel: share for share in self.shares}
         for channel, share in last.items():
             where = f", channel {channel}" if len(last) > 1 else ""
-            interval = f"{share.low:.0%} to {share.high:.0%}" if share.n_impacts else "not known"
+            basis = str(share.basis).replace("_", " ")
+            interval = f"{share.low:.0%} to {share.high:.0%}, {basis}" if share.n_impacts else "not known"
             yield f"{share.share:.0%}" if share.n_impacts else "-", f"gangue at the end ({interval}{where})"
         for state in self.states if self.threshold is not None else ():
             where = f", channel {state.share.channel}" if len(self.states) > 1 else ""
