@@ -16,6 +16,7 @@ from scipy import signal as filters
 from scipy import special
 from sklearn.discriminant_analysis import LinearDiscriminantAnalysis
 
+from benchmarks.identification.few_groups import PARTS, judged
 from benchmarks.identification.low_rates import FORCES, MODES, simulated
 from cgid.cli.main import run
 from cgid.errors import BadData, InvalidValue
@@ -126,6 +127,11 @@ def test_votes_of_windows_with_a_common_error_are_calibrated(shared: float) -> N
 
 
 # -- from files to rows -----------------------------------------------------------------------------------
+
+
+def test_models_of_few_recordings_are_sure_of_what_is_right() -> None:
+    excesses = np.array([judged(700 + number)[1][PARTS.index(0.5)][0] for number in range(40)])
+    assert abs(excesses.mean()) < 0.03 and np.mean(excesses > 0.05) < 0.2
 
 
 def test_rows_are_those_of_the_windows_of_each_file(folder: Path, recorded: Rows) -> None:

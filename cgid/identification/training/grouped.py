@@ -46,6 +46,8 @@ from cgid.identification.training.rows import SAME_IMPACT, Rows, Sets, adapted, 
 MAX_FOLDS, INNER_FOLDS = 20, 5
 #: Minimum number of blocks of time of a single recording; more, up to `MAX_FOLDS`, if a label is in too few of them.
 MIN_BLOCKS = 8
+#: Part of the certainty that the model of all groups gains over those of the folds, which few groups can show.
+_KNOWN_OF_FEW = 0.5
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -185,15 +187,16 @@ def choose_candidate(training_set: TrainingSet, workers: Workers = SERIAL) -> Se
     # After n correct rows, the next one is wrong with this probability (Laplace).
     doubt = 1 / (len(truth) + 2)
     temperature = best_temperature(scores[best], truth, weights, doubt)
-    # A fold leaves out one of n groups of a label, so its model is less certain than that of all. The uncertainty of
-    # few groups is proportional to one over their number, and so is the logarithm of the temperature, unless doubt sets
-    # it.
+    # A fold leaves out one of n groups of a label, so its model is less certain than that of all, which lowers the
+    # logarithm of the temperature by some 1 / n. But few groups do not show how much others differ. In simulated
+    # recordings that differ, half of it is right where n is 2 and 3, and loses nothing where it is 10
+    # (`python benchmarks/identification/few_groups.py`). Where doubt sets the temperature, nothing is taken off.
     n_groups = np.inf if is_correct[best].all() else np.mean(list(groups_of_labels(rows).values()))
     of_candidate = rows[evaluation]
     correlation = 1.0
     if rows.kind == "window" and rows.slicing is not None:
         correlation = vote_correlation(of_candidate, softmax(scores[best] / temperature), doubt)
-    return Selection(best, accuracies, float(temperature ** (1 - 1 / n_groups)), correlation)
+    return Selection(best, accuracies, float(temperature ** (1 - _KNOWN_OF_FEW / n_groups)), correlation)
 
 
 def vote_correlation(rows: Rows, probabilities: Floats, doubt: float) -> float:
