@@ -1,13 +1,15 @@
 """What a rule for shutting the window brings: recovery, dilution and loss of simulated caving cycles.
 
     python benchmarks/identification/caving_cycle.py [MODEL] [--cycles 20] [--cache FOLDER] [--seams shipped wet ...]
-    python benchmarks/identification/caving_cycle.py --settle   # the table by which the default costs were chosen
+    python benchmarks/identification/caving_cycle.py --settle     # the table by which the default costs were chosen
+    python benchmarks/identification/caving_cycle.py --crossings  # seconds to SHUT where the fraction steps up
 
 A cycle begins with 25 s of coal. Then the fraction of gangue rises from 0 to 1 in 30 to 90 s, in a course drawn at
 random (a beta distribution's), at 8 rocks a second. The rocks and what the model says of them are those of
 `benchmarks/beam/anchor.py`, which shares no code with `cgid`. A rule sees a window of 10 s each second and shuts once.
 Recovery is coal drawn over coal there, dilution is gangue over all that was drawn, and the loss is coal left plus
-gangue drawn over coal there. `--settle` uses other streams, other random seams and other courses than the table.
+gangue drawn over coal there. `--crossings`: after the coal the fraction is .1 for 30 s, then .9 or .7. `--settle` uses
+other streams, other random seams and other courses than the table.
 """
 
 from __future__ import annotations
@@ -33,6 +35,8 @@ SETTLING, RISE, SHAPE = SEED - 1, (30.0, 90.0), (0.7, 3.0)
 #: Ratios of the costs that are tried, and evidence of the rule that the costs replace.
 RATIOS, EVIDENCE = (1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 9.0), 0.95
 STATED = ("25 s of coal", "nothing", "trained seam")
+#: Fraction before a crossing and how long it lasts [s], those after it and how long.
+LOW, BEFORE, HIGHS, AFTER = 0.1, 30.0, (0.9, 0.7), 40.0
 
 
 @dataclass(frozen=True)
@@ -54,8 +58,34 @@ class Cycle:
 def cycle(model: Model, site: Site, rng: np.random.Generator) -> Cycle:
     """Draw a cycle of a site."""
     rise, shape = rng.uniform(*RISE), np.exp(rng.uniform(*np.log(SHAPE), 2))
-    time = np.sort(rng.uniform(0.0, SPAN + rise, rng.poisson(ARRIVALS * (SPAN + rise))))
-    is_gangue = rng.random(time.size) < beta.cdf((time - SPAN) / rise, *shape)
+    crossing = SPAN + rise * float(beta.ppf(0.5, *shape))
+    return followed(model, site, SPAN + rise, lambda time: beta.cdf((time - SPAN) / rise, *shape), crossing, rng)
+
+
+def step(model: Model, site: Site, high: float, rng: np.random.Generator) -> Cycle:
+    """Draw a cycle of a site whose fraction steps up."""
+    crossing = SPAN + BEFORE
+    return followed(
+        model,
+        site,
+        crossing + AFTER,
+        lambda time: np.where(time <= SPAN, 0.0, np.where(time <= crossing, LOW, high)),
+        crossing,
+        rng,
+    )
+
+
+def followed(
+    model: Model,
+    site: Site,
+    duration: float,
+    fraction: Callable[[Floats], Floats],
+    crossing: float,
+    rng: np.random.Generator,
+) -> Cycle:
+    """Draw the rocks of a cycle with a fraction by time, and follow them."""
+    time = np.sort(rng.uniform(0.0, duration, rng.poisson(ARRIVALS * duration)))
+    is_gangue = rng.random(time.size) < fraction(time)
     rocks = np.empty(time.size, object)
     for some, own in (
         (time <= SPAN, site.anchor),
@@ -73,7 +103,7 @@ def cycle(model: Model, site: Site, rng: np.random.Generator) -> Cycle:
         for stated in STATED
     }
     shares: dict[str, list[Share]] = {stated: [] for stated in STATED}
-    first = np.searchsorted(time, np.arange(SPAN + rise + 1.0), side="right")
+    first = np.searchsorted(time, np.arange(duration + 1.0), side="right")
     for second, (begin, end) in enumerate(zip(np.append(0, first), first, strict=False)):
         for stated, watch in watches.items():
             for one in range(begin, end):
@@ -81,7 +111,7 @@ def cycle(model: Model, site: Site, rng: np.random.Generator) -> Cycle:
                     watch.add(float(time[one]), probability, tuple(pulse) if np.isfinite(pulse).all() else None)
             if second > SPAN:  # nothing is decided before
                 shares[stated].append(watch.at(float(second)))
-    return Cycle(time, is_gangue, SPAN + rise * float(beta.ppf(0.5, *shape)), shares)
+    return Cycle(time, is_gangue, crossing, shares)
 
 
 def by_cost(stated: str, ratio: float | None = None) -> Callable[[Cycle], float]:
@@ -157,6 +187,22 @@ def compared(cycles: dict[str, list[Cycle]]) -> Iterator[str]:
                 yield f"| {seam} | {name} | {figures(own, rule)} |"
 
 
+def crossed(cycles: dict[str, dict[float, list[Cycle]]]) -> Iterator[str]:
+    """Yield the table of crossings: seconds to SHUT, beside 25 s of coal."""
+    titles = (f"to {high:g}: median (most) [s] | too early | none in {AFTER:g} s" for high in HIGHS)
+    yield f"| seam | {' | '.join(titles)} |"
+    yield "|---" * (1 + 3 * len(HIGHS)) + "|"
+    rule = by_cost(STATED[0])
+    for seam, own in cycles.items():
+        cells = [seam]
+        for some in own.values():
+            late = np.array([rule(one) - one.crossing for one in some])
+            right = late[np.isfinite(late) & (late >= 0)]
+            told = f"{np.median(right):.0f} ({right.max():.0f})" if right.size else "-"
+            cells += [told, f"{np.sum(late < 0)}", f"{np.sum(~np.isfinite(late))} of {late.size}"]
+        yield f"| {' | '.join(cells)} |"
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("model", nargs="?", default="default-acceleration")
@@ -164,16 +210,22 @@ def main() -> None:
     parser.add_argument("--cycles", type=int, default=20, help="of each seam")
     parser.add_argument("--seams", nargs="+", choices=SEAMS, default=list(SEAMS), metavar="SEAM")
     parser.add_argument("--settle", action="store_true", help="try costs on other streams")
+    parser.add_argument("--crossings", action="store_true", help="the fraction steps up")
     given = parser.parse_args()
     model, seed = load_model(given.model), SETTLING if given.settle else SEED
-    cycles = {}
+    cycles, steps = {}, {}
     for name in given.seams:
         number = list(SEAMS).index(name)
         one = random_seam(int(name.split()[-1]), seed) if name.startswith("random") else SEAMS[name]
         site = Site.of(one, 1000 * seed + 10 * number, model, given.cache)
+        if given.crossings:
+            rng = np.random.default_rng([seed, number, 3])
+            steps[name] = {high: [step(model, site, high, rng) for _ in range(given.cycles)] for high in HIGHS}
+            continue
         rng = np.random.default_rng([seed, number, 2])
         cycles[name] = [cycle(model, site, rng) for _ in range(given.cycles)]
     rows = settled([one for own in cycles.values() for one in own]) if given.settle else compared(cycles)
+    rows = crossed(steps) if given.crossings else rows
     for row in rows:
         print(row, flush=True)
 
