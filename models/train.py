@@ -3,8 +3,8 @@
     python models/train.py                        # models/default.npz, default.md and its pictures
     python models/train.py --drop-height          # the same with known drop height: default-drop-height.npz
     python models/train.py --acceleration         # for the vibration of a tail beam: default-acceleration.npz
-    python models/train.py --seams                # the same with its simulated seams anew, or with --acceleration
-    python models/train.py --finish -n 5000       # the same with what it learned, its guards and streams anew
+    python models/train.py --seams                # the same with its simulated seams and recordings anew
+    python models/train.py --finish -n 5000       # that of acceleration with its guards and all its streams anew
     python models/train.py -o mine.npz -n 20000   # elsewhere, smaller
 
 It trains on impacts of the shipped scenes `rock` (five laws of loss, spheres and lumps) and `reference`, both on the
@@ -22,8 +22,9 @@ bounce, overlap and ring. It is judged on the blows of `tail_beam`, and finished
 
 import argparse
 import json
+from collections.abc import Iterator
 from dataclasses import replace
-from itertools import chain
+from itertools import chain, islice
 from pathlib import Path
 from typing import Any
 
@@ -34,9 +35,11 @@ from selection import select, selection_section
 
 from cgid import shipped
 from cgid._lib.files import write_together
+from cgid._lib.validation import Floats
 from cgid.identification.model.families import Neighbourhood
 from cgid.identification.model.model import Model
 from cgid.identification.model.model_file import UNEXPLAINED
+from cgid.identification.model.world import trait_names
 from cgid.identification.training.card import PICTURES, Section, check_model_output, table, write_card, write_model
 from cgid.identification.training.rows import (
     BEAM_FEATURES,
@@ -49,8 +52,10 @@ from cgid.identification.training.rows import (
 from cgid.identification.training.training import train_on_specimens
 from cgid.learning.seams import N_STREAMS, Pool, pool_of, pool_of_pulses, wide, with_seams
 from cgid.learning.streams import StreamRows, finished, rows_of_streams, variations
+from cgid.learning.world import of_batches, of_streams, with_world
 from cgid.measure.modal.beam import Beam
 from cgid.scene import Scene, load_scene, parse_scene, synthesise
+from cgid.scene.synthesis.draws import BLOCK
 from cgid.scene.synthesis.through_beam import beam_of
 
 HERE = Path(__file__).parent
@@ -95,6 +100,8 @@ BEAM_RIGS = {name: RIGS[name] for name in ("noise_exponent", "hum", "hum_frequen
 }
 #: Samples of a frame on all rigs, of which before touch: 4.1 ms at 1 MHz, where the longest contact lasts 2.1 ms.
 RIG_FRAME = {"samples": 4096, "pre_trigger": 300}
+#: Simulated recordings of the world of a model: at least 99 for a rate of one in a hundred.
+N_RECORDINGS = 199
 #: How often a lump is drawn for each sphere of the same law, and crushing by strength for each by equal restitution.
 LUMPS, STRENGTHS = 0.3, 0.7
 
@@ -190,6 +197,15 @@ def seams_section(told: dict[str, Any]) -> list[str]:
     ]
 
 
+def world_section(told: dict[str, Any]) -> list[str]:
+    """Return the lines about recordings that are not like those of the training."""
+    return [
+        f"After 50, 100, 200, ... impacts a recording is compared with {told['n_recordings']} simulated ones of the "
+        f"world of the training. One like them is told as foreign with a probability of at most {told['rate']:.2g}, "
+        "however long it is."
+    ]
+
+
 def sections(model: Model) -> list[Section]:
     """Return the sections of the card about the comparisons in the record of a model."""
     told, found = model.training, []
@@ -199,6 +215,8 @@ def sections(model: Model) -> list[Section]:
         found.append(("On streams", streams_section(told["streams"])))
     if "seams" in told:
         found.append(("In other seams", seams_section(told["seams"])))
+    if "world" in told:
+        found.append(("Recordings of another world", world_section(told["world"])))
     if "beside_force" in told:
         found.append(("What is lost against the force", force_table(told["beside_force"])))
     if "selection" in told:
@@ -223,6 +241,25 @@ def finish(model: Model, n_impacts: int, n_streams: int, seed: int) -> Model:
     return replace(model, training={**model.training, **told})
 
 
+def recordings(model: Model, n: int, seed: int) -> Iterator[tuple[Floats, float]]:
+    """Yield simulated recordings of the world of a model's training."""
+    if model.beam is not None:
+        yield from of_streams(streams(n, seed, model.beam.beam))
+        return
+    scenes = []
+    for scene in map(shipped_scene, ("reference", "rock")):
+        scenes += [(scene, 1), *on_rigs(scene, 3)]
+    each = -(-n // sum(count for _, count in scenes))
+    batches = (synthesise(scene, BLOCK * each * count, seed + k) for k, (scene, count) in enumerate(scenes))
+    yield from of_batches(islice(chain.from_iterable(batches), n), trait_names(model.measured), seed)
+
+
+def simulated(model: Model, seed: int) -> Model:
+    """Return a model with what simulated seams and recordings teach beside its answers."""
+    model = with_world(model, recordings(model, N_RECORDINGS, seed + 8100), seed)
+    return with_seams(model, pool(model, N_STREAMS, seed + 20), seed)
+
+
 def write_finished(model: Model, output: Path, name: str) -> None:
     """Write a model and its card, beside the pictures that it has."""
     pictures = tuple(f"{Path(name).stem}-{picture}.png" for picture in PICTURES)
@@ -239,8 +276,10 @@ def main() -> None:
     parser.add_argument("--family", default="network")
     parser.add_argument("--drop-height", action="store_true", help="the model also gets the drop height")
     parser.add_argument("--acceleration", action="store_true", help="the model of a tail beam's vibration")
-    parser.add_argument("--finish", action="store_true", help="give the model of acceleration its guards anew")
-    parser.add_argument("--seams", action="store_true", help="only give the model its simulated seams anew")
+    parser.add_argument(
+        "--finish", action="store_true", help="give that of acceleration its guards and streams anew, too"
+    )
+    parser.add_argument("--seams", action="store_true", help="only make its simulated seams and recordings anew")
     parser.add_argument("--streams", type=int, default=120, help="for acceleration; half as many finish the model")
     parser.add_argument("--selection", type=int, default=10_000, help="of each scene, to compare families on; 0: none")
     arguments = parser.parse_args()
@@ -249,17 +288,12 @@ def main() -> None:
     name = shipped.DROP_HEIGHT_MODEL if arguments.drop_height else shipped.DEFAULT_MODEL
     name = shipped.ACCELERATION_MODEL if arguments.acceleration else name
     output = check_model_output(arguments.output or HERE / name, plots=True, overwrite=True)
-    if arguments.finish:
-        name = shipped.ACCELERATION_MODEL
-        output = arguments.output or HERE / name
-        model = finish(Model.load(HERE / name), arguments.signals, arguments.streams // 2, arguments.seed)
-        write_finished(model, output, name)
-        return
-    if arguments.seams:
-        output = arguments.output or HERE / name
+    if arguments.finish or arguments.seams:
+        name = shipped.ACCELERATION_MODEL if arguments.finish else name
         model = Model.load(HERE / name)
-        model = with_seams(model, pool(model, N_STREAMS, arguments.seed + 20), arguments.seed)
-        write_finished(model, output, name)
+        if arguments.finish:
+            model = finish(model, arguments.signals, arguments.streams // 2, arguments.seed)
+        write_finished(simulated(model, arguments.seed), arguments.output or HERE / name, name)
         return
     known = ("drop_height",) if arguments.drop_height else ()
     sizes = force_scenes(arguments.signals)
@@ -302,7 +336,7 @@ def main() -> None:
         told["beside_force"] = beside_force(training.model, scenes[0], rival)
     model = replace(training.model, training=training.model.training | told)
     if not known:
-        model = with_seams(model, pool(model, N_STREAMS, arguments.seed + 20), arguments.seed)
+        model = simulated(model, arguments.seed)
     for path in write_model(replace(training, model=model), output, plots=True, further=sections(model)):
         print(path)
     low, high = training.metrics["accuracy_interval_95"]

@@ -74,6 +74,7 @@ def state(
         "unknown": 3,
         "last_sound_s": at,
         "last_identified_s": at,
+        "foreign": "",
         **more,
     }
 

@@ -319,6 +319,7 @@ class RecordingRows:
             factors = self._diagnosis.wrong_scales()
             told = {name for hint in self.hints for name in hint.channels or self.channels} | factors.keys()
             self._print_scales(factors, "")
+            self._print_foreign(self._diagnosis.misfits().keys() - told)
             for change in self._later:  # of a part of the recording alone
                 if change.channel not in told:
                     self._print_scales({change.channel: change.factor}, f"from {change.time:.6g} s on ")
@@ -340,6 +341,8 @@ class RecordingRows:
             self._conditions |= dict.fromkeys(((name, condition) for name in began), time)
             if condition == Condition.WRONG_SCALE:
                 self._print_scales({name: one.factor for name, one in began.items()}, "")
+            elif condition == Condition.FOREIGN:
+                self._print_foreign(began)
             else:
                 hinted |= began.keys()
             for name in (one.channel for one in found if not one.begins):
@@ -356,6 +359,13 @@ class RecordingRows:
             self._warn(
                 f"{self.name(name)}: {when}{text}", channel=name, condition="wrong_scale", active=True, factor=factor
             )
+
+    def _print_foreign(self, names: Iterable[str]) -> None:
+        """Print what of channels is not like recordings of the training, and what would help."""
+        misfits = self._diagnosis.misfits()
+        for name in sorted(names):
+            text, part = self._diagnosis.misfit_warning(misfits[name]), str(misfits[name].part)
+            self._warn(f"{self.name(name)}: {text}", channel=name, condition="foreign", active=True, part=part)
 
     def _warn(self, message: str, **more: Any) -> None:
         self.warnings += [message] * self._keep

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cgid.identification.prediction.diagnosis import CauseKind, Diagnosis, Hint, scale_warning
+from cgid.identification.model.world import Misfit, Part
+from cgid.identification.prediction.diagnosis import CauseKind, Diagnosis, Hint, misfit_text, scale_warning
 from cgid.units import UNITS
 
 if TYPE_CHECKING:
@@ -57,6 +58,26 @@ class Hints(Diagnosis):
     def level_warning(self, factor: float) -> str:
         """Return one line on levels that differ from those of the training by a factor."""
         return scale_warning(factor, self.model)
+
+    def misfit_warning(self, misfit: Misfit) -> str:
+        """Return one line on a recording that is not like those of the training, and the command that helps first."""
+        stated, steps = "--coal-until" in self._answering, self._training()
+        advice = "label impacts and train on them"
+        match misfit.part:
+            case Part.SCALE:
+                advice = (
+                    "check unit, sensitivity, gain and full scale; if they are right, label impacts and train on them"
+                )
+            case Part.BEAM if self._is_of_beam and self._calibration():
+                advice, steps = "learn the modes of this beam", self._calibration()
+            case Part.NOISE if self._is_of_beam and "--lines" not in self._answering:
+                advice, steps = "if it is of tones, take them out", (self._predict("--lines"),)
+            case Part.SIZES | Part.SEAM if self.model.seams is not None and not stated:
+                advice = "state how long coal alone falls at the begin, and the gangue fraction is that of this seam"
+                steps = (self._predict("--coal-until", "30s"),)
+            case Part.SIZES | Part.SEAM if self.model.seams is not None:
+                advice = "the gangue fraction is that of this seam; for single impacts, label some and train on them"
+        return f"{misfit_text(misfit, self.model)}; {advice}" + (f": {steps[0]}" if steps else "")
 
     def _hint(self, finding: ChannelFinding) -> Hint:
         commands, instead = self._steps(finding)

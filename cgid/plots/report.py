@@ -80,7 +80,9 @@ class Report:
             yield f"{share.share:.0%}" if share.n_impacts else "-", f"gangue at the end ({interval}{where})"
         for state in self.states if self.threshold is not None else ():
             where = f", channel {state.share.channel}" if len(self.states) > 1 else ""
-            yield str(state.decision), f"decision at the end ({str(state.ground).replace('_', ' ')}{where})"
+            foreign = f", {state.foreign} unlike the training" if state.foreign else ""
+            ground = str(state.ground).replace("_", " ")
+            yield str(state.decision), f"decision at the end ({ground}{foreign}{where})"
 
     @property
     def has_time_history(self) -> bool:

@@ -49,6 +49,7 @@ from cgid.identification.model.model_file import (
     with_floats,
 )
 from cgid.identification.model.reference import equalisations_of
+from cgid.identification.model.world import World
 from cgid.measure.features.extraction import FEATURES, kind_of
 from cgid.measure.features.table import Kind
 from cgid.measure.filters import Equalisation
@@ -183,7 +184,8 @@ class Model:
         check_training(self)
         self.neighbourhood.check()
         # They check their arrays.
-        _ = self._classifier, self.conformal, self.contrast, self.beam, self.confusion, self.seams, self._level_weights
+        _ = self._classifier, self.conformal, self.contrast, self.beam, self.confusion, self.seams, self.world
+        _ = self._level_weights
 
     def _repr_html_(self) -> str:
         metrics, (low, high) = self.training.get("metrics", {}), self.sampling_rates
@@ -445,6 +447,11 @@ class Model:
     def seams(self) -> SeamNetworks | None:
         """The networks for fractions of gangue in any seam; None if the model was not trained on simulated seams."""
         return SeamNetworks.from_arrays(self.arrays)
+
+    @cached_property
+    def world(self) -> World | None:
+        """What recordings like those of the training look like; None without simulated recordings."""
+        return World.from_arrays(self.arrays)
 
     @cached_property
     def _level_weights(self) -> tuple[Floats, float] | None:

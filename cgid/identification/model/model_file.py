@@ -25,6 +25,7 @@ from cgid.identification.model.anchor import SeamNetworks, pulse_names
 from cgid.identification.model.confusion import Confusion
 from cgid.identification.model.families import BY_NAME, MIN_DIVISOR, Boosting, Contrast, Linear, Network, Standardiser
 from cgid.identification.model.reference import equalisations_of
+from cgid.identification.model.world import World, trait_names
 from cgid.measure.features.extraction import any_through_beam, require_known
 from cgid.measure.modal.beam import Beam
 from cgid.measure.spectra import MEL_BANDS
@@ -340,9 +341,8 @@ def _check_arrays(model: Model) -> None:
         raise BadData("arrays conformal.scores and conformal.labels must both be present or absent")
     known = shapes.keys() | {"conformal.scores", "conformal.labels", "reference.spectra"}
     known |= {f"family.{name}" for name in BY_NAME[model.family].AXES} | {f"beam.{name}" for name in Beam.ARRAYS}
-    known |= {Confusion.PREFIX + name for name in Confusion.ARRAYS}
     known |= {Contrast.PREFIX + name for name in (*Standardiser.NAMES, *Network.AXES, *Linear.AXES, "limit")}
-    known |= {SeamNetworks.PREFIX + name for name in SeamNetworks.ARRAYS}
+    known |= {part.PREFIX + name for part in (Confusion, SeamNetworks, World) for name in part.ARRAYS}
     for name, array in arrays.items():
         if name not in known:
             raise BadData(f"array {name!r} must be left out, a model of family {model.family} has no such array")
@@ -357,6 +357,8 @@ def _check_arrays(model: Model) -> None:
         n_classes != 2 or "gangue" not in model.labels or not pulse_names(model.features)
     ):
         raise BadData("arrays of seams must be left out, they are for pulses of gangue and one other label")
+    if any(name.startswith(World.PREFIX) for name in arrays) and not trait_names(model.measured):
+        raise BadData("arrays of a world must be left out, they are for pulses and what these leave unexplained")
     Standardiser.from_arrays(arrays, STANDARDISER)  # checks its scale and floor
     if any_through_beam(model.measured) != any(name.startswith("beam.") for name in arrays):
         raise BadData("a model must have the arrays of a beam if and only if features need it")

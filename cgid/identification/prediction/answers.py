@@ -16,6 +16,7 @@ from cgid.identification.detection.detector import find_impacts
 from cgid.identification.detection.events import Event, frames_alike
 from cgid.identification.model.anchor import pulse_names
 from cgid.identification.model.model import Model
+from cgid.identification.model.world import trait_names
 from cgid.identification.prediction.diagnosis import Cause, causes_of, with_frames
 from cgid.identification.prediction.settings import PredictionSettings, known_columns
 from cgid.measure.features.extraction import as_rows, measured, require_measurable
@@ -71,6 +72,9 @@ class Answer:
     pulse : tuple of float or None
         Peak force, width [s] and restitution of the contact, if these are features of the model; None without a
         measurement.
+    traits : tuple of float or None
+        What is compared with recordings like those of the training, `cgid.identification.model.world.TRAITS`; None if
+        the model knows none, or without a measurement.
     impactor : mapping or None
         The impactor, where the settings ask for it.
     """
@@ -92,6 +96,7 @@ class Answer:
     unexplained: float = math.nan
     level: float = math.nan
     pulse: tuple[float, ...] | None = None
+    traits: tuple[float, ...] | None = None
     impactor: Mapping[str, Any] | None = None
 
     def __repr__(self) -> str:
@@ -426,6 +431,8 @@ def answers_from(
     column = guards.T[model.guards.index("beam_unexplained")] if "beam_unexplained" in model.guards else None
     levels = model.levels(inputs)
     pulses = inputs[:, [model.features.index(name) for name in pulse_names(model.features)]].tolist()
+    compared = trait_names(model.measured) if model.world is not None else ()
+    traits = np.hstack([inputs, guards])[:, [_column(model, name) for name in compared]].tolist()
     untrained = "" if model.covers(sampling_rate) else f"not trained at {sampling_rate:g} Hz"
     for row, (label, labels) in enumerate(zip(*settings.labels(model, probabilities), strict=True)):
         novelty = float(novelties[row])
@@ -442,7 +449,14 @@ def answers_from(
             unexplained=float("nan") if column is None else float(column[row]),
             level=float(levels[row]),
             pulse=tuple(pulses[row]) or None,
+            traits=tuple(traits[row]) or None,
         )
+
+
+def _column(model: Model, name: str) -> int:
+    """Return the column of a feature or guard in inputs and guards beside each other."""
+    features = model.features
+    return features.index(name) if name in features else len(model.inputs) + model.guards.index(name)
 
 
 def unmeasured(problem: Problem | str, time: float = 0.0) -> Answer:

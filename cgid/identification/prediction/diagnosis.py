@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from cgid._lib.validation import UNKNOWN, Floats
 from cgid.errors import CgidError
 from cgid.identification.detection.events import EVENT_TIME
+from cgid.identification.model.world import Misfit, Part, WorldTest
 from cgid.measure.features.extraction import FEATURES, extract_array
 from cgid.measure.frames import ProblemKind
 
@@ -322,6 +323,7 @@ class Condition(StrEnum):
     UPSIDE_DOWN = "upside_down"
     MOSTLY_UNKNOWN = "mostly_unknown"
     BEAM = "beam"
+    FOREIGN = "foreign"  # the recording as a whole is not like those of the training; this does not end
 
 
 class Change(NamedTuple):
@@ -390,6 +392,7 @@ class Diagnosis:
         self.upside_down: set[str] = set()
         self._scales: dict[str, _Scale] = {}
         self._conditions: dict[str, set[Condition]] = {}
+        self._worlds: dict[str, WorldTest] = {}
 
     def add(self, answers: Iterable[Answer], upside_down: Iterable[str] | None = None) -> None:
         """Count more predictions, and set the channels that are upside down, where this is known."""
@@ -403,15 +406,21 @@ class Diagnosis:
             channel.add(answer, is_vibration=self.model.kind == "vibration")
             if np.isfinite(answer.level):
                 self._scales[answer.channel].test(channel)
+            if answer.traits is not None and self.model.world is not None:
+                self._worlds.setdefault(answer.channel, WorldTest(self.model.world)).add(answer.traits)
 
     def conditions(self, channel: str) -> set[Condition]:
         """Return what is wrong with a channel, as of the last `changes`."""
         return self._conditions.get(channel, set())
 
+    def misfits(self) -> dict[str, Misfit]:
+        """Return what does not fit of each channel that is not like recordings of the training."""
+        return {name: test.misfit for name, test in self._worlds.items() if test.misfit is not None}
+
     def changes(self, time: float) -> list[Change]:
         """Return what has begun or ended in a live stream up to a time [s]."""
         found = []
-        changed = self._changed()
+        changed, foreign = self._changed(), self.misfits()
         for name in sorted(self.channels.keys() | self.upside_down):
             channel, before = self.channels.get(name, ChannelAnswers()), self.conditions(name)
             channel.forget(time)
@@ -424,9 +433,15 @@ class Diagnosis:
                 now.add(Condition.UPSIDE_DOWN)
             if name in changed or (Condition.BEAM in before and self._is_changed(channel)):
                 now.add(Condition.BEAM)
+            if name in foreign:
+                now.add(Condition.FOREIGN)
             scale = self._scales.get(name)
             # Levels of impacts that the model does not know mean nothing.
-            if scale is not None and scale.factor != 1 and (Condition.WRONG_SCALE in before or not now):
+            if (
+                scale is not None
+                and scale.factor != 1
+                and (Condition.WRONG_SCALE in before or now <= {Condition.FOREIGN})
+            ):
                 now.add(Condition.WRONG_SCALE)
             self._conditions[name] = now
             found += [self.change(name, one, time) for one in Condition if (one in now) != (one in before)]
@@ -615,6 +630,21 @@ def scale_warning(factor: float, model: Model) -> str:
         f"of the samples is wrong{as_g}, or the rocks are of other sizes, drop heights or mixture; check unit, "
         "sensitivity, gain and full scale"
     )
+
+
+def misfit_text(misfit: Misfit, model: Model) -> str:
+    """Return in words what of a recording does not fit, and how sure that is."""
+    size = max(misfit.factor, 1 / misfit.factor) if misfit.factor > 0 else float("nan")
+    more = misfit.factor > 1
+    what = {
+        Part.SCALE: f"all forces are about {size:.2g} times as {'large' if more else 'small'}",
+        Part.SIZES: f"impulses are about {size:.2g} times as {'large' if more else 'small'}, of other sizes or falls",
+        Part.SEAM: f"the rocks are about {size:.2g} times as {'hard' if more else 'soft'}",
+        Part.BEAM: "more of the signal is unexplained, as on another beam, or with a sensor at another place",
+        Part.NOISE: "the noise is another",
+    }[misfit.part]
+    sure = f" (said of at most {model.world.rate:.2g} of those that are)" if model.world is not None else ""
+    return f"its first {misfit.n_impacts} impacts are not like those of a recording of the training: {what}{sure}"
 
 
 def _cause_of(answer: Answer, crowded: bool) -> tuple[CauseKind, bool]:

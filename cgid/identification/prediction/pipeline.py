@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from cgid.identification.model.model import Model
 from cgid.identification.prediction.answers import Answer
-from cgid.identification.prediction.diagnosis import Diagnosis, scale_warning, sizes_outside
+from cgid.identification.prediction.diagnosis import Diagnosis, misfit_text, scale_warning, sizes_outside
 from cgid.identification.prediction.settings import PredictionSettings
 from cgid.identification.prediction.stream import Step, answering_channels, factors_for, identify_blocks, independence
 from cgid.identification.prediction.support import CavingWatch, Ground
@@ -189,6 +189,11 @@ def answers_with_warnings(pipeline: Pipeline, blocks: Iterable[NDArray[Any]]) ->
                 warned(f"{source}: blind since {report.state.since:.6g} s: {report.state.reason}")
     pipeline.require()
     diagnosis = pipeline.diagnosis
-    for name, factor in (diagnosis.wrong_scales() | sizes_outside(diagnosis)).items():
+    texts = {
+        name: scale_warning(factor, pipeline.model)
+        for name, factor in (diagnosis.wrong_scales() | sizes_outside(diagnosis)).items()
+    }
+    foreign = {name: misfit_text(misfit, pipeline.model) for name, misfit in diagnosis.misfits().items()}
+    for name, text in (foreign | texts).items():
         where = f"channel {name}: " if len(diagnosis.channels) > 1 else ""
-        warned(f"{source}: {where}{scale_warning(factor, pipeline.model)}")
+        warned(f"{source}: {where}{text}")

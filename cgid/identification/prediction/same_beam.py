@@ -359,6 +359,7 @@ class SameBeam:
                 overlapping=any(one.overlapping for one in own),
                 clipped=any(one.clipped for one in own),
                 cut=any(one.cut for one in own),
+                traits=None,  # recordings of several channels were not simulated
             )
             yield answer, parts
 

@@ -80,6 +80,9 @@ class SupportState:
         Time of the last sound sample in the stream; nan before the first.
     last_identified : float [s]
         Time of the last identified impact in the stream; nan before the first.
+    foreign : str
+        What of the recording is not as in recordings of the training, a `cgid.identification.model.world.Part`; else
+        empty. Its decision stays.
     """
 
     time: float
@@ -90,6 +93,7 @@ class SupportState:
     reason: str = ""
     last_sound: float = float("nan")
     last_identified: float = float("nan")
+    foreign: str = ""
 
     def content(self) -> dict[str, Any]:
         """Return the record for JSON; the line adds the wall clock."""
@@ -108,6 +112,7 @@ class SupportState:
             "unknown": share.n_unknown,
             "last_sound_s": self.last_sound,
             "last_identified_s": self.last_identified,
+            "foreign": self.foreign,
         }
 
 
@@ -254,8 +259,10 @@ class CavingWatch:
                 self.diagnosis.add((), turned)
         self._changes += self.diagnosis.changes(end)
         self._is_new = self._is_new and in_between
+        foreign = self.diagnosis.misfits()
         for name, support in self._supports.items():
             ground, since, reason = self._ground(name, support, end)
+            support.foreign = str(foreign[name].part) if name in foreign else ""
             if not in_between or ground != (Ground.SEEN if support.state is None else support.state.ground):
                 yield from support.at(support.window.at(end), ground, since, reason)
 
@@ -297,6 +304,7 @@ class _Support:
     last_sound: float = float("nan")
     last_identified: float = float("nan")
     is_silent: bool = False
+    foreign: str = ""
     levels: deque[float] = field(default_factory=lambda: deque(maxlen=OF_ANCHOR))
 
     def add_level(self, answer: Answer) -> None:
@@ -327,6 +335,7 @@ class _Support:
             reason=reason,
             last_sound=self.last_sound,
             last_identified=self.last_identified,
+            foreign=self.foreign,
         )
         if before is None and ground == Ground.SEEN:
             state = replace(state, since=0.0)

@@ -25,6 +25,7 @@ from cgid.errors import BadData, InvalidValue
 from cgid.identification.model.families import Contrast, Standardiser, softmax
 from cgid.identification.model.model import Model
 from cgid.identification.model.model_file import STANDARDISER
+from cgid.identification.model.world import World
 from cgid.identification.training.grouped import groups_of_labels, warnings_of_few
 from cgid.identification.training.metrics import clustered_interval, evaluate, evaluate_drawn
 from cgid.identification.training.rows import Rows
@@ -345,8 +346,12 @@ def _gained(model: Model, gain: float) -> tuple[Floats, Floats]:
 
 
 def shifted(model: Model, shift: Shift) -> Model:
-    """Return the model with a shift folded into its arrays, without prediction sets, which are no longer valid."""
-    arrays = {name: array for name, array in model.arrays.items() if not name.startswith("conformal.")}
+    """Return the model with a shift folded into its arrays, without prediction sets and the world of its training.
+
+    Neither is that of the site.
+    """
+    lost = "conformal.", World.PREFIX
+    arrays = {name: array for name, array in model.arrays.items() if not name.startswith(lost)}
     gained = _gained(model, shift.gain)
     arrays |= _after(Standardiser.from_arrays(arrays, STANDARDISER), *gained).arrays(STANDARDISER)
     if model.contrast is not None:  # its inputs include the guards, which no gain changes
