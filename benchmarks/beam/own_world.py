@@ -4,8 +4,8 @@
 
 Recordings of 60 s of streams like `caving`, with fractions of gangue of 0 to 1, other rates, points, noise; of the own
 world as they are, else of another seam, gain, point of the sensor or beam. The streams of "finite elements" are those
-of `benchmarks/beam/anchor.py`, which shares no code with `cgid`: a beam of plates in place of ribs smeared over it, with
-the shipped seam and the wet one. With seeds that made no model.
+of `benchmarks/beam/anchor.py`, which shares no code with `cgid`: another beam, with the shipped seam
+and the wet one. With seeds that made no model.
 """
 
 from __future__ import annotations
@@ -14,7 +14,6 @@ import argparse
 import json
 from collections import Counter
 from collections.abc import Callable, Iterator
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -24,7 +23,8 @@ from benchmarks.beam.anchor import SEAMS, stream
 from benchmarks.beam.independent_beam import RATE
 from cgid import load_model, shipped
 from cgid.identification.model.model import Model
-from cgid.identification.model.world import Misfit, WorldTest
+from cgid.identification.model.world import Misfit
+from cgid.identification.prediction.diagnosis import Diagnosis
 from cgid.identification.prediction.settings import PredictionSettings
 from cgid.identification.prediction.stream import identify_blocks
 from cgid.learning.streams import variations
@@ -95,25 +95,22 @@ def recordings(row: str, n: int) -> Iterator[tuple[Floats, float]]:
         yield gain * signal.samples, signal.sampling_rate
 
 
-def told(samples: Floats, rate: float, model: Model) -> tuple[float, Misfit | None, int]:
-    """Return when a recording is told [s], what of it, and the number of its impacts."""
-    assert model.world is not None
-    test, n = WorldTest(model.world), 0
+def told(samples: Floats, rate: float, model: Model) -> tuple[float, Misfit | None]:
+    """Return when a recording is told [s], and what of it."""
+    diagnosis = Diagnosis(model)
     for step in identify_blocks([samples[None]], rate, model, ("1",), PredictionSettings()):
         for answer in step.answers:
-            if answer.traits is not None:
-                n += 1
-                test.add(answer.traits)
-                if test.misfit is not None:
-                    return answer.time, test.misfit, n
-    return np.inf, None, n
+            diagnosis.add((answer,))
+            if diagnosis.misfits:
+                return answer.time, diagnosis.misfits["1"]
+    return np.inf, None
 
 
-def line(row: str, found: list[tuple[float, Misfit | None, int]]) -> str:
+def line(row: str, found: list[tuple[float, Misfit | None]]) -> str:
     """Return a row of the table."""
-    times = np.array([time for time, _, _ in found])
-    parts = Counter(str(misfit.part) for _, misfit, _ in found if misfit is not None)
-    factors = [misfit.factor for _, misfit, _ in found if misfit is not None and np.isfinite(misfit.factor)]
+    times = np.array([time for time, _ in found])
+    parts = Counter(str(misfit.part) for _, misfit in found if misfit is not None)
+    factors = [misfit.factor for _, misfit in found if misfit is not None and np.isfinite(misfit.factor)]
     alarms = times[np.isfinite(times)]
     cells = [
         row,

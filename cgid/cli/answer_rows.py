@@ -319,7 +319,7 @@ class RecordingRows:
             factors = self._diagnosis.wrong_scales()
             told = {name for hint in self.hints for name in hint.channels or self.channels} | factors.keys()
             self._print_scales(factors, "")
-            self._print_foreign(self._diagnosis.misfits().keys() - told)
+            self._print_foreign(self._diagnosis.misfits.keys() - told)
             for change in self._later:  # of a part of the recording alone
                 if change.channel not in told:
                     self._print_scales({change.channel: change.factor}, f"from {change.time:.6g} s on ")
@@ -362,7 +362,7 @@ class RecordingRows:
 
     def _print_foreign(self, names: Iterable[str]) -> None:
         """Print what of channels is not like recordings of the training, and what would help."""
-        misfits = self._diagnosis.misfits()
+        misfits = self._diagnosis.misfits
         for name in sorted(names):
             text, part = self._diagnosis.misfit_warning(misfits[name]), str(misfits[name].part)
             self._warn(f"{self.name(name)}: {text}", channel=name, condition="foreign", active=True, part=part)

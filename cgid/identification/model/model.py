@@ -49,7 +49,7 @@ from cgid.identification.model.model_file import (
     with_floats,
 )
 from cgid.identification.model.reference import equalisations_of
-from cgid.identification.model.world import World
+from cgid.identification.model.world import World, trait_names
 from cgid.measure.features.extraction import FEATURES, kind_of
 from cgid.measure.features.table import Kind
 from cgid.measure.filters import Equalisation
@@ -452,6 +452,12 @@ class Model:
     def world(self) -> World | None:
         """What recordings like those of the training look like; None without simulated recordings."""
         return World.from_arrays(self.arrays)
+
+    @cached_property
+    def compared(self) -> list[int]:
+        """Columns of inputs and guards, beside each other, that `world` compares; none without it."""
+        columns = [*self.inputs, *self.guards]
+        return [] if self.world is None else [columns.index(name) for name in trait_names(self.measured)]
 
     @cached_property
     def _level_weights(self) -> tuple[Floats, float] | None:

@@ -179,21 +179,14 @@ class WorldTest:
 
     def __init__(self, world: World) -> None:
         self._world, self._largest = world, -np.inf
-        self._traits: list[tuple[float, ...]] = []
-        self._check = 0
         self.misfit: Misfit | None = None
 
-    def add(self, traits: tuple[float, ...]) -> None:
-        """Add the next impact, with the values of `trait_names`."""
-        if self.misfit is not None or self._check == len(CHECKS):
-            return
-        self._traits.append(traits)
-        if len(self._traits) < CHECKS[self._check]:
-            return
+    def look(self, traits: Sequence[tuple[float, ...]]) -> None:
+        """Compare the impacts so far, as many as one of `CHECKS`, each with the values of `trait_names`; in order."""
+        check = CHECKS.index(len(traits))
         with np.errstate(all="ignore"):
-            seen = summary(np.array(self._traits))
-        if np.isfinite(seen).all():
-            self._largest = max(self._largest, float(self._world.distances(self._check, seen).max()))
+            seen = summary(np.array(traits))
+        if self.misfit is None and np.isfinite(seen).all():
+            self._largest = max(self._largest, float(self._world.distances(check, seen).max()))
             if self._world.is_foreign(self._largest):
-                self.misfit = self._world.misfit(self._check, seen)
-        self._check += 1
+                self.misfit = self._world.misfit(check, seen)

@@ -16,7 +16,6 @@ from cgid.identification.detection.detector import find_impacts
 from cgid.identification.detection.events import Event, frames_alike
 from cgid.identification.model.anchor import pulse_names
 from cgid.identification.model.model import Model
-from cgid.identification.model.world import trait_names
 from cgid.identification.prediction.diagnosis import Cause, causes_of, with_frames
 from cgid.identification.prediction.settings import PredictionSettings, known_columns
 from cgid.measure.features.extraction import as_rows, measured, require_measurable
@@ -431,8 +430,7 @@ def answers_from(
     column = guards.T[model.guards.index("beam_unexplained")] if "beam_unexplained" in model.guards else None
     levels = model.levels(inputs)
     pulses = inputs[:, [model.features.index(name) for name in pulse_names(model.features)]].tolist()
-    compared = trait_names(model.measured) if model.world is not None else ()
-    traits = np.hstack([inputs, guards])[:, [_column(model, name) for name in compared]].tolist()
+    traits = np.hstack([inputs, guards])[:, model.compared].tolist()
     untrained = "" if model.covers(sampling_rate) else f"not trained at {sampling_rate:g} Hz"
     for row, (label, labels) in enumerate(zip(*settings.labels(model, probabilities), strict=True)):
         novelty = float(novelties[row])
@@ -451,12 +449,6 @@ def answers_from(
             pulse=tuple(pulses[row]) or None,
             traits=tuple(traits[row]) or None,
         )
-
-
-def _column(model: Model, name: str) -> int:
-    """Return the column of a feature or guard in inputs and guards beside each other."""
-    features = model.features
-    return features.index(name) if name in features else len(model.inputs) + model.guards.index(name)
 
 
 def unmeasured(problem: Problem | str, time: float = 0.0) -> Answer:

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from cgid._lib.validation import UNKNOWN, Floats
 from cgid.errors import CgidError
 from cgid.identification.detection.events import EVENT_TIME
-from cgid.identification.model.world import Misfit, Part, WorldTest
+from cgid.identification.model.world import CHECKS, Misfit, Part, WorldTest
 from cgid.measure.features.extraction import FEATURES, extract_array
 from cgid.measure.frames import ProblemKind
 
@@ -255,6 +255,7 @@ class ChannelAnswers:
     unexplained: deque[float] = field(default_factory=lambda: deque(maxlen=_LATEST[-1]))
     levels: deque[float] = field(default_factory=lambda: deque(maxlen=_MAX_LEVELS))
     n_levels: int = 0
+    traits: list[tuple[float, ...]] = field(default_factory=list)
     recent: deque[_Counted] = field(default_factory=deque)
 
     def add(self, answer: Answer, *, is_vibration: bool) -> None:
@@ -393,6 +394,8 @@ class Diagnosis:
         self._scales: dict[str, _Scale] = {}
         self._conditions: dict[str, set[Condition]] = {}
         self._worlds: dict[str, WorldTest] = {}
+        #: What does not fit of each channel that is not like recordings of the training.
+        self.misfits: dict[str, Misfit] = {}
 
     def add(self, answers: Iterable[Answer], upside_down: Iterable[str] | None = None) -> None:
         """Count more predictions, and set the channels that are upside down, where this is known."""
@@ -406,21 +409,22 @@ class Diagnosis:
             channel.add(answer, is_vibration=self.model.kind == "vibration")
             if np.isfinite(answer.level):
                 self._scales[answer.channel].test(channel)
-            if answer.traits is not None and self.model.world is not None:
-                self._worlds.setdefault(answer.channel, WorldTest(self.model.world)).add(answer.traits)
+            if answer.traits is not None and len(channel.traits) < CHECKS[-1]:
+                channel.traits.append(answer.traits)
+                if len(channel.traits) in CHECKS and self.model.world is not None:
+                    test = self._worlds.setdefault(answer.channel, WorldTest(self.model.world))
+                    test.look(channel.traits)
+                    if test.misfit is not None:
+                        self.misfits[answer.channel] = test.misfit
 
     def conditions(self, channel: str) -> set[Condition]:
         """Return what is wrong with a channel, as of the last `changes`."""
         return self._conditions.get(channel, set())
 
-    def misfits(self) -> dict[str, Misfit]:
-        """Return what does not fit of each channel that is not like recordings of the training."""
-        return {name: test.misfit for name, test in self._worlds.items() if test.misfit is not None}
-
     def changes(self, time: float) -> list[Change]:
         """Return what has begun or ended in a live stream up to a time [s]."""
         found = []
-        changed, foreign = self._changed(), self.misfits()
+        changed, foreign = self._changed(), self.misfits
         for name in sorted(self.channels.keys() | self.upside_down):
             channel, before = self.channels.get(name, ChannelAnswers()), self.conditions(name)
             channel.forget(time)

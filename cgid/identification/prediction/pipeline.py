@@ -193,7 +193,7 @@ def answers_with_warnings(pipeline: Pipeline, blocks: Iterable[NDArray[Any]]) ->
         name: scale_warning(factor, pipeline.model)
         for name, factor in (diagnosis.wrong_scales() | sizes_outside(diagnosis)).items()
     }
-    foreign = {name: misfit_text(misfit, pipeline.model) for name, misfit in diagnosis.misfits().items()}
+    foreign = {name: misfit_text(misfit, pipeline.model) for name, misfit in diagnosis.misfits.items()}
     for name, text in (foreign | texts).items():
         where = f"channel {name}: " if len(diagnosis.channels) > 1 else ""
         warned(f"{source}: {where}{text}")

@@ -259,7 +259,7 @@ class CavingWatch:
                 self.diagnosis.add((), turned)
         self._changes += self.diagnosis.changes(end)
         self._is_new = self._is_new and in_between
-        foreign = self.diagnosis.misfits()
+        foreign = self.diagnosis.misfits
         for name, support in self._supports.items():
             ground, since, reason = self._ground(name, support, end)
             support.foreign = str(foreign[name].part) if name in foreign else ""
