@@ -110,7 +110,7 @@ class World:
         if not stored:
             return None
         n, n_groups = len(CHECKS), len(GROUPS)
-        shapes = {"mean": (n, 3, N_SUMMARY), "whitening": (n, N_SUMMARY, N_SUMMARY)}
+        shapes: dict[str, tuple[int, ...]] = {"mean": (n, 3, N_SUMMARY), "whitening": (n, N_SUMMARY, N_SUMMARY)}
         shapes |= dict.fromkeys(("centre", "scale"), (n, n_groups))
         for name in cls.ARRAYS:
             if name not in stored:

@@ -225,7 +225,7 @@ class Rows:
         """Return the rows, or those of a mask, with some of the features."""
         if selected is None:
             return replace(self, names=tuple(names), features=self.columns(names))
-        columns = columns_of(self.names, names, self.features.shape[1])
+        columns = np.array(columns_of(self.names, names, self.features.shape[1]))
         # The other columns are not copied.
         rows = replace(self, features=self.features[:0])[selected]
         return replace(rows, names=tuple(names), features=self.features[np.ix_(np.flatnonzero(selected), columns)])
