@@ -9,9 +9,9 @@ some signals of the shipped scene ``reference``, and what two features can and c
 import numpy as np
 from matplotlib import pyplot as plt
 
-from cgid import extract, load_scene, shipped, synthesise
+from cgid import extract, load_scene, synthesise
 
-scene = load_scene(shipped.scene_path("reference"))
+scene = load_scene("reference")
 batches = list(synthesise(scene, 1024, seed=3))
 signals = np.concatenate([batch.signals for batch in batches])
 labels = np.concatenate([batch.labels for batch in batches])

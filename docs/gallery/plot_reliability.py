@@ -9,11 +9,11 @@ be gangue. 2048 fresh impacts of the scene ``reference`` show that this is so.
 import numpy as np
 from matplotlib import pyplot as plt
 
-from cgid import Model, load_scene, shipped, synthesise
+from cgid import load_model, load_scene, synthesise
 from cgid.identification.prediction import identify_frames
 
-model = Model.load(shipped.path_of("models", shipped.DEFAULT_MODEL))
-scene = load_scene(shipped.scene_path("reference"))
+model = load_model("default")
+scene = load_scene("reference")
 
 probability, gangue = [], []
 for batch in synthesise(scene, 2048, seed=11):

@@ -9,10 +9,10 @@ acceleration of the beam elsewhere. A blow of less than a millisecond rings for 
 import numpy as np
 from matplotlib import pyplot as plt
 
-from cgid import load_scene, shipped, synthesise
+from cgid import load_scene, synthesise
 from cgid.scene import varied
 
-scene = load_scene(shipped.scene_path("tail_beam"))
+scene = load_scene("tail_beam")
 exact = {"quantity": "force", "mounting": None, "anti_alias": None, "noise_density": None, "range": None, "bits": None}
 (force,) = synthesise(varied(scene, **exact), 1, seed=4)
 (heard,) = synthesise(scene, 1, seed=4)
