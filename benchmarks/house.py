@@ -37,7 +37,7 @@ WALKS = {
     "predict of one impact in memory": [],
 }
 #: What `.ci/run` allows.
-MOST_FUNCTIONS, LONGEST_CHAIN = 220, 20
+MOST_FUNCTIONS, LONGEST_CHAIN = 220, 16
 RUNS = ("first", "second")
 COUNTED = "functions / files / jumps / calls deep / calls / of these checks"
 #: Runs in a process of its own, in the checkout to be measured: prints what a command has walked through, twice over.

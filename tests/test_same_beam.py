@@ -34,7 +34,8 @@ from cgid.identification.prediction.settings import PredictionSettings, require_
 from cgid.identification.prediction.stream import answering_channels, identify_blocks
 from cgid.measure.features.vibration import BEAM_PULSE
 from cgid.scene import load_scene
-from cgid.scene.synthesis.through_beam import beam_of, moved, recorded_together
+from cgid.scene.synthesis.several_sensors import recorded_together
+from cgid.scene.synthesis.through_beam import beam_of, moved
 from tests.streams_of_pulses import RATE as PULSE_RATE
 from tests.streams_of_pulses import stream, window_model
 

@@ -24,7 +24,8 @@ from cgid.measure.features.vibration import VibrationBatch
 from cgid.measure.modal.beam import Beam
 from cgid.scene import load_scene, parse_scene, synthesise, varied
 from cgid.scene.synthesis.impacts import beam_modes
-from cgid.scene.synthesis.through_beam import beam_of, moved, recorded_together
+from cgid.scene.synthesis.several_sensors import recorded_together
+from cgid.scene.synthesis.through_beam import beam_of, moved
 from cgid.signals import Batch, Signal
 from tests.hostile_models import beam_arrays
 from tests.test_inversion import basis, dense, eight_modes

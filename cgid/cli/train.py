@@ -543,7 +543,7 @@ def _batches(sources: list[Scene | Dataset], options: dict[str, Any]) -> Iterato
             continue
         validation.whole("signals", n, 1, MAX_SIGNALS)
         if options["sensors"]:
-            from cgid.scene.synthesis.through_beam import recorded_together
+            from cgid.scene.synthesis.several_sensors import recorded_together
 
             yield from recorded_together(source, options["sensors"], n, seed)
         else:

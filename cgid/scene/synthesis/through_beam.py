@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.linalg import eigh
@@ -16,17 +16,15 @@ from cgid.measure.modal.beam import FINE, MAX_SENSORS, RATES, SPAN_TIME, TOUCH, 
 from cgid.measure.modal.modes import Modes, NodeShapes, nodes
 from cgid.physics.structure.response import DERIVATIVES
 from cgid.scene.file.schema import Scene, parse_scene, stored_scene
-from cgid.scene.synthesis.draws import BLOCK, require_seed
-from cgid.scene.synthesis.impacts import beam_modes, draw, pulses_of_block
-from cgid.scene.synthesis.plan import highest_frequency, plan
-from cgid.scene.synthesis.synthesis import batch_of, blocks, make_frames, require_count, require_frames
-from cgid.signals import Batch
-from cgid.store.reading import Dataset
+from cgid.scene.synthesis.draws import BLOCK
+from cgid.scene.synthesis.impacts import beam_modes, draw
+from cgid.scene.synthesis.plan import highest_frequency
+
+if TYPE_CHECKING:
+    from cgid.store.reading import Dataset
 
 #: Pulses drawn for the principal shapes, in blocks of 256, their seed, and the number of shapes.
 _BLOCKS, _SEED, N_SHAPES = 12, 0x5EED_0002_C9D1, 18
-#: Distance of the seeds of the noise of sensors that record together.
-_NOISE_APART = 0x2545_F491_4F6C_DD1D
 #: Multiples of the golden section fill an interval evenly.
 _GOLDEN = 0.6180339887498949
 #: Chebyshev nodes to a wave of the highest mode, and beyond.
@@ -177,22 +175,6 @@ def moved(scene: Scene, point: tuple[float, float]) -> Scene:
     content = json.loads(scene.text)
     content["tail_beam"]["sensor_point"] = dict(zip("xy", map(float, point), strict=True))
     return parse_scene(content, source=f"scene {scene.name} with its sensor elsewhere", folder=scene.folder)
-
-
-def recorded_together(
-    scene: Scene, sensors: Sequence[tuple[float, float]], n_signals: int, seed: int = 0
-) -> Iterator[Batch]:
-    """Yield the signals of a scene as several sensors of its beam record them, each with noise of its own."""
-    n_signals, _ = require_count(n_signals, 0)
-    seed = require_seed(seed)
-    require_frames(scene)
-    plans = [plan(moved(scene, point), "frames") for point in sensors]
-    for block, part in blocks(n_signals, 0):
-        batches = []
-        for number, one_plan in enumerate(plans):
-            blows, noise_seed = pulses_of_block(one_plan, seed, block), (seed + number * _NOISE_APART) % 2**63
-            batches.append(batch_of(one_plan.scene, blows, make_frames(blows, noise_seed, block, one_plan.dtype), part))
-        yield replace(batches[0], signals=np.stack([batch.signals for batch in batches], axis=1), source=scene.sha256)
 
 
 def _at_sensors(scene: Scene, points: list[tuple[float, float]]) -> Floats:
