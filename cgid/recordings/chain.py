@@ -226,6 +226,10 @@ class Chain:
 
     def links(self, contents: Blocks, channels: Sequence[int], unit: str | None, source: str) -> list[Link]:
         """Return the link of each channel, from the statements of user and file, which must agree."""
+        # Nothing to convert: a known unit for all channels, of which neither file nor user says more.
+        of_file = (*contents.units, *contents.integers, *contents.sensitivities, *contents.gains)
+        if self == Chain() and not any(of_file) and any(unit in known for known in UNITS.values()):
+            return [Link(unit=unit)] * len(channels)
         # A sensitivity or charge gain for all channels applies to those in volts or coulombs; there must be at least
         # one.
         units = units_of(unit)

@@ -26,7 +26,7 @@ from cgid.recordings.recording import Blocks, Channel, require_one_rate
 from cgid.recordings.variables import full_scale_of
 from cgid.shipped import MODELS, model_path
 from cgid.signals import Batch, Signal
-from cgid.units import UNITS, quantity_of
+from cgid.units import quantity_of
 
 if TYPE_CHECKING:
     import pandas
@@ -66,14 +66,13 @@ def load_model(model: str | Path = "default") -> Model:
     >>> load_model("default").labels
     ('coal', 'gangue')
     """
-    path = model_path(model)
-    return _shipped(path) if isinstance(model, str) and model in MODELS else Model.load(path)
+    return _shipped(model) if isinstance(model, str) and model in MODELS else Model.load(model_path(model))
 
 
 @cache
-def _shipped(path: Path) -> Model:
+def _shipped(name: str) -> Model:
     """Return a shipped model, read once in a process; its arrays cannot be written."""
-    return Model.load(path)
+    return Model.load(model_path(name))
 
 
 def default_model(quantity: str | None, settings: PredictionSettings) -> str:
@@ -208,9 +207,7 @@ def _measured(samples: Any, sampling_rate: float | None, unit: str | None, chain
     if not of_signals and unit is None and chain == Chain():
         raise MissingOption("samples: an array has no unit; give it, as in unit='N' or unit='m/s^2'")
     dtype = None if of_signals else validation.plain("samples", samples).dtype
-    if dtype is not None and dtype.kind == "f" and chain == Chain() and any(unit in units for units in UNITS.values()):
-        return [replace(signal, unit=unit) for signal in signals]
-    largest = None if dtype is None else full_scale_of(dtype)
+    largest = None if dtype is None or dtype.kind == "f" else full_scale_of(dtype)
     contents = Blocks(
         n_channels=len(signals),
         read=lambda length, channels: iter(()),
@@ -222,7 +219,9 @@ def _measured(samples: Any, sampling_rate: float | None, unit: str | None, chain
     links = chain.links(contents, range(len(signals)), unit, signals[0].source)
     with np.errstate(over="ignore"):  # infinite samples are refused
         return [
-            replace(signal, unit=link.unit, samples=signal.samples * link.factor)
+            replace(
+                signal, unit=link.unit, samples=signal.samples * link.factor if link.factor != 1 else signal.samples
+            )
             for signal, link in zip(signals, links, strict=True)
         ]
 
