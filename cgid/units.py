@@ -8,7 +8,9 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
 
 from cgid._lib.validation import shown, suggestion
 from cgid.errors import InvalidValue
@@ -230,7 +232,8 @@ def column_title(name: str, unit: str = "") -> str:
     return f"{name}_{spelled}" if spelled else name
 
 
-class Column(NamedTuple):
+@dataclass(frozen=True)
+class Column:
     """A column of a table, of texts by default; `form` is the format of numbers in CSV."""
 
     name: str
@@ -238,7 +241,7 @@ class Column(NamedTuple):
     dtype: str = "string"
     form: str = ""
 
-    @property
+    @cached_property
     def title(self) -> str:
         """The name and the unit, as in `time_s`."""
         return column_title(self.name, self.unit)

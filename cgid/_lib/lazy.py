@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Mapping, Sequence
 from importlib import import_module
 from typing import Any
@@ -28,6 +29,7 @@ def on_first_use(
             return import_module(f"{package}.{name}")
         if name not in homes:
             raise AttributeError(f"module {package!r} has no attribute {name!r}")
-        return getattr(import_module(f"{package}.{homes[name]}"), name)
+        found = vars(sys.modules[package])[name] = getattr(import_module(f"{package}.{homes[name]}"), name)
+        return found
 
     return public, load, lambda: sorted({*public, *modules})

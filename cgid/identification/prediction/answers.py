@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
+from functools import cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -127,12 +128,17 @@ COLUMNS: Mapping[str, Column] = {one.name: one.metadata["column"] for one in fie
 
 def answer_columns(model: Model, settings: PredictionSettings) -> tuple[Column, ...]:
     """Return the columns of a table of the answers of a model."""
-    shown = {"end": model.kind == "window", "prediction_set": settings.coverage is not None}
+    return _columns(model.labels, model.kind == "window", settings.coverage is not None)
+
+
+@cache
+def _columns(labels: tuple[str, ...], has_ends: bool, has_sets: bool) -> tuple[Column, ...]:
+    shown = {"end": has_ends, "prediction_set": has_sets}
     return tuple(
-        column._replace(name=column.name.replace("*", label))
+        replace(column, name=column.name.replace("*", label))
         for name, column in COLUMNS.items()
         if shown.get(name, True)
-        for label in (model.labels if name == "probabilities" else ("",))
+        for label in (labels if name == "probabilities" else ("",))
     )
 
 
