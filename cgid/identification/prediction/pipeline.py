@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from cgid.identification.model.model import Model
 from cgid.identification.prediction.answers import Answer
 from cgid.identification.prediction.diagnosis import Diagnosis, misfit_text, scale_warning, sizes_outside
+from cgid.identification.prediction.same_beam import rows_of
 from cgid.identification.prediction.settings import PredictionSettings
 from cgid.identification.prediction.stream import Step, answering_channels, factors_for, identify_blocks, independence
 from cgid.identification.prediction.support import CavingWatch, Ground
@@ -86,6 +87,7 @@ class Pipeline:
                 independence(model, settings),
                 sensors=self._sensors,
                 channels=self.names,
+                rows=rows_of(model, self.names, settings.same_beam),
                 diagnosis=self.diagnosis if live else None,
             )
 

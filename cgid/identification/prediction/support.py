@@ -140,6 +140,8 @@ class CavingWatch:
         Watches the samples; without it no support is blind.
     channels : sequence of str, optional
         Names of the channels of `sensors`; by default the supports.
+    rows : sequence of sequences of int, optional
+        The channels of each support, as from `rows_of`; by default one each.
     diagnosis : Diagnosis, optional
         Gets the predictions in order of time; by default one of its own.
     """
@@ -153,6 +155,7 @@ class CavingWatch:
         *,
         sensors: SensorWatch | None = None,
         channels: Sequence[str] | None = None,
+        rows: Sequence[Sequence[int]] | None = None,
         diagnosis: Diagnosis | None = None,
     ) -> None:
         shares = settings.shares
@@ -197,9 +200,9 @@ class CavingWatch:
                     anchor=None if shares.coal_until is None else Anchor(shares.coal_until, shares.cycle_pause),
                 ),
                 rule=rule,
-                rows=_rows_of(name, self._channels),
+                rows=own,
             )
-            for name, rule in zip(supports, rules, strict=True)
+            for name, rule, own in zip(supports, rules, rows or [(row,) for row in range(len(supports))], strict=True)
         }
         self._waiting: deque[Answer] = deque()
         self._steps = 0
@@ -299,7 +302,7 @@ class _Support:
 
     window: ShareWindow
     rule: ShutDecision | None
-    rows: list[int]
+    rows: Sequence[int]
     state: SupportState | None = None
     last_sound: float = float("nan")
     last_identified: float = float("nan")
@@ -349,12 +352,3 @@ class _Support:
             (Decision.NONE, Ground.SEEN) if before is None else (before.decision, before.ground)
         ):
             yield SupportReport("state", state)
-
-
-def _rows_of(support: str, channels: Sequence[str]) -> list[int]:
-    """Return the numbers of the channels of a support: of itself, or of the names that are joined by +."""
-    if support in channels:
-        return [channels.index(support)]
-    if support == "+".join(channels):
-        return [*range(len(channels))]
-    return [channels.index(name) for name in support.split("+")]
