@@ -642,6 +642,7 @@ _COMMANDS = r"""
 65 | calibrate other_beam.csv --scene taps.toml -o new.toml --dimension-error '3 %' | dimension_error
 65 | calibrate few_blows.csv --scene tail_beam -o new.toml --dimension-error 'ribs.height = 3 %' | ribs.depth
 65 | calibrate few_blows.csv --scene tail_beam -o new.toml --dimension-error '20 %' | --dimension-error
+65 | calibrate few_blows.csv --scene tail_beam -o new.toml --exact sensor,filters | --exact
 65 | calibrate other_beam.csv --scene taps.toml -o new.toml | must explain the impacts
 65 | calibrate other_beam.csv --scene taps_on_node.toml -o new.toml | sensor_point
 65 | calibrate other_beam.csv --scene fast.toml -o new.toml | sampling.sampling_rate

@@ -26,7 +26,7 @@ POLE_STEP = 1e-6
 #: Prior standard deviation of a location about its estimate [m].
 _LOCATION_DEVIATION = 0.1
 #: Impacts per round while the poles move far, and per search of single modes.
-_FEW, _N_SEARCHED = 120, 48
+_FEW, _N_SEARCHED = 80, 48
 #: Gauss-Newton rounds before the first search of single modes, between two, and at last with all impacts; searches.
 _FIRST, _BETWEEN, _LAST, _MAX_SEARCHES = 8, 2, 10, 6
 #: Successive bands as fractions of the whole, and the range of modes beyond a band that still affect it.
@@ -100,22 +100,8 @@ def learn(
     # `deviation` (3, n_modes): prior standard deviation of ln frequency, ln damping ratio and ln participation; rows of
     # zeros are not learned. `progress` receives the number of rounds since the last call.
     learned = Learned(beam, impacts, deviation, progress)
-    few = min(_FEW, len(impacts))
-    top = Inversion(beam).bins.stop / Inversion(beam).n_samples * beam.sampling_rate
-    ratio = float(np.median(beam.modes.damping_ratio))
-    # Low modes first: they determine the locations, and these the higher modes. Errors well below the width of a
-    # resonance need no such order.
-    for fraction in _BANDS if float(deviation[0].max()) > _NARROW * ratio else _BANDS[-1:]:
-        limit = None if fraction == 1 else fraction * top
-        for search in range(_MAX_SEARCHES + 1):
-            for _ in range(_BETWEEN if search else _FIRST):
-                if learned.step(few, limit):
-                    break
-            if search == _MAX_SEARCHES or not learned.search(few, limit):
-                break
-    for _ in range(_LAST):
-        if learned.step(len(impacts)):
-            break
+    learned.approach()
+    learned.settle()
     return learned
 
 
@@ -131,6 +117,35 @@ class Learned:
         self._beam, self._impacts, self._progress, self._prior = beam, impacts, progress, prior
         self.correction, self.deviation, self.has_converged = np.zeros(prior.shape), prior.copy(), False
         self._quantities, self._raised = np.flatnonzero(prior.any(axis=1)), np.ones(len(impacts))
+
+    def on(self, beam: Beam, prior: Floats) -> Learned:
+        """Return the same of the beam behind another recorder, which may hear other modes beyond the band."""
+        other = Learned(beam, self._impacts, prior, self._progress)
+        n = min(prior.shape[1], self.correction.shape[1])
+        other.correction[:, :n] = self.correction[:, :n]
+        return other
+
+    def approach(self) -> None:
+        """Come near to the modes with some of the impacts."""
+        few, inversion = min(_FEW, len(self._impacts)), Inversion(self._beam)
+        top = inversion.bins.stop / inversion.n_samples * self._beam.sampling_rate
+        ratio = float(np.median(self._beam.modes.damping_ratio))
+        # Low modes first: they determine the locations, and these the higher modes. Errors well below the width of a
+        # resonance need no such order.
+        for fraction in _BANDS if float(self._prior[0].max()) > _NARROW * ratio else _BANDS[-1:]:
+            limit = None if fraction == 1 else fraction * top
+            for search in range(_MAX_SEARCHES + 1):
+                for _ in range(_BETWEEN if search else _FIRST):
+                    if self.step(few, limit):
+                        break
+                if search == _MAX_SEARCHES or not self.search(few, limit):
+                    break
+
+    def settle(self) -> None:
+        """Make the last steps, with all impacts."""
+        for _ in range(_LAST):
+            if self.step(len(self._impacts)):
+                break
 
     def _system(self, n_impacts: int, limit: float | None) -> System:
         rows = slice(n_impacts)
@@ -252,7 +267,9 @@ class System:
             for beam, sign in zip(sides(number), (1, -1), strict=True):
                 at = beam.weights(self.inverted.x, self.inverted.y)[0]
                 weights = (at[:, :, None] * self.inverted.coefficients[:, None]).reshape(len(at), -1).astype(np.float32)
-                table = self._informative(respond(beam, self.inversion.forces, self.inversion.n_samples))
+                table = self.table
+                if not np.array_equal(beam.poles, self.beam.poles):
+                    table = self._informative(respond(beam, self.inversion.forces, self.inversion.n_samples))
                 slopes[:, number] += np.float32(sign / (2 * step)) * (weights @ table.reshape(-1, self.columns.size))
         return lambda row: slopes[row].astype(np.float64)
 

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,10 +15,19 @@ from threadpoolctl import threadpool_limits
 from cgid._lib import validation
 from cgid._lib.files import check_new, write_together
 from cgid._lib.validation import Floats
-from cgid.calibration.dimensions import Dimension, dimension_errors, learn_dimensions
-from cgid.calibration.learning import ImpactFrames, evidence_of, learn
+from cgid.calibration.chain import PARTS, Chain, learn_chain, outside
+from cgid.calibration.dimensions import (
+    SENSOR,
+    SENSOR_BANDS,
+    Dimension,
+    dimension_errors,
+    dimensions_of,
+    learn_dimensions,
+)
+from cgid.calibration.learning import ImpactFrames, Learned, evidence_of
 from cgid.errors import BadData, InvalidValue
 from cgid.identification.detection.detector import ImpactDetector
+from cgid.identification.inversion.contact import MISSHAPEN
 from cgid.identification.inversion.inversion import Inversion
 from cgid.identification.inversion.through_beam import REACH, clipped_samples
 from cgid.measure.features.vibration import VibrationBatch
@@ -54,6 +63,12 @@ _WORST_OF_STREAM = 0.5
 #: A mode is silent at a sensor if its shape is below this fraction of its root mean square; a sensor at nodes of more
 #: than this fraction of the modes is unusable. On a line of symmetry it is half.
 _SILENT, _MAX_SILENT = 0.02, 0.6
+#: The location of a sensor is off by about this [m], at most by this fraction, and as stated within the last [m].
+_SENSOR_ERROR, _MAX_SENSOR_ERROR, _SAME_PLACE = 0.03, 0.1, 2e-3
+#: Forces outside of the pulse family may be so many times those of simulated impacts.
+_LIKE_SIMULATED = 2.0
+#: Keys of a sensor that are learned.
+_KEYS = ("anti_alias.frequency", "mounting.frequency", "mounting.damping_ratio", "anti_alias.order")
 #: A crossing counts if the learned frequencies differ by this many standard deviations.
 _CERTAIN = 3.0
 
@@ -67,7 +82,7 @@ class SiteCalibration:
     scene : Scene
         With `tail_beam.learned`, and with dimensions that were learned.
     dimensions : tuple of Dimension
-        Learned dimensions of the beam; empty if they were taken as exact.
+        Learned dimensions of the beam, and the location of its sensor where it has moved; else empty.
     start, learned : Modes
         The modes before, with their prior standard deviations, and after.
     n_impacts : int
@@ -79,6 +94,11 @@ class SiteCalibration:
         Number of neighbouring modes that have swapped.
     has_converged : bool
         Whether the modes have converged.
+    chain : mapping of str to tuple of float
+        Keys of the sensor that are not those of the scene, before and after: filter and mounting; empty if the stated
+        ones were kept.
+    outside : float
+        Median share of the recovered forces that no contact has.
     """
 
     scene: Scene
@@ -91,6 +111,8 @@ class SiteCalibration:
     expected: float
     crossings: int
     has_converged: bool
+    chain: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    outside: float = 0.0
 
     def save(self, path: str | Path, *, overwrite: bool = False) -> tuple[Path, Path]:
         """Write the scene as a .toml file, and its modes as a table next to it; return both paths."""
@@ -135,7 +157,7 @@ def usable_impacts(events: Iterable[Event]) -> tuple[list[Event], dict[str, int]
     return usable, lost
 
 
-def calibrate(
+def calibrate(  # noqa: PLR0913
     scene: Scene | str | Path,
     frames: NDArray[np.floating],
     sampling_rate: float,
@@ -145,10 +167,11 @@ def calibrate(
     drift: float = 0.003,
     participation_error: float = 0.0,
     dimension_error: float | Mapping[str, float] = 0.0,
+    exact: Collection[str] = (),
     max_impacts: int = 300,
     progress: Callable[[int], object] | None = None,
 ) -> SiteCalibration:
-    """Learn the modes of a scene's beam from recorded impacts.
+    """Learn the modes of a scene's beam from recorded impacts, and correct the location and chain of its sensor.
 
     Parameters
     ----------
@@ -172,6 +195,8 @@ def calibrate(
         Relative standard deviation of each dimension of the beam and of the sensor's position, or of those that a
         mapping names (`cgid.calibration.dimensions.DIMENSIONS`). With 0, they are exact. Otherwise they are learned
         first, with the damping ratio, and `start_error` is the remaining error.
+    exact : collection of str
+        What of the scene is not to be corrected: "sensor" (its location), "filter" (its edge and order), "mounting".
     max_impacts : int
         Maximum number of impacts, 20 or more.
     progress : callable, optional
@@ -186,10 +211,13 @@ def calibrate(
     InvalidValue
         A number breaks its rule, or the scene has no beam, or its sensor is at nodes.
     BadData
-        Too few impacts, a different sampling rate, modes that cross and cannot be distinguished, or another beam.
+        Too few impacts, a different sampling rate, modes that cross and cannot be distinguished, another beam, or a
+        sensor or recorder that is not like that of the scene.
     """
     scene = load_scene(scene)
     check_numbers(start_error, drift, participation_error, max_impacts)
+    for part in exact:
+        validation.choice("exact", part, PARTS)
     check_scene(scene, sampling_rate)
     uncertain_dimensions = dimension_errors(scene, dimension_error)
     # The two highest samples of an unclipped impact may be equal by chance if a recorder has few steps.
@@ -221,15 +249,33 @@ def calibrate(
         if uncertain_dimensions:
             scene, dimensions = learn_dimensions(scene, beam, impacts, uncertain_dimensions, progress=progress)
             beam = through_modes(scene, beam)
+        stated, place = scene, _place_errors(scene, exact, uncertain_dimensions)
+        if place:
+            scene, _ = learn_dimensions(scene, beam, impacts, place, bands=SENSOR_BANDS, progress=progress)
+            beam = through_modes(scene, beam)
         start = _start(scene)
-        deviation = _prior(scene, start, start_error, drift, participation_error)
-        result = learn(beam, impacts, deviation, progress=progress)
+        errors = (start_error, drift, participation_error)
+        result = Learned(beam, impacts, _prior(scene, start, *errors), progress)
+        result.approach()
+        if place:
+            scene, moved = _located(stated, scene, beam, impacts, result.correction, place)
+            dimensions += moved
+            beam = through_modes(scene, beam)
+        chain = learn_chain(scene, corrected(beam, result.correction), impacts, exact)
+        if chain is not None:
+            scene = chain.placed(scene)
+            beam = beam_of(scene)
+            beam, start = replace(beam, modes=replace(beam.modes, deviation=None)), _start(scene)
+        result = result.on(beam, _prior(scene, start, *errors))
+        result.settle()
         corrected_beam = corrected(beam, result.correction)
         learned = replace(start.corrected(result.correction), deviation=result.deviation)
         crossings = count_crossings(scene, learned)
         result_scene = _with_beam(scene, learned=rows_of(learned), impact_point=region)
         after = mean_evidence(corrected_beam, impacts, worst)
-        expected = mean_evidence(corrected_beam, _simulated(result_scene), worst)
+        simulated = _simulated(result_scene)
+        expected = mean_evidence(corrected_beam, simulated, worst)
+        misshapen, usual = (outside(corrected_beam, some) for some in (impacts, simulated))
     if after < expected - max(_BELOW, _BELOW_SHARE * abs(expected)):
         raise BadData(
             f"the beam of scene {scene.name} must explain the impacts as well as simulated ones: their log-likelihood "
@@ -240,10 +286,17 @@ def calibrate(
                 * (scene.panel is not None and not dimensions)
             )
         )
+    if misshapen > max(MISSHAPEN, _LIKE_SIMULATED * usual):
+        raise BadData(
+            f"the forces of impacts on the beam of scene {scene.name} must have the shape of contacts: {misshapen:.1%} "
+            f"of them (median) is outside of it, {usual:.1%} in simulated impacts; its filter, mounting, sensor or "
+            "modes differ in a way that cannot be learned: state the recorder's filter in sensor.anti_alias, mount the "
+            "sensor on a stud, measure its location, or label impacts and train on them"
+        )
     return SiteCalibration(
         scene=result_scene,
         dimensions=dimensions,
-        start=replace(start, deviation=deviation),
+        start=replace(start, deviation=_prior(scene, start, *errors)),
         learned=learned,
         n_impacts=len(impacts),
         before=before,
@@ -251,7 +304,38 @@ def calibrate(
         expected=expected,
         crossings=crossings,
         has_converged=result.has_converged,
+        chain={} if chain is None else _changes(stated, chain),
+        outside=misshapen,
     )
+
+
+def _place_errors(scene: Scene, exact: Collection[str], learned: Collection[str]) -> dict[str, float]:
+    """Return the relative errors of the location of the sensor, if it is to be learned and is not yet."""
+    drawn = scene.panel is not None and scene.tail_beam is not None and scene.tail_beam.learned is None
+    if "sensor" in exact or not drawn or set(SENSOR) <= set(learned):
+        return {}
+    place = {name: value for name, value in dimensions_of(scene).items() if name in SENSOR and value > 0}
+    return {name: min(_SENSOR_ERROR / value, _MAX_SENSOR_ERROR) for name, value in place.items()}
+
+
+def _located(
+    stated: Scene, scene: Scene, beam: Beam, impacts: ImpactFrames, correction: Floats, errors: Mapping[str, float]
+) -> tuple[Scene, tuple[Dimension, ...]]:
+    """Return a scene with the location of its sensor once the modes are nearly learned, that of `stated` if near it."""
+    found, now = learn_dimensions(scene, beam, impacts, errors, correction=correction, bands=SENSOR_BANDS[-1:])
+    before = dimensions_of(stated)
+    moved = tuple(replace(one, before=before[one.name]) for one in now)
+    if np.hypot.reduce([one.after - one.before for one in moved]) <= _SAME_PLACE:
+        return stated, ()
+    return found, moved
+
+
+def _changes(stated: Scene, chain: Chain) -> dict[str, tuple[float, float]]:
+    """Return the keys of the sensor that a chain changes, before and after."""
+    before, (edge, mounting, damping) = Chain.of(stated), np.exp(chain.logs).tolist()
+    old = dict(zip(_KEYS, (*np.exp(before.logs).tolist(), float(before.order or 0)), strict=True))
+    new = dict(zip(_KEYS, (edge, mounting, damping, float(chain.order or 0)), strict=True))
+    return {name: (old[name], new[name]) for name in _KEYS if old[name] != new[name]}
 
 
 def uncertain(scene: Scene, start_error: float) -> Scene:

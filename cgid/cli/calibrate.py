@@ -77,6 +77,12 @@ def _modes_beside(path: Path) -> list[Path]:
     show_default=True,
     help="Set the uncertainty of all or some dimensions, as in 'thickness=3 %, ribs.depth=2 %'; these are fitted.",
 )
+@click.option(
+    "--exact",
+    default="",
+    metavar="PART,...",
+    help="Take these as the scene states them: sensor (its location), filter, mounting.",
+)
 @click.option("--impacts", type=int, default=300, show_default=True, help="Use at most this many impacts.")
 @click.option(
     "--plot", "picture", type=OUTPUT, help="Plot the modes before and after, with standard deviations, as PNG."
@@ -93,6 +99,7 @@ def calibrate(
     drift: str,
     participation_error: str,
     dimension_error: str,
+    exact: str,
     impacts: int,
     picture: str | None,
     overwrite: bool,
@@ -102,14 +109,16 @@ def calibrate(
     """Learn the modes of a beam from RECORDINGs of its impacts, or a dataset of them, and write a scene.
 
     No labels are needed. A few hundred impacts at unknown locations suffice if the scene's beam is approximately
-    correct: its frequencies within a few per cent, its shapes, the position of the sensor and the region of the
-    impacts. If these come from a drawing, give its uncertainty with --dimension-error. Train with the learned beam by
-    cgid train site.toml. Nothing is written if the beam does not explain the impacts sufficiently.
+    correct: its frequencies within a few per cent, its shapes and the region of the impacts. If these come from a
+    drawing, give its uncertainty with --dimension-error. The location of the sensor (to some centimetres), its mounting
+    and the recorder's filter are corrected where the impacts contradict the scene. Train with the learned beam by cgid
+    train site.toml. Nothing is written if the beam does not explain the impacts sufficiently.
     """
     from cgid._lib import validation
     from cgid._lib.files import check_new
     from cgid.calibration import calibrate as calibrated
     from cgid.calibration import dimensions
+    from cgid.calibration.chain import PARTS
     from cgid.calibration.learning import MAX_ROUNDS
     from cgid.calibration.modes import FEWEST, check_numbers, check_scene, table_beside
     from cgid.scene import load_scene
@@ -127,15 +136,18 @@ def calibrate(
         "drift": share_of("--drift", drift),
         "participation_error": share_of("--participation-error", participation_error),
     }
+    parts = tuple(filter(None, (part.strip() for part in exact.split(","))))
+    for part in parts:
+        validation.choice("--exact", part, PARTS)
     validation.whole("--impacts", impacts, FEWEST)
     check_numbers(**errors, max_impacts=impacts)
     check_scene(scene, scene.sampling.sampling_rate)
     of_dimensions = dimensions.dimension_errors(scene, _of_each(dimension_error))
     frames, rate, before = _frames(recordings, scene, reading)
-    n_rounds = MAX_ROUNDS + dimensions.MAX_ROUNDS * bool(of_dimensions)
+    n_rounds = MAX_ROUNDS + dimensions.MAX_ROUNDS * bool(of_dimensions or "sensor" not in parts)
     with progress_bar(n_rounds, "rounds at most", "fitting beam") as progress:
         errors["dimension_error"] = of_dimensions
-        found = calibrated(scene, frames, rate, before, max_impacts=impacts, progress=progress, **errors)
+        found = calibrated(scene, frames, rate, before, exact=parts, max_impacts=impacts, progress=progress, **errors)
     found.save(path, overwrite=overwrite)
     if drawing is not None:
         _draw(found, drawing, overwrite)
@@ -247,6 +259,8 @@ def _say(found: SiteCalibration, path: Path, as_json: bool) -> None:
         "dimensions": {
             one.name: {"before": one.before, "after": one.after, "deviation": one.deviation} for one in found.dimensions
         },
+        "sensor": {name: {"before": before, "after": after} for name, (before, after) in found.chain.items()},
+        "outside_contacts": found.outside,
         "evidence": {"before": found.before, "after": found.after, "expected": found.expected},
         "crossings": found.crossings,
         "at_rest": found.has_converged,
@@ -263,6 +277,9 @@ def _say(found: SiteCalibration, path: Path, as_json: bool) -> None:
             say(
                 f"{one.name}: {one.before:.5g}{unit} before, {one.after:.5g}{unit} after, standard deviation {known_to}"
             )
+        for name, (before, after) in found.chain.items():
+            unit = " Hz" if name.endswith("frequency") else ""
+            say(f"sensor.{name}: {before:.4g}{unit} before, {after:.4g}{unit} after")
         if known.any():
             say(
                 f"natural frequencies changed by {content['frequency_change']:.3%} (median), standard deviation "

@@ -23,7 +23,7 @@ _OPTIONS = {
     "--trained-seam --blind-after",
     "What struck": "--impactor --masses",
     "Signals": "--signals --seed --laws --dtype --quantities --shuffle-labels --test-share --calibration-share",
-    "Calibration": "--start-error --drift --participation-error --dimension-error --impacts",
+    "Calibration": "--start-error --drift --participation-error --dimension-error --exact --impacts",
     "Tap test": "--hammer --band --max-order --contact --taps",
     "Output": "--output --mirror --report --plot --plots --overwrite --resume --compression --shard-signals --json "
     "--clock --strict",

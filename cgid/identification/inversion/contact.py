@@ -8,7 +8,7 @@ length of the signal was.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache, cached_property
 
 import numpy as np
@@ -39,6 +39,8 @@ _MIN_VARIANCE = 1e-20
 _SHAPE_PRIOR, _ONSET_PRIOR = (-0.9, 1.5), (TOUCH / 2, TOUCH / 2)
 #: Rows processed at once.
 _ROWS = 64
+#: With more than this median share outside of the pulse family, forces are not those of contacts.
+MISSHAPEN = 0.03
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,6 +54,7 @@ class Contact(Rowwise):
     covariance: Floats  # (n, 3, 3), of ln peak, ln width and shape; times the misfit if that is above 1
     coefficients: Floats  # (n, n_shapes), of the fitted pulse, over the noise
     misfit: Floats  # (n,), reduced chi-square of the recovered force against the fitted pulse
+    outside: Floats  # (n,), amplitude of the recovered force beyond the fitted pulse and the noise, over the pulse's
 
 
 @cache
@@ -72,10 +75,11 @@ def _spectra() -> NDArray[np.complex128]:
 
 
 class ContactFit:
-    """Fit the pulse family in the principal shapes of one beam."""
+    """Fit the pulse family in the principal shapes of one beam, or behind other `filters` in the same shapes."""
 
-    def __init__(self, inversion: Inversion) -> None:
-        self.beam: Beam = inversion.beam
+    def __init__(self, inversion: Inversion, filters: NDArray[np.complex128] | None = None) -> None:
+        beam = inversion.beam
+        self.beam: Beam = beam if filters is None else replace(beam, filters=filters)
         self.forces = inversion.forces
 
     @cached_property
@@ -175,11 +179,14 @@ class ContactFit:
         ]
         at, peak, own, covariance = (np.concatenate(part) for part in zip(*parts, strict=True))
         spacing = estimate.coefficients - own
-        misfit = np.einsum("nk,nkl,nl->n", spacing, estimate.information, spacing) / max(own.shape[1] - 4, 1)
+        left, of_pulse = (np.einsum("nk,nkl,nl->n", one, estimate.information, one) for one in (spacing, own))
+        n_free = max(own.shape[1] - 4, 1)
+        misfit = left / n_free
+        outside = np.sqrt(np.maximum(left - n_free, 0) / np.maximum(of_pulse, 1e-300))
         # True pulses are not exactly of the family, as strong impacts show; widened as by Birge (1932, Phys. Rev. 40,
         # 207).
         covariance *= np.maximum(misfit, 1.0)[:, None, None]
-        return Contact(peak * estimate.noise, np.exp(at[:, 0]), at[:, 1], at[:, 2], covariance, own, misfit)
+        return Contact(peak * estimate.noise, np.exp(at[:, 0]), at[:, 1], at[:, 2], covariance, own, misfit, outside)
 
     def _fit(self, information: Floats, vector: Floats) -> tuple[Floats, Floats, Floats, Floats]:
         """Return ln width, shape and onset [samples]; peak over noise, coefficients, and covariance as in `Contact`."""

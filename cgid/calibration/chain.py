@@ -1,0 +1,250 @@
+"""The filter of a recorder and the mounting of a sensor, from impacts at unknown locations with unknown forces.
+
+A wrong filter leaves nothing of a vibration unexplained: the recovered force takes up the difference, and has a shape
+that no contact has. So forces are recovered in shapes that hold those of all filters, once, in one band, and the pulse
+family is fitted to them through one chain after the other. Gauss-Newton steps in the logarithms of edge, mounting and
+its damping minimise what the pulses leave, with the pulses projected out; the order of the filter is tried.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from scipy.linalg import eigh
+
+from cgid._lib.validation import Floats
+from cgid.calibration.learning import ImpactFrames
+from cgid.identification.inversion.contact import ContactFit
+from cgid.identification.inversion.inversion import ForceEstimate, Inversion
+from cgid.measure.modal.beam import Beam, filtered
+from cgid.physics.structure.response import LowPass, Resonance
+from cgid.scene.file.schema import Scene, parse_scene
+from cgid.scene.synthesis.through_beam import contact_forces
+
+#: Number of impacts, and of shapes of all filtered forces; every so many forces make them, through filters of these
+#: edges and mountings (in sampling rates) and orders.
+_IMPACTS, _SHAPES, _EVERY = 60, 44, 12
+#: Number of impacts whose forces are compared with pulses.
+_COMPARED = 128
+_CHAINS = tuple(
+    zip(np.geomspace(0.2, 0.49, 12).tolist(), np.geomspace(1.6, 0.35, 12).tolist(), 3 * (4, 8, 2, 6), strict=True)
+)
+#: Lowest and highest edge and mounting (in sampling rates) and damping ratio, and deviations of their logarithms.
+_LIMITS, _PRIOR = np.log([[0.12, 0.22, 0.01], [0.495, 3.2, 0.5]]), np.array([0.3, 0.3, 0.3])
+#: A mounting that nobody stated, and one near the band (in sampling rates); damping of the former.
+_STIFF, _SOFT, _DAMPING = 1.6, 0.43, 0.05
+#: Orders that are tried first, and the range of others.
+_ORDERS, _ALL_ORDERS = (4, 8), range(2, 13)
+#: Steps of a first try and of the best, and tries of each; they end where they gain less log-likelihood. Longest step,
+#: and difference quotients in a logarithm.
+_TRIED, _STEPS, _CAUTIOUS, _MIN_GAIN, _LONGEST, _STEP = 5, 12, 6, 0.05, 0.25, 1e-3
+#: Ranges of ln width, shape and onset of a pulse, their longest step, prior mean and deviation of shape and onset.
+_PULSES = np.array([[np.log(25e-6), np.log(0.06), -2.0], [np.log(1.6e-3), 1.2, 9.0]])
+_LONGEST_OF_PULSE, _PULSE_PRIOR = 0.3, np.array([[-0.9, 3.5], [1.5, 3.5]])
+#: Parts of a chain that may be exact.
+PARTS = ("sensor", "filter", "mounting")
+#: A chain is kept where the share of the force outside of the pulse family is below this one, or does not fall to half.
+SOUND, _FALLS_TO = 0.01, 0.5
+
+
+@dataclass(frozen=True)
+class Chain:
+    """A recorder's filter and a sensor's mounting."""
+
+    order: int | None  # of the anti-alias filter; None without one
+    logs: Floats  # (3,), of the edge and of the mounting [Hz], and of its damping ratio
+
+    @classmethod
+    def of(cls, scene: Scene) -> Chain:
+        """Return the chain of a scene; a mounting that it does not state is stiff."""
+        sensor, rate = scene.sensor, scene.sampling.sampling_rate
+        edge = rate if sensor.anti_alias is None else sensor.anti_alias.frequency
+        mounting = (_STIFF * rate, _DAMPING)
+        if sensor.mounting is not None:
+            mounting = (sensor.mounting.frequency, sensor.mounting.damping_ratio)
+        return cls(None if sensor.anti_alias is None else sensor.anti_alias.order, np.log([edge, *mounting]))
+
+    @property
+    def filters(self) -> Any:
+        """The poles [rad/s], as in `Beam.filters`."""
+        edge, mounting, damping = np.exp(self.logs).tolist()
+        poles = [Resonance(frequency=mounting, damping_ratio=damping).poles]
+        return np.concatenate(poles + ([] if self.order is None else [LowPass(frequency=edge, order=self.order).poles]))
+
+    def moved(self, step: Floats) -> Chain:
+        """Return the chain with other logarithms."""
+        return replace(self, logs=self.logs + step)
+
+    def placed(self, scene: Scene) -> Scene:
+        """Return a scene with this chain."""
+        content, (edge, mounting, damping) = json.loads(scene.text), np.exp(self.logs).tolist()
+        content["sensor"]["mounting"] = {"frequency": mounting, "damping_ratio": damping}
+        if self.order is not None:
+            content["sensor"]["anti_alias"] = {"frequency": edge, "order": self.order}
+        return parse_scene(content, source=f"another recorder of {scene.name}", folder=scene.folder)
+
+
+def learn_chain(scene: Scene, beam: Beam, impacts: ImpactFrames, exact: Collection[str]) -> Chain | None:
+    """Return the chain that makes the forces of impacts those of contacts; None if that of the scene does."""
+    stated, rate = Chain.of(scene), scene.sampling.sampling_rate
+    free = np.array(["filter" not in exact and stated.order is not None, *2 * ["mounting" not in exact]])
+    if not free.any():
+        return None
+    impacts = impacts.taken(slice(_IMPACTS))
+    if outside(beam, impacts) < SOUND:
+        return None
+    inversion = Inversion(_with_every_filter(scene, beam))
+    estimate = inversion.invert(impacts.observations(), impacts.start)
+    contact = ContactFit(inversion, beam.filters).fit(estimate)
+    before = float(np.median(contact.outside))
+    pulses = np.column_stack([np.log(contact.width), contact.shape, contact.touch])
+    soft = stated.logs.copy()
+    soft[1] = np.log(_SOFT * rate)
+    starts = [stated.logs, soft] if free[1] else [stated.logs]
+    search = _Search(inversion, estimate, stated.logs, free, _LIMITS + np.log([rate, rate, 1.0]))
+    orders = {stated.order, *_ORDERS} if free[0] else {stated.order}
+    tried = [search.descended(Chain(order, logs), pulses, _TRIED) for logs in starts for order in orders]
+    best = min(tried, key=lambda one: one.cost)
+    known = {one.chain.order for one in tried}
+    while True:
+        best = search.descended(best.chain, best.pulses, _STEPS)
+        others = [] if best.chain.order is None or not free[0] else [best.chain.order + step for step in (-2, -1, 1, 2)]
+        others = [order for order in others if order in _ALL_ORDERS and order not in known]
+        known |= set(others)
+        tried = [search.descended(replace(best.chain, order=order), best.pulses, _TRIED) for order in others]
+        better = min(tried, key=lambda one: one.cost, default=best)
+        if better.cost >= best.cost:
+            break
+        best = better
+    after = float(np.median(ContactFit(inversion, best.chain.filters).fit(estimate).outside))
+    return best.chain if after <= _FALLS_TO * before else None
+
+
+def outside(beam: Beam, impacts: ImpactFrames) -> float:
+    """Return the median share of the recovered forces of some impacts outside of the pulse family."""
+    inversion, impacts = Inversion(beam), impacts.taken(slice(_COMPARED))
+    return float(np.median(ContactFit(inversion).fit(inversion.invert(impacts.observations(), impacts.start)).outside))
+
+
+def _with_every_filter(scene: Scene, beam: Beam) -> Beam:
+    """Return a beam without filters, whose shapes hold those of contact forces behind any filter."""
+    forces, rate = contact_forces(scene)[::_EVERY], beam.sampling_rate
+    chains = (Chain(order, np.log([edge * rate, mounting * rate, _DAMPING])) for edge, mounting, order in _CHAINS)
+    behind = np.concatenate([filtered(replace(beam, filters=chain.filters), forces) for chain in chains])
+    n_points = behind.shape[1]
+    power, shapes = eigh(behind.T @ behind, subset_by_index=(n_points - _SHAPES, n_points - 1))
+    deviations = np.sqrt(power[::-1] / len(behind))
+    return replace(beam, filters=np.empty(0, complex), shapes=shapes.T[::-1].copy(), deviations=deviations)
+
+
+@dataclass(frozen=True, eq=False)
+class _Fitted:
+    """Pulses fitted through a chain: `ways` are those of peak 1 and their slopes, `left` (n,) the chi-square."""
+
+    chain: Chain
+    pulses: Floats  # (n, 3), ln width, shape and onset [samples]
+    peak: Floats
+    ways: Floats  # (n, 4, n_shapes), times the peak
+    left: Floats
+    cost: float
+
+
+class _Search:
+    """Chains and pulses by Gauss-Newton steps; `free` (3,) tells which logarithms move, between `limits` (2, 3)."""
+
+    def __init__(
+        self, inversion: Inversion, estimate: ForceEstimate, stated: Floats, free: Floats, limits: Floats
+    ) -> None:
+        self._inversion, self._estimate, self._stated, self._limits = inversion, estimate, stated, limits
+        self._free, self._n_free = np.flatnonzero(free), max(estimate.vector.shape[1] - 4, 1)
+
+    def descended(self, chain: Chain, pulses: Floats, n_steps: int) -> _Fitted:
+        """Return the best chain near one, of the same order."""
+        now, caution = self._fitted(chain, pulses, 3), 1e-3
+        for _ in range(n_steps):
+            curvature, pull = self._equations(now)
+            for _ in range(_CAUTIOUS):
+                step = np.zeros(3)
+                damped = curvature + caution * np.diag(np.diag(curvature))
+                step[self._free] = np.linalg.solve(damped, pull).clip(-_LONGEST, _LONGEST)
+                logs = np.clip(now.chain.logs + step, *self._limits)
+                other = self._fitted(replace(now.chain, logs=logs), now.pulses, 2)
+                if other.cost < now.cost:
+                    break
+                caution *= 10
+            else:
+                return now
+            gain, now, caution = now.cost - other.cost, other, max(caution / 10, 1e-5)
+            if gain < _MIN_GAIN:
+                break
+        return now
+
+    def _fitted(self, chain: Chain, pulses: Floats, n_steps: int) -> _Fitted:
+        """Return the pulses that fit best through a chain, near some."""
+        fit = ContactFit(self._inversion, chain.filters)
+        peak, ways, left = self._through(fit, pulses)
+        for _ in range(n_steps):
+            curvature, pull = self._of_pulses(ways, peak, pulses)
+            step = np.linalg.solve(curvature, pull[:, :, None])[:, 1:, 0]
+            other = np.clip(pulses + step.clip(-_LONGEST_OF_PULSE, _LONGEST_OF_PULSE), *_PULSES)
+            found = self._through(fit, other)
+            better = found[2] < left
+            pulses = np.where(better[:, None], other, pulses)
+            peak, left = np.where(better, found[0], peak), np.where(better, found[2], left)
+            ways = np.where(better[:, None, None], found[1], ways)
+        # As if deviations of single impacts differed: strong ones, or two at once, do not decide alone.
+        likely = 0.5 * self._n_free * np.log1p(left / self._n_free).sum()
+        away = (chain.logs - self._stated) / _PRIOR
+        return _Fitted(chain, pulses, peak, ways, left, float(likely + 0.5 * away @ away))
+
+    def _through(self, fit: ContactFit, pulses: Floats) -> tuple[Floats, Floats, Floats]:
+        """Return the best peaks of pulses, their coefficients with the slopes, and their chi-square."""
+        estimate = self._estimate
+        own, slopes = fit.exact_coefficients(pulses)
+        power = np.einsum("nk,nkl,nl->n", own, estimate.information, own)
+        peak = np.maximum(np.einsum("nk,nk->n", own, estimate.vector), 1e-12) / np.maximum(power, 1e-30)
+        ways = np.concatenate([own[:, None], slopes], axis=1) * peak[:, None, None]
+        spacing = estimate.coefficients - ways[:, 0]
+        return peak, ways, np.einsum("nk,nkl,nl->n", spacing, estimate.information, spacing)
+
+    def _of_pulses(self, ways: Floats, peak: Floats, pulses: Floats) -> tuple[Floats, Floats]:
+        """Return the curvature of each impact in its pulse, with the prior, and the gradient."""
+        estimate, (mean, deviation) = self._estimate, _PULSE_PRIOR
+        left = estimate.vector - np.einsum("nkl,nl->nk", estimate.information, ways[:, 0])
+        curvature = ways @ estimate.information @ ways.transpose(0, 2, 1)
+        pull = np.einsum("nik,nk->ni", ways, left)
+        curvature[:, [2, 3], [2, 3]] += deviation**-2
+        curvature[:, range(4), range(4)] *= 1 + 1e-6
+        pull[:, 2:] -= (pulses[:, 1:] - mean) / deviation**2
+        return curvature, pull
+
+    def _equations(self, now: _Fitted) -> tuple[Floats, Floats]:
+        """Return curvature and gradient in the free logarithms, with the pulses projected out."""
+        estimate = self._estimate
+        slopes = np.stack(list(self._slopes(now)), axis=1)
+        curvature, pull = self._of_pulses(now.ways, now.peak, now.pulses)
+        left = estimate.vector - np.einsum("nkl,nl->nk", estimate.information, now.ways[:, 0])
+        informed = slopes @ estimate.information
+        cross = now.ways @ informed.transpose(0, 2, 1)
+        through = np.linalg.solve(curvature, np.concatenate([cross, pull[:, :, None]], axis=2))
+        back = cross.transpose(0, 2, 1) @ through
+        weight = 1 / (1 + now.left / self._n_free)
+        whole = np.einsum("n,nij->ij", weight, informed @ slopes.transpose(0, 2, 1) - back[:, :, :-1])
+        gradient = weight @ (np.einsum("nik,nk->ni", slopes, left) - back[:, :, -1])
+        prior = _PRIOR[self._free] ** -2
+        return whole + np.diag(prior), gradient - (now.chain.logs - self._stated)[self._free] * prior
+
+    def _slopes(self, now: _Fitted) -> Iterator[Floats]:
+        """Yield the slopes of the coefficients in each free logarithm, (n, n_shapes)."""
+        for number in self._free:
+            step = np.zeros(3)
+            step[number] = _STEP
+            above, below = (
+                ContactFit(self._inversion, now.chain.moved(sign * step).filters).exact_coefficients(now.pulses)[0]
+                for sign in (1, -1)
+            )
+            yield (above - below) / (2 * _STEP) * now.peak[:, None]
