@@ -92,18 +92,35 @@ def _compiled(function: Function, options: dict[str, Any]) -> Function:
     return result
 
 
-_NUMBERS, _NUMBER = numba.types.Array(numba.types.float64, 1, "C"), numba.types.float64
+#: The types of arrays of one and two axes.
+FLOATS, ROWS = (numba.types.Array(numba.types.float64, n_axes, "C") for n_axes in (1, 2))
+_NUMBER = numba.types.float64
 #: The signatures of force, corner and turn of a contact law.
 VERBS = (
-    numba.types.UniTuple(_NUMBER, 2)(_NUMBERS, _NUMBERS, _NUMBER),
-    _NUMBER(_NUMBERS, _NUMBERS),
-    _NUMBER(_NUMBERS, _NUMBERS, _NUMBER),
+    numba.types.UniTuple(_NUMBER, 2)(FLOATS, FLOATS, _NUMBER),
+    _NUMBER(FLOATS, FLOATS),
+    _NUMBER(FLOATS, FLOATS, _NUMBER),
 )
+#: The types of these functions where they are arguments.
+LAW = tuple(map(numba.types.FunctionType, VERBS))
+
+
+def by_address(signature: Any) -> Callable[[Function], Function]:
+    """Return the decorator of a function that kernels get as an argument: it is compiled once, not in each of them."""
+
+    def decorated(function: Function) -> Function:
+        dispatcher: Any = jit(function)
+        dispatcher.by_address = numba.types.FunctionType(signature)
+        result: Function = dispatcher
+        return result
+
+    return decorated
 
 
 def with_law(kernel: Any, *arguments: Any) -> None:
     """Call a kernel whose first arguments are the addresses of a law's functions; it is compiled once for all laws."""
-    types = (*map(numba.types.FunctionType, VERBS), *map(numba.typeof, arguments[len(VERBS) :]))
+    others = (getattr(one, "by_address", None) or numba.typeof(one) for one in arguments[len(LAW) :])
+    types = (*LAW, *others)
     if types not in kernel.overloads:
         kernel.compile(types)
     kernel.overloads[types].entry_point(*arguments)

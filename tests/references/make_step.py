@@ -40,12 +40,12 @@ STAGE_SOURCE = """
     w{i} = w + h * ({w})
     y{i} = y + h * ({y})
     v = 0.0
-    if cells is not None:
-        v = velocity(cells, {i}, tau + h * ({t}), h)
+    if modal:
+        v = velocity(cells, _STAGE[{i}], tau + h * ({t}), h)
     g, c = force(p, history, w{i})
     f = (g + c * (y{i} - v)) / (1.0 + inelasticity * c)
     u = y{i} - v - inelasticity * f
-    if cells is not None:
+    if modal:
         cells[STAGE + {i}, IMPULSE], cells[STAGE + {i}, RATE] = w{i} * f, u
     dw{i} = 0.5 * u
     dy{i} = w{i} * (weight - f)
@@ -63,18 +63,21 @@ from __future__ import annotations
 import math
 from typing import Any
 
+import numpy as np
 from numpy.typing import NDArray
 
 from cgid._lib.compiled import bare_jit
 from cgid.physics.contact._modes import IMPULSE, RATE, STAGE, velocity
 
 Array = NDArray[Any]
+#: Stages that are no integers of Python, each of which would compile `velocity` anew.
+_STAGE = np.arange({LAST})
 
 
 @bare_jit
 def step(
-    force: Any, p: Array, history: Array, inelasticity: float, weight: float, cells: Any, h: float, w: float, y: float,
-    tau: float, u: float, f: float, top: float, peak: float, tolerance: float, row: Array
+    force: Any, p: Array, history: Array, inelasticity: float, weight: float, modal: bool, cells: Array, h: float,
+    w: float, y: float, tau: float, u: float, f: float, top: float, peak: float, tolerance: float, row: Array
 ) -> tuple[float, ...]:
     """Return the error over the permitted one, w, y, tau, x', g, c and f at the end; a good step fills its row."""
     w0, dw0, dy0 = w, 0.5 * u, w * (weight - f)

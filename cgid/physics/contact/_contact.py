@@ -24,21 +24,25 @@ import math
 from typing import Any
 
 import numpy as np
+from numba import boolean, float64, int64
 from numpy.typing import NDArray
 
-from cgid._lib.compiled import bare_jit, inner_jit, jit
+from cgid._lib.compiled import FLOATS, LAW, ROWS, bare_jit, by_address, inner_jit, jit
 from cgid.physics.contact._dop853 import COLUMNS, HISTORY, LAST, TAU, W, Y
 from cgid.physics.contact._modes import (
     IMPULSE,
     LONGEST,
     RATE,
     STAGE,
+    STRUCTURE,
     THROUGH,
     WITHIN,
+    Structure,
     advance,
     dot,
     known,
     remember,
+    structure,
     sway,
     velocity,
     width_of,
@@ -52,7 +56,7 @@ MAX_STEPS = 4096
 #: Outcomes of an impact. The last three are the fault of its law: a number that is not finite, a force that attracts
 #: where it may not, a turn that moves the sphere.
 SEPARATED, STAYS, OUT_OF_REACH, NOT_FINITE, ATTRACTS, TORN = 0, 1, 2, 3, 4, 5
-DISPLACEMENT, FORCE = 0, 1
+DISPLACEMENT, FORCE = np.arange(2)
 #: Columns of `summaries`.
 RESULTS = (
     "status",
@@ -87,7 +91,9 @@ _ROUNDING = 1e-9
 _NOTHING = 1e-16
 #: Slowest rebound that can be told from rounding, of a sphere that is released by the force.
 _MIN_REBOUND = 1e-12
-_NO_EVENT, _END, _RELEASE, _TURN, _CORNER = 0, 1, 2, 3, 4
+#: Arguments of kernels are numbers of numpy: numba compiles a function anew for each Python integer that it is given.
+_FIRST, _NO_MODES = np.int64(0), np.int64(0)
+_NO_EVENT, _END, _RELEASE, _TURN, _CORNER = np.arange(5)
 #: Gauss-Lobatto nodes on [0, 1] and their weights.
 _INNER, _OUTER = (math.sqrt((7 - sign * 2 * math.sqrt(7)) / 21) / 2 for sign in (1, -1))
 _NODES = np.array([0.0, 0.5 - _OUTER, 0.5 - _INNER, 0.5 + _INNER, 0.5 + _OUTER, 1.0])
@@ -130,12 +136,12 @@ def value(row: Array, first: int, s: float) -> float:
 
 @bare_jit
 def state_at(
-    force: Any, p: Array, history: Array, inelasticity: float, cells: Any, row: Array, s: float
+    force: Any, p: Array, history: Array, inelasticity: float, modal: bool, row: Array, s: float
 ) -> tuple[float, float, float]:
-    """Return w, x' and the force at the share s of a step."""
+    """Return w, x' and the force at the share s of a step; whether it is one on modes."""
     w = value(row, W, s)
     g, c = force(p, history, w)
-    if cells is not None:
+    if modal:
         u = 0.0
         for k in range(7, -1, -1):
             u = u * s + row[Y + k]
@@ -146,7 +152,7 @@ def state_at(
 
 
 @inner_jit
-def _refine(cells: Any, row: Array, first: float, last: float) -> None:
+def _refine(cells: Array, row: Array, first: float, last: float) -> None:
     """Replace the dense output of y by that of x', a polynomial: the slope of w is of a lower order."""
     u = np.empty(WITHIN.size)
     u[0], u[-1] = first, last
@@ -163,7 +169,7 @@ def _watched(
     p: Array,
     history: Array,
     inelasticity: float,
-    cells: Any,
+    modal: bool,
     row: Array,
     s: float,
     corner: float,
@@ -176,7 +182,7 @@ def _watched(
     if event == _CORNER:
         left: float = corner - history[0] - w * w
         return left
-    w, u, f = state_at(force, p, history, inelasticity, cells, row, s)
+    w, u, f = state_at(force, p, history, inelasticity, modal, row, s)
     push: float = u if event == _TURN else min(w, f - least)
     return push
 
@@ -188,7 +194,7 @@ def _place(
     p: Array,
     history: Array,
     inelasticity: float,
-    cells: Any,
+    modal: bool,
     row: Array,
     low: float,
     high: float,
@@ -196,13 +202,13 @@ def _place(
     least: float,
 ) -> float:
     """Return the share of a step, within bounds, at which an event falls: regula falsi (Illinois), or bisection."""
-    before = _watched(event, force, p, history, inelasticity, cells, row, low, corner, least)
-    after, side = _watched(event, force, p, history, inelasticity, cells, row, high, corner, least), 0
+    before = _watched(event, force, p, history, inelasticity, modal, row, low, corner, least)
+    after, side = _watched(event, force, p, history, inelasticity, modal, row, high, corner, least), 0
     for k in range(100):
         middle = 0.5 * (low + high)
         if before > 0.0 > after and k % 4 != 3:
             middle = low + (high - low) * before / (before - after)
-        now = _watched(event, force, p, history, inelasticity, cells, row, middle, corner, least)
+        now = _watched(event, force, p, history, inelasticity, modal, row, middle, corner, least)
         if abs(now) < 1e-18 or high - low < 1e-14:
             return middle
         if now > 0.0:
@@ -267,13 +273,15 @@ def _is_free(force: Any, p: Array, history: Array, w: float, y: float, negligibl
 
 
 @bare_jit
-def _rests(force: Any, p: Array, history: Array, weight: float, modes: Any, w: float, u: float, f: float) -> bool:
+def _rests(force: Any, p: Array, history: Array, weight: float, modes: Structure, w: float, u: float, f: float) -> bool:
     """Return whether neither contact nor modes swing so far that a sphere leaves which its weight holds."""
     swing = abs(f - weight) + math.sqrt(max(_stiffness(force, p, history, w), 0.0)) * abs(u) if w > 0.0 else weight
     return bool(swing < 0.5 * weight and swing + sway(modes, weight) < 0.5 * weight)
 
 
-@inner_jit
+@by_address(
+    int64(*LAW, int64, FLOATS, float64, float64, float64, boolean, STRUCTURE, FLOATS, FLOATS, ROWS, int64, FLOATS)
+)
 def integrate(
     force: Any,
     corner_of: Any,
@@ -283,8 +291,8 @@ def integrate(
     inelasticity: float,
     weight: float,
     tolerance: float,
-    modes: Any,
-    cells: Any,
+    modal: bool,
+    modes: Structure,
     history: Array,
     state: Array,
     steps: Array,
@@ -293,10 +301,12 @@ def integrate(
 ) -> int:
     """Fill the steps (n, `COLUMNS`) of one contact from the nth on, and its results; return how many are filled.
 
-    The contact begins at the state w, y and tau, which becomes that at its end.
+    The contact begins at the state w, y and tau, which becomes that at its end. Unless it is one on modes, those
+    only lend their space.
     """
+    cells = modes.cells
     hysteretic, pulls = flags & HYSTERETIC != 0, flags & PULLS != 0
-    releases = pulls or modes is not None
+    releases = pulls or modal
     permitted = _SHARE * tolerance
     w, y, tau = state
     top, peak, compressing, begin = 0.0, 0.0, True, tau
@@ -306,10 +316,10 @@ def integrate(
     if weight > 1.0:
         # The fall into the contact outweighs the energy of the impact, from which the rebound is what remains.
         permitted = max(permitted * math.pow(weight, -5.0 / 3.0), _FINEST)
-    if modes is not None:
+    if modal:
         # More than one event may fall in a step.
         permitted = max(permitted * math.pow(min(tolerance / _LOOSE, 1.0), 1.25), _LEAST)
-        v, cuts, longest = velocity(cells, 0, tau, 0.0), 8, LONGEST * width_of(cells)
+        v, cuts, longest = velocity(cells, _FIRST, tau, 0.0), 8, LONGEST * width_of(cells)
     g, c = force(p, history, w)
     f = (g + c * (y - v)) / (1.0 + inelasticity * c)
     u = y - v - inelasticity * f
@@ -320,7 +330,7 @@ def integrate(
         attempts += 1
         if attempts > 3 * steps.shape[0]:
             return 0
-        if modes is not None:
+        if modal:
             cells[STAGE, IMPULSE], cells[STAGE, RATE] = w * f, u
             while h * (w + 0.25 * h * u) > longest:
                 h *= 0.8
@@ -330,7 +340,7 @@ def integrate(
                     result[0] = STAYS
                     return 0
         error, w1, y1, tau1, u1, g1, c1, f1 = step(
-            force, p, history, inelasticity, weight, cells, h, w, y, tau, u, f, top, peak, permitted, row
+            force, p, history, inelasticity, weight, modal, cells, h, w, y, tau, u, f, top, peak, permitted, row
         )
         if not error <= 1.0 or tau1 - tau > longest:
             h *= max(0.2, min(0.8, 0.9 * math.pow(max(error, 1e-30), -0.125))) if error < 1e300 else 0.2
@@ -339,29 +349,29 @@ def integrate(
                 return 0
             continue
         following = h * min(2.0, 0.9 * math.pow(max(error, 1e-30), -0.125))
-        if modes is not None:
+        if modal:
             _refine(cells, row, u, u1)
         event, share, low = _NO_EVENT, 1.0, 0.0
         for cut in range(1, cuts + 1):
             share, w2, u2, f2 = cut / cuts, w1, u1, f1
-            if modes is not None:
-                w2, u2, f2 = state_at(force, p, history, inelasticity, cells, row, share)
+            if modal:
+                w2, u2, f2 = state_at(force, p, history, inelasticity, modal, row, share)
                 # The structure may run from the sphere faster than the material recovers; rounding is no attraction.
                 least = 0.0 if pulls else -permitted * peak
                 compressing = compressing or u2 > 0.0
             if not (w2 > 0.0 and (f2 > least or not releases)):
                 event = _RELEASE if releases else _END
-                share = _place(event, force, p, history, inelasticity, cells, row, low, share, corner, least)
+                share = _place(event, force, p, history, inelasticity, modal, row, low, share, corner, least)
             ending, until = event, share
             if compressing and u2 <= 0.0:
-                at = _place(_TURN, force, p, history, inelasticity, cells, row, low, share, corner, least)
+                at = _place(_TURN, force, p, history, inelasticity, modal, row, low, share, corner, least)
                 if at < share or event == _NO_EVENT:
                     event, share = _TURN, at
             if corner < math.inf and compressing:
                 deepest = value(row, W, share)
                 if corner <= history[0] + deepest * deepest:
                     event = _CORNER
-                    share = _place(event, force, p, history, inelasticity, cells, row, low, share, corner, least)
+                    share = _place(event, force, p, history, inelasticity, modal, row, low, share, corner, least)
             if event == _TURN:
                 deepest = value(row, W, share)
                 depth = history[0] + deepest * deepest
@@ -375,21 +385,37 @@ def integrate(
             low = cut / cuts
         if share < 1.0:
             error, w1, y1, tau1, u1, g1, c1, f1 = step(
-                force, p, history, inelasticity, weight, cells, share * h, w, y, tau, u, f, top, peak, math.inf, row
+                force,
+                p,
+                history,
+                inelasticity,
+                weight,
+                modal,
+                cells,
+                share * h,
+                w,
+                y,
+                tau,
+                u,
+                f,
+                top,
+                peak,
+                math.inf,
+                row,
             )
             following = min(following, h)
-            if modes is not None:
+            if modal:
                 _refine(cells, row, u, u1)
-        if modes is not None:
+        if modal:
             remember(modes, row[0])
         n += 1
         w, y, tau, u, g, c, f = w1, y1, tau1, u1, g1, c1, f1
         top, peak = max(top, abs(w)), max(peak, f)
-        if modes is None and (event == _RELEASE and compressing if pulls else f < -_ATTRACTION * tolerance * peak):
+        if not modal and (event == _RELEASE and compressing if pulls else f < -_ATTRACTION * tolerance * peak):
             result[0] = ATTRACTS
             return 0
         if event in (_END, _RELEASE):
-            if modes is None and pulls and y > -_MIN_REBOUND:
+            if not modal and pulls and y > -_MIN_REBOUND:
                 return 0
             result[0], result[1], result[2] = SEPARATED, -y, tau
             state[0], state[1], state[2] = w if releases and w > 1e-9 * top else 0.0, y, tau
@@ -411,7 +437,7 @@ def integrate(
                 # At rest, on a scale of its own.
                 jumps = inelasticity > 0.0 and abs(g - f) > _JUMP * tolerance * peak
                 f, top = g, w
-                if modes is None and not jumps:
+                if not modal and not jumps:
                     y = inelasticity * f
                 following = min(1.0 / math.sqrt(max(f, 1e-300)), h)
             f = (g + c * (y - v)) / (1.0 + inelasticity * c)
@@ -419,15 +445,15 @@ def integrate(
             if event == _TURN and jumps:
                 compressing = u > 0.0  # the plate springs back, or gives way
             corner = corner_of(p, history)
-        if weight > 0.0 and modes is None:
+        if weight > 0.0 and not modal:
             at_rest = (u > 0.0 and not compressing) or abs(u) < 1e-13
             creeps = abs(f - weight) < 1e-3 * weight and _creeps(force, p, history, weight, w)
             if event == _NO_EVENT and (at_rest or creeps):
                 result[0], result[1] = STAYS, 0.0
                 return n
-        elif modes is None and inelasticity > 0.0 and abs(y) + f < _NOTHING:
+        elif not modal and inelasticity > 0.0 and abs(y) + f < _NOTHING:
             return 0  # it comes to rest in a plate
-        elif modes is None and not (compressing or pulls) and n < steps.shape[0] and g + c * y < _FREE * permitted * g:
+        elif not modal and not (compressing or pulls) and n < steps.shape[0] and g + c * y < _FREE * permitted * g:
             free = -g / c if g > 0.0 and c > 0.0 else 0.0  # what y tends to
             if free < 0.0 and _is_free(force, p, history, w, free, permitted * peak):
                 _fly(steps[n], history, w, free, tau)
@@ -454,6 +480,7 @@ def summaries(
     force: Any,
     corner_of: Any,
     turn: Any,
+    integrate: Any,
     flags: int,
     numbers: Array,
     inelasticity: Array,
@@ -463,12 +490,12 @@ def summaries(
     rows: Array,
 ) -> None:
     """Fill some rows of out (n, len(`RESULTS`)). Where there is no rebound the restitution is 0."""
-    steps = np.empty((MAX_STEPS, COLUMNS))
+    steps, lent = np.empty((MAX_STEPS, COLUMNS)), structure(_NO_MODES)
     for i in rows:
         p, yields = numbers[i], inelasticity[i]
-        n = _follow(force, corner_of, turn, flags, p, yields, weight[i], tolerance, steps, out[i])
+        n = _follow(force, corner_of, turn, integrate, flags, p, yields, weight[i], tolerance, lent, steps, out[i])
         if n > 0:
-            squared, least = find_peak(force, p, yields, None, steps[:n], out[i])
+            squared, least = find_peak(force, p, yields, False, steps[:n], out[i])
             out[i, 8] = yields * squared
             if least < -_ATTRACTION * tolerance * out[i, 3]:
                 out[i, 0] = ATTRACTS
@@ -479,11 +506,13 @@ def _follow(
     force: Any,
     corner_of: Any,
     turn: Any,
+    integrate: Any,
     flags: int,
     p: Array,
     inelasticity: float,
     weight: float,
     tolerance: float,
+    lent: Structure,
     steps: Array,
     result: Array,
 ) -> int:
@@ -492,14 +521,14 @@ def _follow(
     history, state = np.zeros(4), np.zeros(3)
     state[1] = 1.0
     n: int = integrate(
-        force, corner_of, turn, flags, p, inelasticity, weight, tolerance, None, None, history, state, steps, 0, result
+        force, corner_of, turn, flags, p, inelasticity, weight, tolerance, False, lent, history, state, steps, 0, result
     )
     return n if result[0] == SEPARATED else 0
 
 
 @bare_jit
 def find_peak(
-    force: Any, p: Array, inelasticity: float, cells: Any, steps: Array, result: Array
+    force: Any, p: Array, inelasticity: float, modal: bool, steps: Array, result: Array
 ) -> tuple[float, float]:
     """Find the peak force and its time, where it is above that of the result.
 
@@ -510,7 +539,7 @@ def find_peak(
     for k in range(n):
         row, energy = steps[k], 0.0
         for node in range(_NODES.size):
-            w, _, f = state_at(force, p, row[HISTORY : HISTORY + 4], inelasticity, cells, row, _NODES[node])
+            w, _, f = state_at(force, p, row[HISTORY : HISTORY + 4], inelasticity, modal, row, _NODES[node])
             energy += _WEIGHTS[node] * w * f * f
             lowest = min(lowest, f)
             if f > result[3]:
@@ -526,21 +555,21 @@ def find_peak(
         for _ in range(20):
             first, second = low + 0.3819660112501051 * (high - low), low + 0.6180339887498949 * (high - low)
             if (
-                state_at(force, p, history, inelasticity, cells, row, first)[2]
-                < state_at(force, p, history, inelasticity, cells, row, second)[2]
+                state_at(force, p, history, inelasticity, modal, row, first)[2]
+                < state_at(force, p, history, inelasticity, modal, row, second)[2]
             ):
                 low = first
             else:
                 high = second
         middle = 0.5 * (low + high)
-        f0 = state_at(force, p, history, inelasticity, cells, row, low)[2]
-        f1 = state_at(force, p, history, inelasticity, cells, row, middle)[2]
-        f2 = state_at(force, p, history, inelasticity, cells, row, high)[2]
+        f0 = state_at(force, p, history, inelasticity, modal, row, low)[2]
+        f1 = state_at(force, p, history, inelasticity, modal, row, middle)[2]
+        f2 = state_at(force, p, history, inelasticity, modal, row, high)[2]
         bend = f0 - 2.0 * f1 + f2
         if bend < 0.0:
             middle = min(max(middle + 0.25 * (high - low) * (f0 - f2) / bend, low), high)
         for s in (middle, 0.0, 1.0):
-            f = state_at(force, p, history, inelasticity, cells, row, s)[2]
+            f = state_at(force, p, history, inelasticity, modal, row, s)[2]
             if f >= result[3]:
                 result[3], result[4] = f, value(row, TAU, s)
     return total, lowest
@@ -584,8 +613,8 @@ def _march(steps: Array, n: int, s: float, tau: float) -> tuple[int, float]:
 
 
 @bare_jit
-def _quantity(force: Any, p: Array, inelasticity: float, cells: Any, row: Array, s: float, quantity: int) -> float:
-    w, _, f = state_at(force, p, row[HISTORY : HISTORY + 4], inelasticity, cells, row, s)
+def _quantity(force: Any, p: Array, inelasticity: float, modal: bool, row: Array, s: float, quantity: int) -> float:
+    w, _, f = state_at(force, p, row[HISTORY : HISTORY + 4], inelasticity, modal, row, s)
     return row[HISTORY] + w * w if quantity == DISPLACEMENT else max(f, 0.0)
 
 
@@ -594,14 +623,15 @@ def at_times(
     force: Any,
     corner_of: Any,
     turn: Any,
+    integrate: Any,
     flags: int,
     numbers: Array,
     inelasticity: Array,
     weight: Array,
     tolerance: float,
-    solved: Any,
-    begin: Any,
-    end: Any,
+    solved: Array,
+    begin: Array,
+    end: Array,
     times: Array,
     time_scale: Array,
     amplitude: Array,
@@ -611,16 +641,22 @@ def at_times(
 ) -> None:
     """Fill some rows of out (n, k) at times (n, k) [s] with `DISPLACEMENT` or `FORCE`, zero outside contact.
 
-    Impacts on modes are solved before: the steps of row i are those from begin[i] to end[i].
+    Impacts on modes are solved before: the steps of row i are those from begin[i] to end[i]; without these there are
+    none.
     """
-    room, result = np.empty((MAX_STEPS, COLUMNS)), np.empty(len(RESULTS))
+    room, result, lent, modal = (
+        np.empty((MAX_STEPS, COLUMNS)),
+        np.empty(len(RESULTS)),
+        structure(_NO_MODES),
+        begin.size > 0,
+    )
     for i in rows:
         p, yields, steps = numbers[i], inelasticity[i], room
-        if solved is None:
-            n = _follow(force, corner_of, turn, flags, p, yields, weight[i], tolerance, room, result)
-            steps = room[:n]
-        else:
+        if modal:
             steps = solved[begin[i] : end[i]]
+        else:
+            n = _follow(force, corner_of, turn, integrate, flags, p, yields, weight[i], tolerance, lent, room, result)
+            steps = room[:n]
         last = _end(steps)
         n, s = 0, 0.0
         for k in range(times.shape[1]):
@@ -629,7 +665,7 @@ def at_times(
             if 0.0 < tau < last:
                 n, s = _march(steps, n, s, tau)
                 if s >= 0.0:
-                    out[i, k] = amplitude[i] * _quantity(force, p, yields, solved, steps[n], s, quantity)
+                    out[i, k] = amplitude[i] * _quantity(force, p, yields, modal, steps[n], s, quantity)
 
 
 @jit
@@ -637,14 +673,15 @@ def add_to_frames(
     force: Any,
     corner_of: Any,
     turn: Any,
+    integrate: Any,
     flags: int,
     numbers: Array,
     inelasticity: Array,
     weight: Array,
     tolerance: float,
-    solved: Any,
-    begin: Any,
-    end: Any,
+    solved: Array,
+    begin: Array,
+    end: Array,
     frames: Array,
     onset: Array,
     step: Array,
@@ -655,14 +692,19 @@ def add_to_frames(
 
     onset [samples] is where the onset falls on the sample grid, step is the sampling interval over T0.
     """
-    room, result = np.empty((MAX_STEPS, COLUMNS)), np.empty(len(RESULTS))
+    room, result, lent, modal = (
+        np.empty((MAX_STEPS, COLUMNS)),
+        np.empty(len(RESULTS)),
+        structure(_NO_MODES),
+        begin.size > 0,
+    )
     for i in rows:
         p, yields, steps = numbers[i], inelasticity[i], room
-        if solved is None:
-            n = _follow(force, corner_of, turn, flags, p, yields, weight[i], tolerance, room, result)
-            steps = room[:n]
-        else:
+        if modal:
             steps = solved[begin[i] : end[i]]
+        else:
+            n = _follow(force, corner_of, turn, integrate, flags, p, yields, weight[i], tolerance, lent, room, result)
+            steps = room[:n]
         last, n_samples = _end(steps), float(frames.shape[1])
         here = int(min(max(math.floor(onset[i]) + 1.0, 0.0), n_samples))
         stop = int(min(max(math.ceil(onset[i] + last / step[i]) + 1.0, 0.0), n_samples))
@@ -672,4 +714,4 @@ def add_to_frames(
             if 0.0 < tau < last:
                 n, s = _march(steps, n, s, tau)
                 if s >= 0.0:
-                    frames[i, k] += amplitude[i] * _quantity(force, p, yields, solved, steps[n], s, FORCE)
+                    frames[i, k] += amplitude[i] * _quantity(force, p, yields, modal, steps[n], s, FORCE)

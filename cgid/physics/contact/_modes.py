@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 from typing import Any, NamedTuple
 
+import numba
 import numpy as np
 from numpy.typing import NDArray
 
@@ -130,6 +131,10 @@ def structure(n_modes: int) -> Structure:
     return Structure(
         numbers[0], numbers[1], numbers[2], turns, amplitude, grids[0], grids[1], level, grids[2], cells, np.zeros(3)
     )
+
+
+#: The type of a structure, for functions that are called by their address.
+STRUCTURE = numba.typeof(structure.py_func(1))
 
 
 @inner_jit

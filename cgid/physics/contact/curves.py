@@ -45,6 +45,7 @@ FEW_SAMPLES = 4096
 #: No time is measured: which code runs does not depend on how busy a machine is.
 _FEW_IMPACTS, _MAX_INTERPRETED, _SAMPLES_OF_IMPACT = 4, 8 * FEW_SAMPLES, 128
 _interpreted_samples = 0
+_NO_STEPS, _NO_ROWS = np.empty((0, 0)), np.empty(0, np.intp)
 #: Minimum number of rows per thread, and maximum number of rows per call, so that Python can react to an interruption.
 _MIN_ROWS, _MAX_ROWS = 200, 1024
 
@@ -130,8 +131,8 @@ class Curves:
 
     @property
     def _solved(self) -> tuple[Any, ...]:
-        """The steps of the impacts, and where those of each begin and end; None where they are integrated again."""
-        return None, None, None
+        """The steps of the impacts, and where those of each begin and end; none where they are integrated again."""
+        return _NO_STEPS, _NO_ROWS, _NO_ROWS
 
     @cached_property
     def plain(self) -> NDArray[np.bool_]:
@@ -206,11 +207,12 @@ class Curves:
 
         run, flags = kernel(module or _contact, name, n_impacts, n_samples), _contact.flags_of(self.law)
         if not hasattr(run, "py_func"):
-            run = partial(run, *verbs_of(self.law, compiled=False), flags)
+            own = verbs_of(self.law, compiled=False)
+            run = partial(run, *own, _interpreted(_contact)["integrate"], flags)
         else:
             from cgid._lib.compiled import with_law
 
-            run = partial(with_law, run, *verbs_of(self.law, compiled=True), flags)
+            run = partial(with_law, run, *verbs_of(self.law, compiled=True), _contact.integrate, flags)
         return run if is_builtin(self.law) else partial(_run_own_law, self.law, run)
 
     def _problem(self, rows: NDArray[np.intp], tolerance: float) -> tuple[Any, ...]:

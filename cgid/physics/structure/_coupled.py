@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from cgid._lib.compiled import inner_jit, jit
 from cgid.physics.contact import _contact, _dop853
-from cgid.physics.contact._contact import OUT_OF_REACH, SEPARATED, find_peak, integrate
+from cgid.physics.contact._contact import OUT_OF_REACH, SEPARATED, find_peak
 from cgid.physics.contact._modes import (
     CELLS,
     Structure,
@@ -36,7 +36,7 @@ COLUMNS = _dop853.COLUMNS
 #: Columns of the results, in units of L, T0, v, m and K L^(3/2); the contact time is that of the first contact.
 RESULTS = (*_contact.RESULTS, "contacts", "end", "impulse", "material_loss", "modal_energy", "end_level")
 #: What ends a flight: nothing, an onset, or the material catches up with a sphere that was released.
-_NEVER, _TOUCH, _CAUGHT_UP, _CREST = 0, 1, 2, 3
+_NEVER, _TOUCH, _CAUGHT_UP, _CREST = np.arange(4)
 
 
 @inner_jit
@@ -126,6 +126,7 @@ def _follow(
     force: Any,
     corner_of: Any,
     turn: Any,
+    integrate: Any,
     flags: int,
     p: Array,
     weight: float,
@@ -142,11 +143,11 @@ def _follow(
     while contacts <= MAX_CONTACTS:
         first = n
         n = integrate(
-            force, corner_of, turn, flags, p, 0.0, weight, tolerance, m, m.cells, history, state, steps, n, result
+            force, corner_of, turn, flags, p, 0.0, weight, tolerance, True, m, history, state, steps, n, result
         )
         if result[0] != SEPARATED:
             return n
-        find_peak(force, p, 0.0, m.cells, steps[first:n], result)
+        find_peak(force, p, 0.0, True, steps[first:n], result)
         advance(m, state[2])
         lasts = state[2] if contacts == 1 else lasts
         result[2], result[8], result[9], result[10] = lasts, m.totals[1], contacts, state[2]
@@ -165,6 +166,7 @@ def follow(
     force: Any,
     corner_of: Any,
     turn: Any,
+    integrate: Any,
     flags: int,
     numbers: Array,
     decay: Array,
@@ -200,7 +202,7 @@ def follow(
             m.share[r], m.angular[r] = participation[row, r] * mass, angular[r] * unit
         settle(m, width / unit)
         here += _follow(
-            force, corner_of, turn, flags, numbers[row], weight, window, tolerance, m, steps[here : here + MAX_STEPS],
+            force, corner_of, turn, integrate, flags, numbers[row], weight, window, tolerance, m, steps[here : here + MAX_STEPS],
             results[row],
         )  # fmt: skip
         first_step[i + 1] = here
