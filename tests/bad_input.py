@@ -708,6 +708,10 @@ _COMMANDS = r"""
 2 | monitor - --coal-until 3kg | --coal-until
 65 | predict good.csv --cycle-pause 60 | --coal-until
 65 | monitor - --coal-until 30s --cycle-pause 0 | --cycle-pause
+2 | monitor - --cycle-by stdin | --coal-until
+2 | monitor - --coal-until 30s --cycle-by stdin | --cycle-by
+2 | monitor - --coal-until 30s --cycle-by mqtt | --mqtt
+2 | monitor - --coal-until 30s --cycle-by smoke | --cycle-by
 65 | predict good.csv --trained-seam --coal-until 3 | trained_seam
 65 | monitor - --give-up 0 | --give-up
 65 | predict good.csv --give-up nan | --give-up

@@ -1,6 +1,10 @@
 """The fraction of gangue from the coal of a seam: summaries, networks in a model file, anchors and cycles."""
 
 import json
+import os
+import re
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -171,6 +175,18 @@ def test_a_pause_begins_another_cycle() -> None:
     assert (len(anchor.impacts.logits), anchor.until) == (1, 160.0)
 
 
+def test_a_cycle_may_begin_when_it_is_said() -> None:
+    anchor = Anchor(10.0)
+    for time in range(12):
+        anchor.add(float(time), 0.1, None)
+    anchor.begin_at(20.0)
+    assert (anchor.basis(19.0), anchor.basis(21.0), anchor.until) == (Basis.ANCHOR, Basis.PENDING, 30.0)
+    anchor.begin_at(40.0)
+    anchor.add(35.0, 0.1, None)
+    anchor.add(41.0, 0.1, None)
+    assert (len(anchor.impacts.logits), anchor.until) == (1, 50.0)
+
+
 # -- at the command line ----------------------------------------------------------------------------------
 
 
@@ -215,6 +231,41 @@ def test_records_say_what_the_fraction_rests_on(command: str, folder: Path, caps
         assert {line["basis"] for line in shares if line["impacts"]} == expected, options
         if "anchor" in expected:
             assert all((line["basis"] == "anchor") == (line["time_s"] >= 1) for line in shares)
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="named pipes are POSIX")
+def test_a_line_on_stdin_begins_another_cycle(folder: Path, tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    raw = (folder / "stream.raw").read_bytes()
+    half = round(1.6 * 200_000) * 4
+    how = ["--rate", "200000", "--channels", "1", "--sample-format", "f32le", "--unit", "N"]
+    how += ["--json", "--window", "0.5"]
+    coal = ["--model", str(folder / "any.npz"), "--coal-until", "1", "--cycle-by", "stdin"]
+    pipes = dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.PIPE)
+    command = [sys.executable, "-m", "cgid", "monitor", str(tmp_path / "pipe"), *how, *coal]
+    with subprocess.Popen(command, text=True, **pipes) as process:
+        assert process.stdin and process.stdout and process.stderr
+        with (tmp_path / "pipe").open("wb") as pipe:
+            pipe.write(raw[:half])
+            pipe.flush()
+            lines = []
+            while not lines or lines[-1].get("to_s", 0.0) < 1.3:
+                lines.append(json.loads(process.stdout.readline()))
+            process.stdin.write("2\n\n")
+            process.stdin.flush()
+            told = [process.stderr.readline()]
+            while "a caving cycle" not in told[-1]:
+                told.append(process.stderr.readline())
+            assert any("the support of a cycle must be one of '1', got '2'" in one for one in told)
+            begun = float(re.search(r"a caving cycle of all supports begins at (\S+) s", told[-1])[1])
+            pipe.write(raw[half:])
+        lines += map(json.loads, process.stdout)
+        assert process.wait() == 0
+    shares = [line for line in lines if line["kind"] == "share" and line["impacts"]]
+    assert 1.3 < begun <= 1.6 and shares[-1]["to_s"] > begun + 1
+    for line in shares:
+        is_anchored = 1.0 <= line["to_s"] < begun or line["to_s"] >= begun + 1.0
+        assert line["basis"] == ("anchor" if is_anchored else "anchor_pending")
 
 
 def test_an_anchor_that_does_not_fit_or_is_too_small_or_late_is_told(

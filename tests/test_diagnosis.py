@@ -483,14 +483,17 @@ def test_a_factor_adds_its_logarithm_to_the_levels(model: str) -> None:
 
 
 def conditions_of(parts: list[tuple[str, tuple[Answer, ...]]], model: str) -> list[tuple[int, str, str, bool]]:
-    """Return when what begins and ends in a live stream: number of the impact, channel, condition."""
+    """Return when what begins and ends in a live stream: number of the impact, channel, condition.
+
+    These are blows one by one, without rebounds, so the stream as a whole is not of the world of the training.
+    """
     shipped = Model.load(ROOT / "models" / f"{model}.npz")
     diagnosis, number, found = Diagnosis(shipped, live=True), 0, []
     for channel, answers in parts:
         for answer in answers:
             number += 1
             diagnosis.add([replace(answer, channel=channel, time=number / 8)])
-            changes = diagnosis.changes(number / 8)
+            changes = [one for one in diagnosis.changes(number / 8) if one.condition != Condition.FOREIGN]
             found += [(number, one.channel, str(one.condition), one.begins) for one in changes]
     return found
 

@@ -17,6 +17,7 @@ import urllib.request
 from collections.abc import Callable, Iterator
 from datetime import datetime
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -191,6 +192,25 @@ class Subscriber:
     def __exit__(self, *_: object) -> None:
         self.client.disconnect()
         self.client.loop_stop()
+
+
+def test_a_message_begins_a_cycle_only_where_that_is_asked_for(outputs, monkeypatch) -> None:
+    pytest.importorskip("paho.mqtt.client", reason="paho-mqtt is not installed")
+    own = outputs(mqtt=f"mqtt://127.0.0.1:{free_port()}/plant/s7")
+    (service,) = own._services
+    asked: list[str] = []
+    begun: list[str] = []
+    monkeypatch.setattr(service._client, "subscribe", lambda topic, qos: asked.append(topic))
+    reason = SimpleNamespace(is_failure=False)
+    service._connected(None, None, None, reason, None)
+    assert not asked
+    own.listen(begun.append)
+    assert asked == ["plant/s7/cycle"]
+    service._connected(None, None, None, reason, None)
+    assert len(asked) == 2
+    for payload, retain in ((b"1", False), (b"old", True), (b"", False), (b"x" * 10_000, False)):
+        service._received(None, None, SimpleNamespace(payload=payload, retain=retain))
+    assert begun[:2] == ["1", ""] and len(begun) == 3 and len(begun[2]) <= 400
 
 
 def test_each_line_is_a_message_and_the_state_is_retained(outputs, broker, said) -> None:

@@ -32,7 +32,7 @@ from cgid.cli.options import (
     settings_of,
     warn_of_model,
 )
-from cgid.cli.output import warn
+from cgid.cli.output import say, warn
 from cgid.cli.table import TableOutput
 
 if TYPE_CHECKING:
@@ -181,6 +181,12 @@ _BEHIND = 1.0
 @answering_options
 @json_option
 @click.option("--clock", is_flag=True, help="Give each JSON object the time when it was printed, as wall_time (UTC).")
+@click.option(
+    "--cycle-by",
+    type=click.Choice(["stdin", "mqtt"]),
+    help="Begin another caving cycle at each line on stdin, or message of TOPIC/cycle of --mqtt: the name of a "
+    "support, or nothing for all; with --coal-until.",
+)
 @plant_options
 def monitor(
     stream: str,
@@ -191,6 +197,7 @@ def monitor(
     reading: ReadingOptions,
     as_json: bool,
     clock: bool,
+    cycle_by: str | None,
     outputs: dict[str, str],
     **options: Any,
 ) -> None:
@@ -213,6 +220,7 @@ def monitor(
     stated = Chain.of(**reading.chain)
     if clock and not as_json:
         raise click.UsageError("--clock is for lines of JSON; give --json, too")
+    _require_cycles(cycle_by, stream, settings, outputs)
     with _plant_outputs(outputs) as listener, _opened(stream) as file:
         source = "stdin" if stream == "-" else stream
         live = live_stream(
@@ -226,7 +234,17 @@ def monitor(
         )
         with TableOutput() as table:
             lines = AnswerLines(as_json, table, live=True, clock=clock, listener=listener)
-            _follow(live, models, settings, lines, listener)
+            _follow(live, models, settings, lines, listener, cycle_by)
+
+
+def _require_cycles(by: str | None, stream: str, settings: PredictionSettings, outputs: dict[str, str]) -> None:
+    """Raise `UsageError` unless what begins cycles is there, and they begin with coal."""
+    if by is not None and settings.coal_until is None:
+        raise click.UsageError("--cycle-by needs the coal of each cycle; give --coal-until, too")
+    if by == "stdin" and stream == "-":
+        raise click.UsageError("--cycle-by stdin needs stdin, which is the stream; name a file or pipe as STREAM")
+    if by == "mqtt" and "mqtt" not in outputs:
+        raise click.UsageError("--cycle-by mqtt needs a broker; give --mqtt, too")
 
 
 def _plant_outputs(given: dict[str, str]) -> AbstractContextManager[PlantOutputs | None]:
@@ -239,7 +257,12 @@ def _plant_outputs(given: dict[str, str]) -> AbstractContextManager[PlantOutputs
 
 
 def _follow(
-    live: Any, models: Models, settings: PredictionSettings, lines: AnswerLines, outputs: PlantOutputs | None = None
+    live: Any,
+    models: Models,
+    settings: PredictionSettings,
+    lines: AnswerLines,
+    outputs: PlantOutputs | None = None,
+    cycle_by: str | None = None,
 ) -> None:
     """Print the predictions for a stream until it ends or is interrupted."""
     from cgid.cli.hints import Hints
@@ -270,6 +293,23 @@ def _follow(
             waited=lambda: inbox.waited,
         )
     warn_of_model(live.source, live.source, live.sampling_rate, model, settings)
+
+    def begun(name: str) -> None:
+        from cgid.errors import InvalidValue
+
+        assert pipeline.watch is not None
+        name, time = name.strip(), pipeline.duration
+        try:
+            pipeline.watch.begin_cycle(time, name)
+        except InvalidValue as error:
+            warned(str(error))
+        else:
+            say(f"{live.source}: a caving cycle of {name or 'all supports'} begins at {time:.6g} s", err=True)
+
+    if cycle_by == "mqtt" and outputs is not None:
+        outputs.listen(begun)
+    elif cycle_by == "stdin" and sys.stdin is not None:
+        Thread(target=_each_line, args=(sys.stdin.fileno(), begun), daemon=True).start()
     watching = None if outputs is None else partial(outputs.monitored_blocks, sampling_rate=live.sampling_rate)
     try:
         for step in pipeline.steps(inbox, measured=watching):
@@ -281,6 +321,17 @@ def _follow(
         if inbox.n_taken:
             rows.finish()
     pipeline.require()
+
+
+def _each_line(descriptor: int, take: Callable[[str], object]) -> None:
+    """Call a function with each line, whole or at the end, as it arrives."""
+    rest = b""
+    while part := os.read(descriptor, 1 << 12):
+        *whole, rest = (rest + part).split(b"\n")
+        for line in whole:
+            take(line.decode(errors="replace"))
+    if rest:
+        take(rest.decode(errors="replace"))
 
 
 class DelayReport:

@@ -101,6 +101,14 @@ class PlantOutputs:
             )
         self.plant.begin(source, channels, rows, unit, threshold, behind, blind_after, waited)
 
+    def listen(self, begun: Callable[[str], object]) -> None:
+        """Call a function with each message about a caving cycle that begins, from the broker."""
+        from cgid.plant.mqtt import Mqtt
+
+        for service in self._services:
+            if isinstance(service, Mqtt):
+                service.listen(begun)
+
     def monitored_blocks(self, blocks: Iterable[NDArray[Any]], sampling_rate: float) -> Iterator[NDArray[Any]]:
         """Yield the blocks (n_channels, n_samples); each is a heartbeat, and a part of the waveform."""
         try:

@@ -1,4 +1,4 @@
-"""MQTT: every line as a message, the record of each support retained, "offline" as last will."""
+"""MQTT: every line as a message, the record of each support retained, "offline" as last will; cycles, if asked for."""
 
 from __future__ import annotations
 
@@ -25,6 +25,8 @@ _TIMEOUT, _KEEPALIVE = 10.0, 15
 _GRACE = 2.0
 #: The retained records are written anew after this time [s], so that a reader sees how old they are.
 _EVERY = 5.0
+#: Longest name of a support in a message [bytes].
+_MAX_NAME = 400
 _HANGS = "the broker does not answer; predictions continue, messages are queued"
 _PORTS = {"mqtt": 1883, "mqtts": 8883}
 _LOOPBACK = re.compile(r"localhost|127\.|::1$")
@@ -73,6 +75,7 @@ class Mqtt(Output):
         super().__init__(f"mqtt {broker.host}:{broker.port}", warn)
         paho = library("paho.mqtt.client", "--mqtt", "paho-mqtt")
         self._plant = plant
+        self._on_cycle: Callable[[str], object] | None = None
         self._number = self._on_the_way = 0
         # Messages in flight, by paho's number: whether they count; and those acknowledged before `publish` returned.
         self._pending: dict[int, bool] = {}
@@ -86,7 +89,14 @@ class Mqtt(Output):
         client.will_set(self._topic("status"), "offline", qos=1, retain=True)
         client.on_connect, client.on_disconnect = self._connected, self._disconnected
         client.on_connect_fail, client.on_publish = self._failed, self._acknowledged
+        client.on_message = self._received
         self._secure()
+
+    def listen(self, begun: Callable[[str], object]) -> None:
+        """Subscribe to TOPIC/cycle, and call a function with the text of each message."""
+        self._on_cycle = begun
+        if self.up:
+            self._client.subscribe(self._topic("cycle"), qos=1)
 
     def _secure(self) -> None:
         """Take user, password and certificates from the environment."""
@@ -189,12 +199,19 @@ class Mqtt(Output):
             self.report(f"the broker refuses ({reason}); predictions continue, messages are queued")
             return
         self._publish(self._topic("status"), "online", retain=True)
+        if self._on_cycle is not None:
+            self._client.subscribe(self._topic("cycle"), qos=1)
         with self._changed:
             self.up, self._written_at = True, None
             self._changed.notify_all()
         if self._last_message:
             self.report(f"connected; {self.dropped} messages were dropped so far")
             self._last_message = ""
+
+    def _received(self, _client: Any, _data: Any, message: Any) -> None:
+        # A retained message is of an earlier cycle.
+        if self._on_cycle is not None and not message.retain:
+            self._on_cycle(message.payload[:_MAX_NAME].decode(errors="replace"))
 
     def _disconnected(self, _client: Any, _data: Any, _flags: Any, reason: Any, _properties: Any) -> None:
         with self._changed:

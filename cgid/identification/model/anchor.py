@@ -193,7 +193,7 @@ class Anchor:
 
     def __init__(self, coal_until: float, cycle_pause: float | None = None) -> None:
         self._length = self.until = coal_until
-        self._pause, self._last = cycle_pause, np.inf
+        self._pause, self._last, self._next = cycle_pause, np.inf, np.inf
         self._begin(0.0)
 
     def _begin(self, time: float) -> None:
@@ -203,8 +203,18 @@ class Anchor:
         self.summary: Floats | None = None  # by the networks, once the coal is complete
         self.is_foreign = False
 
+    def begin_at(self, time: float) -> None:
+        """Begin another cycle at a time [s], from which on no impact was added yet."""
+        self._next = time
+
+    def _begin_if_due(self, time: float) -> None:
+        if time >= self._next:
+            self._begin(self._next)
+            self._next = np.inf
+
     def add(self, time: float, probability: float, pulse: tuple[float, ...] | None) -> None:
         """Add an impact at a time [s], in order; the probability of gangue is nan if it is unknown."""
+        self._begin_if_due(time)
         if self._pause is not None and time - self._last > self._pause:
             self._begin(time)
         self._last = time
@@ -218,6 +228,7 @@ class Anchor:
 
     def basis(self, time: float) -> Basis:
         """Return the basis of a window that ends at a time [s]."""
+        self._begin_if_due(time)
         if time < self.until:
             return Basis.PENDING
         if len(self.impacts.logits) < MIN_ANCHOR:

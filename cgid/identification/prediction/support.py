@@ -236,6 +236,17 @@ class CavingWatch:
             if report.kind == "state"
         ]
 
+    def begin_cycle(self, time: float, name: str = "") -> None:
+        """Begin another caving cycle at a time [s]: of a support, or of all without a name.
+
+        Raises `InvalidValue` for a name that no support has.
+        """
+        if name:
+            validation.choice("the support of a cycle", name, tuple(self._supports))
+        for support in [self._supports[name]] if name else self._supports.values():
+            if support.window.anchor is not None:
+                support.window.anchor.begin_at(time)
+
     def take_changes(self) -> list[Change]:
         """Return what has begun or ended with the predictions of the channels since the last call."""
         changes, self._changes = self._changes, []
