@@ -119,7 +119,7 @@ def shared_beam(
     scenes: list[Scene] = []
     for source in sources:
         # Only a beam needs the laws of its scene: those of one's own may not be at hand.
-        if isinstance(source, Dataset) and source.quantity == "force":
+        if not isinstance(source, Scene) and source.quantity == "force":
             return None, f"{source.path.name}: its signals are the force itself"
         scene = source if isinstance(source, Scene) else stored_scene(source.header.attributes, str(source.path))
         if scene is None:
