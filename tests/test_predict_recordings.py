@@ -258,7 +258,7 @@ def test_predict_tells_impacts_shares_and_a_summary(two_channels: Path, capsys: 
     )
     assert sum(row["channel"] == "1" for row in table) == 16
     text = err.splitlines()
-    assert sum(line.startswith(f"{two_channels} channel 1: gangue fraction ") for line in text) == 4
+    assert sum(line.startswith(f"{two_channels} channel 1: gangue fraction ") for line in text) == 1
     assert text[-1].startswith(f"{two_channels}: 32 impacts: ")
 
 
@@ -276,6 +276,32 @@ def test_predict_says_when_to_shut(tmp_path: Path, capsys: pytest.CaptureFixture
     assert all(row["low"] < 0.5 for row in before)
     assert run(arguments) == 0
     assert sum(line.startswith("SHUT ") for line in capsys.readouterr().err.splitlines()) == 1
+
+
+def test_summary_alone_and_fractions_from_ten_answers_on(
+    two_channels: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    command = ["predict", str(two_channels), "--rate", str(RATE), "--unit", "N", "--window", "0.24"]
+    assert run([*command, "--json"]) == 0
+    rows = lines_of(capsys)
+    assert run(command) == 0
+    told = [line for line in capsys.readouterr().err.splitlines() if "gangue fraction" in line and " answers" in line]
+    shares = of_kind(rows, "share")
+    last = [[row for row in shares if row["channel"] == channel][-1] for channel in ("1", "2")]
+    enough = [row for row in shares if row["impacts"] >= 10 and row not in last]
+    assert len(told) == len(enough) + 2 < len(shares)
+    assert run([*command, "--summary"]) == 0
+    out = capsys.readouterr().out.splitlines()
+    assert [line for line in out if "gangue fraction" in line and not line.startswith(("SHUT", "OPEN"))] == told[-2:]
+    assert f": {len(of_kind(rows, 'impact'))} impacts: " in out[-1]
+    assert "p_coal" not in "".join(out)
+    assert run([*command, "--summary", "--json"]) == 0
+    alone = lines_of(capsys)
+    assert not of_kind(alone, "impact")
+    assert of_kind(alone, "share") == last
+    assert of_kind(alone, "summary") == of_kind(rows, "summary")
+    assert run([*command, "--summary", "-o", str(tmp_path / "rows.csv")]) == 2
+    assert not (tmp_path / "rows.csv").exists()
 
 
 def test_silent_channel_is_a_warning_and_silence_an_error(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

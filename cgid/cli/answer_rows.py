@@ -49,9 +49,10 @@ class AnswerLines:
         datasets: bool = False,
         live: bool = False,
         clock: bool = False,
+        only_summary: bool = False,
         listener: Callable[[dict[str, Any]], None] | None = None,
     ) -> None:
-        self.as_json = as_json
+        self.as_json, self.only_summary = as_json, only_summary
         self._live, self._clock, self._listener = live, clock, listener
         self._table, self._datasets = table or TableOutput(), datasets
 
@@ -60,7 +61,7 @@ class AnswerLines:
         from cgid.errors import BadData
         from cgid.identification.prediction.answers import answer_columns
 
-        if self.as_json:
+        if self.as_json or self.only_summary:
             return
         columns = [Column("source"), *answer_columns(model, settings)]
         columns += impactor_columns() if settings.impactors is not None else ()
@@ -74,6 +75,8 @@ class AnswerLines:
         """Print the prediction for an impact or window; `more`: its number in its channel, its index or its truth."""
         from cgid.identification.prediction.answers import COLUMNS
 
+        if self.only_summary:
+            return
         row = {"source": source, **answer.row, "problem": answer.problem or None, **more}
         impactor = answer.impactor
         if impactor is not None:
@@ -149,10 +152,10 @@ class AnswerLines:
         self._line("delay", source, {"behind_s": behind, "message": message})
 
     def _note(self, kind: str, source: str, message: str, content: dict[str, Any]) -> None:
-        """Print the content in JSON, else the message on stderr."""
+        """Print the content in JSON, else the message: on stderr, unless it is all that is printed."""
         self._line(kind, source, content)
         if not self.as_json:
-            say(message, err=True)
+            say(message, err=not self.only_summary)
 
     def _line(self, kind: str, source: str, content: dict[str, Any]) -> None:
         """Print the content as a line of JSON, if requested; then the listener receives it."""
@@ -214,6 +217,8 @@ class RecordingTally:
 
 #: Maximum number of pending rows before a measurable one.
 _MAX_PENDING = 1000
+#: Identified impacts from which a gangue fraction is told in words before the end of a recording.
+_ENOUGH = 10
 #: Maximum number of silent channels that are named one by one.
 _MAX_SILENT_LISTED = 3
 #: What goes on with a channel of a live stream is told again after this time [s].
@@ -256,6 +261,7 @@ class RecordingRows:
         self._silent: tuple[str, ...] = ()
         self._pending_answers: list[Answer] = []
         self._pending_reports: list[SupportReport] = []
+        self._held: dict[str, SupportState] = {}  # fractions of few impacts, told at the end unless one of more follows
         assert pipeline.watch is not None
         self._watch = pipeline.watch
         self._grounds: dict[str, tuple[str, bool]] = {}  # last ground and whether something was decided
@@ -308,6 +314,8 @@ class RecordingRows:
         self._print_answers()
         self._print_changes(last.changes, last.until)
         self._print_reports(last.reports)
+        for channel, state in self._held.items():
+            self.lines.share(self.source, self.name(channel), state)
         if (stated := self._settings.coal_until) is not None and stated > last.until:
             self._warn(
                 f"{self.source}: --coal-until must be within the recording of {last.until:.6g} s, got {stated:.6g} s"
@@ -404,7 +412,10 @@ class RecordingRows:
             self._print_basis(name, share)
             if one.kind == "share":
                 self.shares += [share] * self._keep
-                if share.n_impacts or self._live or (share.n_unknown and self.lines.as_json):
+                if self._is_held(share):
+                    self._held[share.channel] = state
+                elif share.n_impacts or self._live or share.n_unknown:
+                    self._held.pop(share.channel, None)
                     self.lines.share(self.source, name, state)
             elif one.switch is not None:
                 self.turns += [one.switch] * self._keep
@@ -416,6 +427,12 @@ class RecordingRows:
             if one.kind != "share":
                 self._grounds[share.channel] = state.ground, state.decision != "none"
         self._pending_reports = []
+
+    def _is_held(self, share: Share) -> bool:
+        """Return whether a fraction waits for the end of the recording."""
+        if self._live or not (share.n_impacts or share.n_unknown):
+            return False
+        return self.lines.only_summary or (share.n_impacts < _ENOUGH and not self.lines.as_json)
 
     def _print_basis(self, name: str, share: Share) -> None:
         """Print why the gangue fraction of a support is not that of its own seam, when that begins."""
