@@ -49,8 +49,28 @@ def scene_path(scene: str | Path) -> Path:
 
 
 def model_path(model: str | Path) -> Path:
-    """Return the path of a model: a file, or a shipped model such as "default"; raises as `scene_path`."""
+    """Return the path of a model: a file, or a shipped model such as "default"; raises as `scene_path`.
+
+    A name with a version, such as "default@2", is that model in this version; another one raises `NoInput`.
+    """
+    name, at, version = str(model).partition("@")
+    if isinstance(model, str) and at and name in MODELS:
+        here = next(row for row in model_versions() if row["name"] == name)
+        if version != here["version"]:
+            raise NoInput(
+                f"{model}: this cgid has version {here['version']} of it, of {here['date']}: {name}@{here['version']}; "
+                "for another version keep its file and give that"
+            )
+        model = name
     return _resolve(model, "models", MODELS, ".npz", "model", f"those that come with cgid are {', '.join(MODELS)}")
+
+
+def model_versions() -> list[dict[str, str]]:
+    """Return name, version, date and SHA-256 of each shipped model."""
+    import csv
+
+    with path_of("models", "versions.csv").open(encoding="utf-8", newline="") as lines:
+        return list(csv.DictReader(lines))
 
 
 def scene_descriptions() -> dict[str, str]:

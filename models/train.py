@@ -21,9 +21,11 @@ bounce, overlap and ring. It is judged on the blows of `tail_beam`, and finished
 """
 
 import argparse
+import hashlib
 import json
 from collections.abc import Iterator
 from dataclasses import replace
+from datetime import date
 from itertools import chain, islice
 from pathlib import Path
 from typing import Any
@@ -265,6 +267,18 @@ def write_finished(model: Model, output: Path, name: str) -> None:
     pictures = tuple(f"{Path(name).stem}-{picture}.png" for picture in PICTURES)
     card = write_card(model, output.name, pictures, sections(model))
     write_together({output: model.to_bytes(), output.with_suffix(".md"): card.encode()}, overwrite=True)
+    note_version(output)
+
+
+def note_version(path: Path) -> None:
+    """Give a shipped model that has changed its next version."""
+    versions, rows = HERE / "versions.csv", shipped.model_versions()
+    digest = hashlib.sha256(path.read_bytes()).hexdigest()
+    for row in rows:
+        if path == HERE / f"{row['name']}.npz" and row["sha256"] != digest:
+            row |= {"version": str(int(row["version"]) + 1), "date": date.today().isoformat(), "sha256": digest}
+    lines = [",".join(rows[0]), *(",".join(row.values()) for row in rows)]
+    write_together({versions: ("\n".join(lines) + "\n").encode()}, overwrite=True)
 
 
 def main() -> None:
@@ -339,6 +353,7 @@ def main() -> None:
         model = simulated(model, arguments.seed)
     for path in write_model(replace(training, model=model), output, plots=True, further=sections(model)):
         print(path)
+    note_version(output)
     low, high = training.metrics["accuracy_interval_95"]
     print(f"accuracy {training.metrics['accuracy']:.4f} (95 % interval {low:.4f} to {high:.4f})")
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
 import re
 import shutil
 import subprocess
@@ -17,6 +19,7 @@ from packaging.utils import canonicalize_name
 
 import cgid
 from cgid import shipped
+from cgid.cli.main import run
 from cgid.errors import NoInput
 from cgid.identification.model import Model
 from cgid.identification.prediction import identify, identify_frames, suited
@@ -67,6 +70,34 @@ def test_files_are_found_in_the_layout_of_a_wheel(tmp_path: Path) -> None:
     )
     assert run.returncode == 0, run.stderr
     assert str(tmp_path / "cgid" / "shipped" / "datasets" / "sample.csv") in run.stdout
+
+
+def test_versions_are_those_of_the_files(capsys: pytest.CaptureFixture[str]) -> None:
+    rows = {row["name"]: row for row in shipped.model_versions()}
+    assert tuple(rows) == shipped.MODELS
+    for name, row in rows.items():
+        content = (ROOT / "models" / f"{name}.npz").read_bytes()
+        assert hashlib.sha256(content).hexdigest() == row["sha256"], (
+            "models/train.py notes the version of what it makes"
+        )
+        assert shipped.model_path(f"{name}@{row['version']}") == shipped.model_path(name)
+    assert run(["models", "--json"]) == 0
+    told = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert [(one["name"], one["sha256"]) for one in told] == [(name, row["sha256"]) for name, row in rows.items()]
+    for name in ("default", f"default@{rows['default']['version']}"):
+        assert run(["info", name]) == 0
+    assert "force" in capsys.readouterr().out
+
+
+def test_another_version_is_refused_by_name(capsys: pytest.CaptureFixture[str]) -> None:
+    sample = str(ROOT / "datasets" / "sample.csv")
+    here = next(row for row in shipped.model_versions() if row["name"] == "default")["version"]
+    assert run(["predict", sample, "--model", f"default@{here}"]) == 0
+    capsys.readouterr()
+    assert run(["predict", sample, "--model", "default@1999"]) == NoInput.exit_code
+    error = capsys.readouterr().err
+    assert error.startswith(f"cgid: error: default@1999: this cgid has version {here} of it, of 20")
+    assert error.count("\n") == 1
 
 
 @pytest.mark.parametrize("name", [shipped.DEFAULT_MODEL, shipped.DROP_HEIGHT_MODEL])

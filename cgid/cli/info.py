@@ -41,10 +41,13 @@ _LOCAL_HEAD, _HEADER = 30, b"header.npy"
 @json_option
 def info(file: str, as_json: bool, same_beam: tuple[str, ...], reading: ReadingOptions) -> int:
     """Describe FILE: a dataset, a table, a model, a recording (every channel), or each recording of a folder."""
+    from cgid import shipped
     from cgid.identification.prediction.settings import require_groups
     from cgid.identification.training.manifest import recordings_of
 
     beams = require_groups(same_beam)
+    if file.partition("@")[0] in shipped.MODELS and not Path(file).exists():
+        file = str(shipped.model_path(file))
     files = recordings_of([file])
     reading.require_files(files)
     errors = FileErrors(strict=len(files) == 1)

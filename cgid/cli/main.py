@@ -22,6 +22,7 @@ from cgid.cli.fetch import fetch
 from cgid.cli.generate import generate
 from cgid.cli.help import Group
 from cgid.cli.info import info
+from cgid.cli.models import models
 from cgid.cli.monitor import monitor
 from cgid.cli.output import (
     drop,
@@ -75,6 +76,7 @@ for command in (
     monitor,
     features,
     info,
+    models,
     plot,
     verify,
     export,
