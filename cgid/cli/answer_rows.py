@@ -247,7 +247,7 @@ class RecordingRows:
     def __init__(self, pipeline: Pipeline, lines: AnswerLines, *, hints: Hints, keep: bool = False) -> None:
         self._pipeline, self.lines, self._live = pipeline, lines, pipeline.live
         self.source, self.channels = pipeline.source, pipeline.supports
-        self.kind = "window" if pipeline.model.kind == "window" else "impact"
+        self.kind = pipeline.model.subject
         self.tally = RecordingTally(self.kind)
         self.answers: list[Answer] = []
         self.shares: list[Share] = []

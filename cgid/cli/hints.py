@@ -49,7 +49,7 @@ class Hints(Diagnosis):
         self._rate, self._source = sampling_rate, source
         self._options, self._answering = tuple(options), tuple(answering)
         self._labelled, self._all_channels = labelled, tuple(channels)
-        self._kind = "signal" if labelled else "window" if model.kind == "window" else "impact"
+        self._kind = "signal" if labelled else model.subject
 
     def hints(self, names: Iterable[str] | None = None) -> list[Hint]:
         """Return a hint for each cause, by default of all channels; none where none has a finding."""

@@ -433,8 +433,7 @@ def print_training(training: Any, path: Path, written: list[Path], as_json: bool
 
     metrics, about = training.metrics, training.model.training
     if about["n_left_out"]:
-        what = "windows" if training.model.kind == "window" else "impacts"
-        warn(f"{about['n_left_out']} {what} could not be measured and were excluded")
+        warn(f"{about['n_left_out']} {training.model.subject}s could not be measured and were excluded")
     without = about.get("recorded", {}).get("synthetic", {}).get("accuracy_without")
     if without is not None and without > metrics["accuracy"]:
         summary = f"{metrics['accuracy']:.4f} accuracy on the recorded impacts, without them {without:.4f}"

@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -232,6 +232,11 @@ class Model:
     def kind(self) -> Kind:
         """Kind of the signals: pulse, vibration or window."""
         return kind_of(self.measured)
+
+    @cached_property
+    def subject(self) -> Literal["impact", "window"]:
+        """What one prediction is of: an impact, or a window of a recording."""
+        return "window" if self.kind == "window" else "impact"
 
     @cached_property
     def inputs(self) -> tuple[str, ...]:

@@ -128,7 +128,7 @@ COLUMNS: Mapping[str, Column] = {one.name: one.metadata["column"] for one in fie
 
 def answer_columns(model: Model, settings: PredictionSettings) -> tuple[Column, ...]:
     """Return the columns of a table of the answers of a model."""
-    return _columns(model.labels, model.kind == "window", settings.coverage is not None)
+    return _columns(model.labels, model.subject == "window", settings.coverage is not None)
 
 
 @cache
@@ -271,7 +271,7 @@ def measured_events(
     beam: BeamStream | None = None,
 ) -> tuple[list[Answer], Floats]:
     """Return predictions as `identify_events`, and what was measured, (n_events, n_measured), nan where it was not."""
-    if model.kind != "window" and any(np.atleast_2d(event.samples).shape[0] != model.together for event in events):
+    if any(np.atleast_2d(event.samples).shape[0] != model.together for event in events):
         raise BadData(
             f"channels must be {model.together}, one for each sensor of this model, in the order of its training; give "
             "a complete recording of them, or use a model of one sensor"

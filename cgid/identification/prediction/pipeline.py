@@ -19,7 +19,7 @@ from cgid.identification.prediction.answers import Answer
 from cgid.identification.prediction.diagnosis import Diagnosis, misfit_text, scale_warning, sizes_outside
 from cgid.identification.prediction.same_beam import rows_of
 from cgid.identification.prediction.settings import PredictionSettings
-from cgid.identification.prediction.stream import Step, answering_channels, factors_for, identify_blocks, independence
+from cgid.identification.prediction.stream import STRATEGIES, Step, answering_channels, factors_for, identify_blocks
 from cgid.identification.prediction.support import CavingWatch, Ground
 from cgid.recordings.chain import scaled
 from cgid.recordings.gaps import Gaps
@@ -84,7 +84,7 @@ class Pipeline:
                 model,
                 self.supports,
                 settings,
-                independence(model, settings),
+                STRATEGIES[model.subject].weight(model, settings),
                 sensors=self._sensors,
                 channels=self.names,
                 rows=rows_of(model, self.names, settings.same_beam),

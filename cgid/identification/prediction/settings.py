@@ -228,11 +228,10 @@ class PredictionSettings:
 
     def require_use(self, model: Model) -> None:
         """Raise `InvalidValue` for a vote time with a model of impacts, or a dead time with a model of windows."""
-        kind, flag, given = "impact", "--vote", self.vote_time
-        if model.kind == "window":
-            kind, flag, given = "window", "--dead-time", self.dead_time
+        of_others = {"impact": ("--vote", self.vote_time), "window": ("--dead-time", self.dead_time)}
+        flag, given = of_others[model.subject]
         if given is not None:
-            raise InvalidValue(f"{flag} must be left out, this model decides on {kind}s")
+            raise InvalidValue(f"{flag} must be left out, this model decides on {model.subject}s")
 
     def vote_over(self, model: Model) -> float:
         """Return the time over which windows vote [s]."""

@@ -6,11 +6,11 @@ Memory use is that of the detector and one batch of impacts, for recordings of a
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from itertools import chain
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -98,8 +98,7 @@ def identify_blocks(
             f"{sampling_rate:g} Hz; check it, record faster, or train a model on recordings like this one"
         )
     settings.require_use(model)
-    how = _windows if model.kind == "window" else _impacts
-    return how(_read(blocks), sampling_rate, model, channels, settings, source)
+    return STRATEGIES[model.subject].steps(_read(blocks), sampling_rate, model, channels, settings, source)
 
 
 def _read(blocks: Iterable[NDArray[Any]]) -> Iterator[NDArray[Any]]:
@@ -219,8 +218,8 @@ def answering_channels(
 
 
 def independence(model: Model, settings: PredictionSettings) -> float:
-    """Return the weight of one prediction, in (0, 1], since overlapping windows and votes are not independent."""
-    return min(model.hop_time / settings.vote_over(model), 1.0) if model.kind == "window" else 1.0
+    """Return the weight of the prediction for a window, in (0, 1]: overlapping ones and votes are not independent."""
+    return min(model.hop_time / settings.vote_over(model), 1.0)
 
 
 def _windows(
@@ -269,6 +268,20 @@ def _windows(
                 (f"{source}: a recording must contain a window of {model.window_time:g} s, it is shorter",),
             )
         yield Step([], 0.0, warnings=tuple(f"{source}: {warning}" for warning in drifts.warnings()))
+
+
+class Strategy(NamedTuple):
+    """How the predictions of a recording are made."""
+
+    steps: Callable[..., Iterator[Step]]  # as `identify_blocks`
+    weight: Callable[[Model, PredictionSettings], float]  # of one prediction among dependent ones, in (0, 1]
+
+
+#: What one prediction is of (`Model.subject`) -> how it is made.
+STRATEGIES: Mapping[str, Strategy] = {
+    "impact": Strategy(_impacts, lambda model, settings: 1.0),
+    "window": Strategy(_windows, independence),
+}
 
 
 def _predicted(

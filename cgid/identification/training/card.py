@@ -122,8 +122,9 @@ def _blocks(model: Model, pictures: tuple[str, ...]) -> Iterator[str]:
     shown = {
         "shuffled": model.training["labels_shuffled"],
         "of specimens": recorded is None,
-        "by impact": recorded is not None and model.kind != "window",
-        "by window": recorded is not None and model.kind == "window",
+        "by impact": False,
+        "by window": False,
+        f"by {model.subject}": recorded is not None,
         "of recordings": recorded is not None,
         "sensors": model.sensors,
         "failures": recorded is not None and recorded["failures"],
@@ -149,7 +150,7 @@ def _blocks(model: Model, pictures: tuple[str, ...]) -> Iterator[str]:
 def _fields(model: Model, name: str, pictures: tuple[str, ...]) -> dict[str, Any]:
     """Return the values of the placeholders of the template."""
     training, labels = model.training, list(map(plain, model.labels))
-    metrics, is_window = training["metrics"], model.kind == "window"
+    metrics = training["metrics"]
     drawn = [metrics["drawn"]] if "drawn" in metrics else []
     guards = zip(model.guards, model.guard_limits, strict=True)
     return {
@@ -158,8 +159,8 @@ def _fields(model: Model, name: str, pictures: tuple[str, ...]) -> dict[str, Any
         "training": training,
         "metrics": metrics,
         "labels": ", ".join(labels),
-        "one": "a window of a recording" if is_window else "one impact",
-        "rows": "windows" if is_window else "impacts",
+        "one": {"window": "a window of a recording", "impact": "one impact"}[model.subject],
+        "rows": f"{model.subject}s",
         "shape": _SHAPES[model.kind],
         "rates": " to ".join(f"{rate / 1e3:g}" for rate in dict.fromkeys(model.sampling_rates)),
         "known": ", ".join(f"{name} [{KNOWN[name]}]" for name in model.known) or "nothing",
