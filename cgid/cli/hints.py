@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cgid.identification.model.world import Misfit, Part
-from cgid.identification.prediction.diagnosis import CauseKind, Diagnosis, Hint, misfit_text, scale_warning
+from cgid.identification.prediction.diagnosis import CauseKind, Diagnosis, Hint, InWords, misfit_text, scale_warning
 from cgid.units import UNITS
 
 if TYPE_CHECKING:
@@ -241,7 +241,7 @@ class Hints(Diagnosis):
         dead_time = [word for pair in pairwise(options) if pair[0] == "--dead-time" for word in pair]
         return (
             shlex.join(["cgid", "events", self._source, *options, "-o", table]),
-            f"fill in the label column of {table}",
+            InWords(f"fill in the label column of {table}"),
             shlex.join(["cgid", "train", table, *dead_time, "-o", model]),
             self._predict_with(model),
         )
@@ -253,7 +253,7 @@ class Hints(Diagnosis):
         table, model = _unused("parts", ".csv"), _unused("mine", ".npz")
         return (
             shlex.join(["cgid", "train", self._source, *self._options, "--template", table]),
-            f"fill in {table}: a row for each part, with its start_s, end_s and label",
+            InWords(f"fill in {table}: a row for each part, with its start_s, end_s and label"),
             shlex.join(["cgid", "train", table, *self._options, "--by", "window", "-o", model]),
             self._predict_with(model),
         )

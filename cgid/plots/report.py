@@ -23,7 +23,7 @@ from cgid._lib.terminal import counted, printable
 from cgid._lib.validation import UNKNOWN
 from cgid.identification.model.model import Model
 from cgid.identification.prediction.answers import Answer
-from cgid.identification.prediction.diagnosis import Hint
+from cgid.identification.prediction.diagnosis import Hint, InWords
 from cgid.identification.prediction.fraction import MIN_IMPACTS, Share, Switch
 from cgid.identification.prediction.support import SupportState
 from cgid.measure.overview import Overview
@@ -209,8 +209,7 @@ def _next_steps(report: Report) -> Iterator[str]:
         yield f'<div class="hint"><strong>Next steps</strong><p>{_text(hint.reason + where)}.</p>'
         yield f"<p>To go on, {_text(hint.advice)}.</p>"
         for number, way in enumerate(filter(None, (hint.commands, hint.instead))):
-            # A step in words, such as filling in a table, is not code.
-            steps = (f"<code>{_text(step)}</code>" if step.startswith("cgid ") else _text(step) for step in way)
+            steps = (_text(step) if isinstance(step, InWords) else f"<code>{_text(step)}</code>" for step in way)
             yield "<p>Or:</p>" * number + "<ol>" + "".join(f"<li>{step}</li>" for step in steps) + "</ol>"
         yield "</div>"
 

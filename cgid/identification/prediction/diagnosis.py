@@ -356,6 +356,10 @@ class ChannelFinding:
     n_latest: int = 0
 
 
+class InWords(str):
+    """A step that is no command, such as filling in a table."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Hint:
     """Why most predictions are unknown or the beam differs from the model's, and what to do."""
