@@ -34,6 +34,7 @@ from cgid.physics.contact.curves import MAX_WEIGHT
 from cgid.recordings import open_recording
 from cgid.recordings.formats import outside_formats
 from cgid.scene import changed, generate, generate_recordings, synthesise
+from cgid.scene.file import schema
 from cgid.store.verification import verify
 from tests.plan_scenes import POPULATION, scene_of
 
@@ -127,6 +128,13 @@ def test_a_scene_of_cones_is_what_its_parameters_say(cone):
     frames = impact.force_frames(200e3, 2048, drawn["onset"])
     assert np.abs(batch.signals - frames).max() < 1e-7 * frames.max()
     assert drawn["restitution"] == pytest.approx(0.5, abs=1e-8)
+
+
+def test_a_later_built_in_law_moves_no_number_in_data(cone, monkeypatch):
+    numbers = scene_of_cones().law_names
+    assert numbers == ("elastic", "hunt-crossley", "thornton", "walton-braun", "kuwabara-kono", "cone")
+    monkeypatch.setattr(schema, "DISSIPATIONS", ("newest", *schema.DISSIPATIONS))
+    assert scene_of_cones().law_names == numbers
 
 
 @pytest.mark.long

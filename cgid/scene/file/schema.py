@@ -26,6 +26,7 @@ from cgid.scene.file.distributions import DISTRIBUTION_NAMES, Section, quantity_
 from cgid.scene.file.gravity import problem_of_law, problem_of_weight, problem_on_plate
 from cgid.scene.file.sections import (
     DISSIPATIONS,
+    NUMBERED_LAWS,
     PLASTIC,
     ImpactSection,
     Population,
@@ -252,13 +253,13 @@ class Scene(Section):
 
     @property
     def law_names(self) -> tuple[str, ...]:
-        """The laws of loss by their index in data: built-in ones, then custom ones in the order of populations."""
-        return tuple(dict.fromkeys((*DISSIPATIONS, *self.dissipations)))
+        """The laws of loss by their index in data: `NUMBERED_LAWS`, then others in the order of populations."""
+        return tuple(dict.fromkeys((*NUMBERED_LAWS, *self.dissipations)))
 
     @property
     def own_laws(self) -> dict[str, str]:
         """The custom laws of the scene, by name, and the SHA-256 of their modules."""
-        own = {name: own_law(name) for name in self.law_names[len(DISSIPATIONS) :]}
+        own = {name: own_law(name) for name in dict.fromkeys(self.dissipations) if name not in DISSIPATIONS}
         return {name: law.sha256 for name, law in own.items() if law is not None}
 
     @property

@@ -56,6 +56,8 @@ SHAPES: Mapping[str, Callable[[Floats], Floats]] = {
 
 #: How a rock may lose energy, by laws of cgid. The order defines their indices; those of your own come after them.
 DISSIPATIONS = tuple(LAWS)
+#: Laws whose numbers in data are fixed: never changed, so that a later built-in law moves no other.
+NUMBERED_LAWS = ("elastic", "hunt-crossley", "thornton", "walton-braun", "kuwabara-kono")
 #: Those of a contact that unloads on another path, with or without viscous loss.
 PLASTIC = ("thornton", "walton-braun")
 
