@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cgid._lib import validation
 from cgid._lib.terminal import counted
 from cgid.errors import BadData
 from cgid.units import LARGEST, UNITS, quantity_of
@@ -40,13 +39,12 @@ class Gaps:
         sampling_rate: float,
         say: Callable[[str], object],
         *,
-        give_up: float | None = None,
+        give_up: float = math.inf,
         joint: bool = False,
         at_once: bool = False,
     ) -> None:
-        time = math.inf if give_up is None else validation.number("give_up", give_up, "s", validation.positive)
         self._channels, self._rate, self._say, self._at_once = channels, sampling_rate, say, at_once
-        self._longest = max(math.ceil(min(time * sampling_rate, 2.0**60)), 1)
+        self._longest = max(math.ceil(min(give_up * sampling_rate, 2.0**60)), 1)
         self._limits = np.array([largest(channel.unit) for channel in channels])
         n_channels = len(channels)
         self.n_seen = 0  # samples of each channel so far

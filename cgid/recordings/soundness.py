@@ -53,8 +53,8 @@ class SensorWatch:
     With `give_up` the blocks end when no channel has been sound for this time [s].
     """
 
-    def __init__(self, n_channels: int, sampling_rate: float, give_up: float | None = None) -> None:
-        self._give_up, self._alive = math.inf if give_up is None else give_up, 0.0
+    def __init__(self, n_channels: int, sampling_rate: float, give_up: float = math.inf) -> None:
+        self._give_up, self._alive = give_up, 0.0
         self._rate, self._length = sampling_rate, max(round(_STRETCH * sampling_rate), 2)
         self._step = -(-self._length // _N_SAMPLES)
         self._remaining: NDArray[Any] = np.empty((n_channels, 0))

@@ -6,6 +6,7 @@ The command line and Python only print or collect the steps.
 
 from __future__ import annotations
 
+import math
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
@@ -72,9 +73,10 @@ class Pipeline:
         self.names, self.live = [channel.name for channel in channels], live
         self._factors = factors_for(model, channels, settings, source)
         joint = model.together > 1 and not settings.same_beam
-        self._gaps = Gaps(channels, sampling_rate, say, give_up=settings.give_up, joint=joint, at_once=live)
-        needs_sensors = watched or settings.give_up is not None
-        self._sensors = SensorWatch(len(channels), sampling_rate, settings.give_up) if needs_sensors else None
+        give_up = math.inf if settings.give_up is None else settings.give_up
+        self._gaps = Gaps(channels, sampling_rate, say, give_up=give_up, joint=joint, at_once=live)
+        needs_sensors = watched or math.isfinite(give_up)
+        self._sensors = SensorWatch(len(channels), sampling_rate, give_up) if needs_sensors else None
         #: Names of the channels of the predictions; channels that are used together have one name.
         self.supports = answering_channels(model, self.names, settings.same_beam)
         self.diagnosis = Diagnosis(model, live=live) if diagnosis is None else diagnosis
