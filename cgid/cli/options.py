@@ -273,7 +273,7 @@ class ReadingOptions:
 
 def _file_and_value(text: str) -> tuple[str, str]:
     """Return the file, "" for all, and the value of FILE:CHANNEL=VALUE; channels may contain colons, too."""
-    from cgid.identification.training.manifest import ENDINGS
+    from cgid.recordings.formats import ENDINGS
 
     at = next((at for at, sign in enumerate(text) if sign == ":" and text[:at].lower().endswith(ENDINGS)), -1)
     return text[: max(at, 0)], text[at + 1 :]

@@ -236,8 +236,9 @@ def _correct(data: tuple[str, ...], base: str, path: Path, reading: ReadingOptio
 
 def _recorded(item: str) -> bool:
     """Return whether an argument names recordings: a manifest, a folder of recordings, or one without labels."""
-    from cgid.identification.training.manifest import ENDINGS, is_manifest
+    from cgid.identification.training.manifest import is_manifest
     from cgid.recordings import is_dataset
+    from cgid.recordings.formats import ENDINGS
     from cgid.store.folder import is_dataset_folder
 
     path = Path(item)

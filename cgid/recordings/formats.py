@@ -46,11 +46,12 @@ WAITING_TIME = 5.0
 
 @dataclass(frozen=True)
 class Format:
-    """One file format; `takes_variable`: whether a file may contain several arrays to choose from."""
+    """One file format: its usual endings, and with `takes_variable` several arrays to choose from in a file."""
 
     name: str
     is_format: Callable[[bytes], bool]
     reader: str
+    endings: tuple[str, ...]
     takes_variable: bool = False
 
     def read(self, path: Path, source: str, variable: str | None) -> Blocks:
@@ -113,18 +114,23 @@ def is_hdf5(head: bytes) -> bool:
 
 #: The first match is used; text matches everything.
 FORMATS: tuple[Format, ...] = (
-    Format("NPY", _starts(b"\x93NUMPY"), "arrays:read_npy"),
-    Format("WAV", _starts(*WAV_MAGICS), "sound:read_wav"),
-    Format("NPZ", _starts(b"PK\3\4"), "arrays:read_npz", takes_variable=True),
-    Format("HDF5", is_hdf5, "arrays:read_hdf5", takes_variable=True),
-    Format("MATLAB", lambda head: head[124:128] in _MAT_MAGICS, "mat:read_mat", takes_variable=True),
-    Format("TDMS", _starts(b"TDSm"), "tdms:read_tdms", takes_variable=True),
-    Format("UFF", lambda head: _UFF.match(head) is not None, "uff:read_uff", takes_variable=True),
-    Format("Parquet", _starts(b"PAR1"), "parquet:read_parquet"),
-    *(Format(name, _starts(*magics), "sound:read_audio") for name, magics in AUDIO_MAGICS.items()),
-    Format("LVM", lambda head: b"LabVIEW Measurement" in head[:32], "lvm:read_lvm", takes_variable=True),
-    Format("text", lambda head: True, "text:read_text"),
+    Format("NPY", _starts(b"\x93NUMPY"), "arrays:read_npy", (".npy",)),
+    Format("WAV", _starts(*WAV_MAGICS), "sound:read_wav", (".wav",)),
+    Format("NPZ", _starts(b"PK\3\4"), "arrays:read_npz", (".npz",), takes_variable=True),
+    Format("HDF5", is_hdf5, "arrays:read_hdf5", _HDF5_SUFFIXES, takes_variable=True),
+    Format("MATLAB", lambda head: head[124:128] in _MAT_MAGICS, "mat:read_mat", (".mat",), takes_variable=True),
+    Format("TDMS", _starts(b"TDSm"), "tdms:read_tdms", (".tdms",), takes_variable=True),
+    Format("UFF", lambda head: _UFF.match(head) is not None, "uff:read_uff", (".uff", ".unv"), takes_variable=True),
+    Format("Parquet", _starts(b"PAR1"), "parquet:read_parquet", (".parquet",)),
+    *(
+        Format(name, _starts(*magics), "sound:read_audio", (f".{name.lower()}", *[".aif"] * (name == "AIFF")))
+        for name, magics in AUDIO_MAGICS.items()
+    ),
+    Format("LVM", lambda head: b"LabVIEW Measurement" in head[:32], "lvm:read_lvm", (".lvm",), takes_variable=True),
+    Format("text", lambda head: True, "text:read_text", (".csv", ".txt", ".tsv", ".asc", ".dat")),
 )
+#: The usual endings of recordings, for folders.
+ENDINGS = tuple(ending for one in reversed(FORMATS) for ending in one.endings)
 
 
 def outside_formats() -> list[OutsideFormat]:

@@ -27,6 +27,7 @@ from cgid.errors import BadData, CannotCreate, CgidError, InvalidValue, NoInput
 from cgid.identification.prediction.settings import require_groups
 from cgid.identification.training.stretches import Row, resolved
 from cgid.recordings.chain import Chain, Gain
+from cgid.recordings.formats import ENDINGS
 from cgid.units import quantity_of
 
 #: The columns of a row.
@@ -40,12 +41,8 @@ _TITLES = {"start": "start_s", "end": "end_s", "rate": "rate_Hz"}
 INFORMATIVE = ("time_s", "peak", "peak_unit", "flags", "content", "note", "by")
 #: Columns of numbers, which a spreadsheet may write with a decimal comma.
 _NUMBERS = ("start", "end", "gain", "rate", "sensitivity", "full_scale")
-#: Names of manifests in a folder, and suffixes of recordings in it.
+#: Names of manifests in a folder.
 _NAMES = ("manifest.csv", "events.csv", "manifest.toml")
-ENDINGS = (
-    *(".csv", ".txt", ".tsv", ".asc", ".dat", ".lvm", ".wav", ".flac", ".ogg", ".npy", ".npz", ".h5", ".hdf5"),
-    *(".hdf", ".mat", ".tdms", ".uff", ".unv", ".parquet", ".w64", ".aif", ".aiff", ".caf", ".au"),
-)
 #: Maximum number of characters of a label, group or sensor.
 _MAX_WORD_LENGTH = 100
 #: Largest size [bytes] and number of keys of a manifest.
