@@ -200,7 +200,7 @@ class CavingWatch:
                     anchor=None if shares.coal_until is None else Anchor(shares.coal_until, shares.cycle_pause),
                 ),
                 rule=rule,
-                rows=own,
+                rows=list(own),  # a tuple would index several axes
             )
             for name, rule, own in zip(supports, rules, rows or [(row,) for row in range(len(supports))], strict=True)
         }
@@ -313,7 +313,7 @@ class _Support:
 
     window: ShareWindow
     rule: ShutDecision | None
-    rows: Sequence[int]
+    rows: list[int]
     state: SupportState | None = None
     last_sound: float = float("nan")
     last_identified: float = float("nan")
