@@ -115,7 +115,7 @@ def line(row: str, found: list[tuple[float, Misfit | None]]) -> str:
     cells = [
         row,
         f"{alarms.size} of {times.size}",
-        f"{np.median(times):.0f} ({alarms.min():.0f} to {alarms.max():.0f})" if alarms.size else "-",
+        f"{np.median(alarms):.0f} ({alarms.min():.0f} to {alarms.max():.0f})" if alarms.size else "-",
         ", ".join(f"{part} {count}" for part, count in parts.most_common()) or "-",
         f"{np.median(factors):.2f}" if factors else "-",
     ]
