@@ -23,7 +23,7 @@ from __future__ import annotations
 import argparse
 import time
 import tomllib
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from itertools import pairwise
@@ -164,11 +164,14 @@ def rocks(n: int, rng: np.random.Generator) -> Rocks:
 # -- recorder ---------------------------------------------------------------------------------------------
 
 
-def chain(s: Complex) -> Complex:
-    angular, ratio = 2 * np.pi * _MOUNTING[0], _MOUNTING[1]
+def chain(
+    s: Complex, *, mounting: tuple[float, float] = _MOUNTING, edge: float = _EDGE, order: int = _ORDER
+) -> Complex:
+    """Return the gain of a mounting (frequency [Hz] and damping ratio) and of a Butterworth filter."""
+    angular, ratio = 2 * np.pi * mounting[0], mounting[1]
     out = angular**2 / (s**2 + 2 * ratio * angular * s + angular**2)
-    for k in range(_ORDER):
-        pole = 2 * np.pi * _EDGE * np.exp(1j * np.pi * (2 * k + _ORDER + 1) / (2 * _ORDER))
+    for k in range(order):
+        pole = 2 * np.pi * edge * np.exp(1j * np.pi * (2 * k + order + 1) / (2 * order))
         out = out * -pole / (s - pole)
     return out
 
@@ -179,7 +182,13 @@ def laplace_points() -> Complex:
 
 
 def transfer(
-    s: Complex, omega: Floats, damping: Floats, sensor: Floats, held: Floats, attached: Sequence[Attached]
+    s: Complex,
+    omega: Floats,
+    damping: Floats,
+    sensor: Floats,
+    held: Floats,
+    attached: Sequence[Attached],
+    recorder: Callable[[Complex], Complex] = chain,
 ) -> Complex:
     """Return what multiplied by the shapes at a point gives recorded acceleration per force there, (n_modes, n_points).
 
@@ -198,7 +207,7 @@ def transfer(
         towards = np.einsum("m,dm,mk->kd", sensor, held, single, optimize=True)
         back = np.linalg.solve(own, towards[..., None])[..., 0]
         out -= (held.T @ back.T) * single
-    return out * s**2 * chain(s)
+    return out * s**2 * recorder(s)
 
 
 def spectra(contacts: Sequence[Contact], onset: Floats, s: Complex) -> Complex:
@@ -246,11 +255,12 @@ def generate(
     sensors: Sequence[tuple[float, float]] = (SENSOR,),
     beam: Beam | None = None,
     given: Rocks | None = None,
+    recorder: Callable[[Complex], Complex] = chain,
 ) -> dict[str, Any]:
     """Return n recorded impacts; equal seeds give equal rocks, places and touches, whatever the variant.
 
     The factor `noise` 0 leaves out noise and converter; `sensors` are points (x, y) [m]; `beam` has the ribs of the
-    variant; `given` falls in place of rocks of the scene. `acceleration` [m/s^2] is (n, 2048) or (n, n_sensors, 2048);
+    variant; `given` falls in place of rocks of the scene; `recorder` is the gain of mounting and filter. `acceleration` [m/s^2] is (n, 2048) or (n, n_sensors, 2048);
     durations are those to the first and the last separation [s].
     """
     variant = VARIANTS[variant] if isinstance(variant, str) else variant
@@ -262,7 +272,7 @@ def generate(
     linked = np.array([[one.damper, one.mass, one.spring] for one in attached]).reshape(-1, 3)
     ready = Stepped(omega, damping, held, linked, RATE)
     s = laplace_points()
-    tables = [transfer(s, omega, damping, modes.shape(*place)[0], held, attached) for place in sensors]
+    tables = [transfer(s, omega, damping, modes.shape(*place)[0], held, attached, recorder) for place in sensors]
     rng_rocks, rng_touch, rng_noise = (np.random.default_rng([seed, stream]) for stream in range(3))
     rock = given or rocks(n, rng_rocks)
     onset = (PRE_TRIGGER + rng_touch.random(n)) / RATE

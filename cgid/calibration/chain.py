@@ -18,7 +18,7 @@ from scipy.linalg import eigh
 
 from cgid._lib.validation import Floats
 from cgid.calibration.learning import ImpactFrames
-from cgid.identification.inversion.contact import ContactFit
+from cgid.identification.inversion.contact import Contact, ContactFit
 from cgid.identification.inversion.inversion import ForceEstimate, Inversion
 from cgid.measure.modal.beam import Beam, filtered
 from cgid.physics.structure.response import LowPass, Resonance
@@ -28,8 +28,8 @@ from cgid.scene.synthesis.through_beam import contact_forces
 #: Number of impacts, and of shapes of all filtered forces; every so many forces make them, through filters of these
 #: edges and mountings (in sampling rates) and orders.
 _IMPACTS, _SHAPES, _EVERY = 60, 44, 12
-#: Number of impacts whose forces are compared with pulses.
-_COMPARED = 128
+#: Number of impacts whose forces are compared with pulses, and least number of short ones.
+_COMPARED, _FEWEST = 128, 10
 _CHAINS = tuple(
     zip(np.geomspace(0.2, 0.49, 12).tolist(), np.geomspace(1.6, 0.35, 12).tolist(), 3 * (4, 8, 2, 6), strict=True)
 )
@@ -100,7 +100,7 @@ def learn_chain(scene: Scene, beam: Beam, impacts: ImpactFrames, exact: Collecti
     inversion = Inversion(_with_every_filter(scene, beam))
     estimate = inversion.invert(impacts.observations(), impacts.start)
     contact = ContactFit(inversion, beam.filters).fit(estimate)
-    before = float(np.median(contact.outside))
+    before = _median(contact)
     pulses = np.column_stack([np.log(contact.width), contact.shape, contact.touch])
     soft = stated.logs.copy()
     soft[1] = np.log(_SOFT * rate)
@@ -120,14 +120,19 @@ def learn_chain(scene: Scene, beam: Beam, impacts: ImpactFrames, exact: Collecti
         if better.cost >= best.cost:
             break
         best = better
-    after = float(np.median(ContactFit(inversion, best.chain.filters).fit(estimate).outside))
+    after = _median(ContactFit(inversion, best.chain.filters).fit(estimate))
     return best.chain if after <= _FALLS_TO * before else None
 
 
 def outside(beam: Beam, impacts: ImpactFrames) -> float:
-    """Return the median share of the recovered forces of some impacts outside of the pulse family."""
+    """Return the median share of the recovered forces of some impacts outside of the pulse family; 0 of long pulses."""
     inversion, impacts = Inversion(beam), impacts.taken(slice(_COMPARED))
-    return float(np.median(ContactFit(inversion).fit(inversion.invert(impacts.observations(), impacts.start)).outside))
+    return _median(ContactFit(inversion).fit(inversion.invert(impacts.observations(), impacts.start)))
+
+
+def _median(contact: Contact) -> float:
+    shares = contact.outside[np.isfinite(contact.outside)]
+    return float(np.median(shares)) if shares.size >= _FEWEST else 0.0
 
 
 def _with_every_filter(scene: Scene, beam: Beam) -> Beam:

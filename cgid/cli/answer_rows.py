@@ -235,6 +235,7 @@ _OVER = {
     "upside_down": "the signal points upwards again",
     "mostly_unknown": "most impacts are identified again",
     "beam": "the modes of the model explain the impacts again",
+    "chain": "the forces are those of contacts again",
 }
 
 

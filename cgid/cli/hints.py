@@ -87,7 +87,7 @@ class Hints(Diagnosis):
         )
         return Hint(
             cause=finding.cause,
-            reason=reason if finding.cause is CauseKind.BEAM else f"{where}: {reason}",
+            reason=reason if finding.cause in (CauseKind.BEAM, CauseKind.CHAIN) else f"{where}: {reason}",
             advice=advice,
             commands=commands,
             instead=instead,
@@ -151,7 +151,7 @@ class Hints(Diagnosis):
                 ways = [(self._predict("--rate", f"{finding.value:g}"),) if is_open else ()]
             case CauseKind.AMPLITUDE:
                 ways = [self._in_other_unit(finding.value)]
-            case CauseKind.BEAM:
+            case CauseKind.BEAM | CauseKind.CHAIN:
                 ways = [self._calibration()]
             case CauseKind.VIBRATION:
                 ways = [self._as_acceleration(), self._training()]

@@ -39,6 +39,8 @@ _MIN_VARIANCE = 1e-20
 _SHAPE_PRIOR, _ONSET_PRIOR = (-0.9, 1.5), (TOUCH / 2, TOUCH / 2)
 #: Rows processed at once.
 _ROWS = 64
+#: A wrong filter bends short pulses; longer ones [samples] contain echoes of the beam.
+_SHORT = 5.0
 #: With more than this median share outside of the pulse family, forces are not those of contacts.
 MISSHAPEN = 0.03
 
@@ -54,7 +56,7 @@ class Contact(Rowwise):
     covariance: Floats  # (n, 3, 3), of ln peak, ln width and shape; times the misfit if that is above 1
     coefficients: Floats  # (n, n_shapes), of the fitted pulse, over the noise
     misfit: Floats  # (n,), reduced chi-square of the recovered force against the fitted pulse
-    outside: Floats  # (n,), amplitude of the recovered force beyond the fitted pulse and the noise, over the pulse's
+    outside: Floats  # (n,), amplitude of the recovered force beyond pulse and noise, over the pulse's; nan if long
 
 
 @cache
@@ -183,6 +185,7 @@ class ContactFit:
         n_free = max(own.shape[1] - 4, 1)
         misfit = left / n_free
         outside = np.sqrt(np.maximum(left - n_free, 0) / np.maximum(of_pulse, 1e-300))
+        outside[np.exp(at[:, 0]) > _SHORT / self.beam.sampling_rate] = np.nan
         # True pulses are not exactly of the family, as strong impacts show; widened as by Birge (1932, Phys. Rev. 40,
         # 207).
         covariance *= np.maximum(misfit, 1.0)[:, None, None]

@@ -112,6 +112,7 @@ class ThroughBeam:
             "beam_misfit": estimate.misfit,
             "beam_unexplained": 100 * estimate.unexplained,
             "beam_surely_unexplained": 100 * surely,
+            "beam_misshapen": 100 * contact.outside,
         }
 
     def _loudest(self, values: Floats) -> Floats:

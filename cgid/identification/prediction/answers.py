@@ -67,6 +67,8 @@ class Answer:
         The cause if it is outside the training range; None if inside or not measured.
     unexplained : float
         Fraction of its energy not explained by the model's beam [%]; nan without a beam or a measurement.
+    misshapen : float
+        Fraction of its force that no contact has [%]; nan without a beam or a measurement, and for a long pulse.
     level : float
         Logarithm of its peak force over the expectation of the training for such a pulse; nan without one.
     pulse : tuple of float or None
@@ -94,6 +96,7 @@ class Answer:
     problem_kind: ProblemKind | None = None
     cause: Cause | None = None
     unexplained: float = math.nan
+    misshapen: float = math.nan
     level: float = math.nan
     pulse: tuple[float, ...] | None = None
     traits: tuple[float, ...] | None = None
@@ -390,22 +393,25 @@ def _identified(
         text = f"a frame must contain at least {MINIMUM_FRAME} samples, got {frames.shape[-1]}"
         short = Problem(ProblemKind.TOO_SHORT, text)
         return [unmeasured(short)] * len(frames), np.full((len(frames), len(model.measured)), np.nan)
+    more = ("beam_misshapen",) if "beam_unexplained" in model.guards else ()
     values, problems = measured(
         frames.reshape(-1, frames.shape[-1]),
         sampling_rate,
-        model.measured,
+        (*model.measured, *more),
         pre_trigger=pre_trigger,
         detection_limit=detection_limit,
         equalisation=equalisation,
         beam=beam or model.beam,
         channel=channel,
     )
+    misshapen = values[:, -1] if more else np.full(len(values), np.nan)
+    values = values[:, : len(model.measured)]
     sound = np.asarray(np.isfinite(values).all(axis=1))
     time = 0.0 if pre_trigger is None else pre_trigger / sampling_rate
     features, guards = np.split(values[sound], [len(model.features)], axis=1)
     answers = answers_from(np.hstack([features, known[sound]]), guards, model, settings, sampling_rate)
     identified = [
-        replace(next(answers), time=time)
+        replace(next(answers), time=time, misshapen=float(misshapen[row]))
         if sound[row]
         else unmeasured(problems.get(row, "a feature has no finite value"), time)
         for row in range(len(frames))

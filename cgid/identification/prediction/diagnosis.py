@@ -46,6 +46,8 @@ _ANOTHER_BEAM = 0.95
 #: The beam has changed where the median of the latest impacts, so many, leaves more than this fraction of the energy
 #: unexplained [%], beyond so many standard deviations of a median, and so many times that of the training.
 _LATEST, CHANGED, _N_SIGMA, _OVER_TRAINING = (30, 100, 300), 0.5, 4.0, 3.0
+#: So many latest impacts have forces that no contact has if the median share of these is above this [%].
+_SHAPES, MISSHAPEN = 100, 3.0
 #: Impacts from which on their levels are compared with those of the training, and the latest levels kept of a channel.
 MIN_LEVELS, _MAX_LEVELS = 10, 10_000
 #: A live stream is tested at these numbers of levels, and then whenever so many more have come, by so many latest ones.
@@ -90,6 +92,7 @@ class CauseKind(StrEnum):
     SHAPE = "shape"
     FEATURES = "features"
     BEAM = "beam"
+    CHAIN = "chain"
 
 
 @dataclass(frozen=True)
@@ -253,6 +256,7 @@ class ChannelAnswers:
     latest: float = -np.inf
     problems: Counter[str] = field(default_factory=Counter)
     unexplained: deque[float] = field(default_factory=lambda: deque(maxlen=_LATEST[-1]))
+    misshapen: deque[float] = field(default_factory=lambda: deque(maxlen=_SHAPES))
     levels: deque[float] = field(default_factory=lambda: deque(maxlen=_MAX_LEVELS))
     n_levels: int = 0
     traits: list[tuple[float, ...]] = field(default_factory=list)
@@ -269,6 +273,8 @@ class ChannelAnswers:
         counted = _Counted(answer, cause, marked, bool(answer.probabilities) and not is_soon and not disturbed)
         if np.isfinite(answer.unexplained) and not (crowded or disturbed):
             self.unexplained.append(answer.unexplained)
+            if np.isfinite(answer.misshapen):
+                self.misshapen.append(answer.misshapen)
         if np.isfinite(answer.level):
             self.levels.append(answer.level)
             self.n_levels += 1
@@ -307,6 +313,11 @@ class ChannelAnswers:
         few_marks = self.unmarked.total() and self.n_unmarked >= _UNMARKED * self.n_answers
         return self.unmarked if few_marks else self.marks + self.unmarked
 
+    @property
+    def median_misshapen(self) -> float:
+        """Median share of the latest forces that no contact has [%]; nan for too few."""
+        return float(np.median(self.misshapen)) if len(self.misshapen) == _SHAPES else float("nan")
+
     def median_unexplained(self) -> tuple[float, list[float]]:
         """Return a lower confidence bound of the median unexplained part of recent impacts, and its values [%]."""
         bounds: list[tuple[float, list[float]]] = [(float("nan"), [])]
@@ -324,6 +335,7 @@ class Condition(StrEnum):
     UPSIDE_DOWN = "upside_down"
     MOSTLY_UNKNOWN = "mostly_unknown"
     BEAM = "beam"
+    CHAIN = "chain"
     FOREIGN = "foreign"  # the recording as a whole is not like those of the training; this does not end
 
 
@@ -441,6 +453,8 @@ class Diagnosis:
                 now.add(Condition.UPSIDE_DOWN)
             if name in changed or (Condition.BEAM in before and self._is_changed(channel)):
                 now.add(Condition.BEAM)
+            elif channel.median_misshapen > MISSHAPEN * (_NO_LONGER if Condition.CHAIN in before else 1.0):
+                now.add(Condition.CHAIN)
             if name in foreign:
                 now.add(Condition.FOREIGN)
             scale = self._scales.get(name)
@@ -491,9 +505,13 @@ class Diagnosis:
                 causes.setdefault(cause, []).append(name)
             elif name in changed:
                 causes.setdefault(CauseKind.BEAM, []).append(name)
+            elif channel.median_misshapen > MISSHAPEN:
+                causes.setdefault(CauseKind.CHAIN, []).append(name)
         return [
             self._change({name: changed[name] for name in names})
             if cause is CauseKind.BEAM
+            else self._misshapen(names)
+            if cause is CauseKind.CHAIN
             else self._finding(cause, names)
             for cause, names in causes.items()
         ]
@@ -520,6 +538,12 @@ class Diagnosis:
         latest = np.concatenate(list(changed.values()))
         counts = self._counts(changed)
         return ChannelFinding(cause=CauseKind.BEAM, **counts, value=float(np.median(latest)), n_latest=len(latest))
+
+    def _misshapen(self, names: Sequence[str]) -> ChannelFinding:
+        """Return the finding of channels whose forces no contact has."""
+        shares = [self.channels[name].median_misshapen for name in names]
+        counts = self._counts(names)
+        return ChannelFinding(cause=CauseKind.CHAIN, **counts, value=max(shares), n_latest=_SHAPES)
 
     def _counts(self, affected: Iterable[str]) -> dict[str, Any]:
         names = tuple(affected)

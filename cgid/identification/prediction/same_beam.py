@@ -360,6 +360,7 @@ class SameBeam:
                 clipped=any(one.clipped for one in own),
                 cut=any(one.cut for one in own),
                 traits=None,  # recordings of several channels were not simulated
+                misshapen=best.misshapen,
             )
             yield answer, parts
 

@@ -1,0 +1,187 @@
+"""Recorders, mountings and sensors that are not as stated: how often answers are right, calibrated or not, and a warning.
+
+Rocks fall on the beam of `independent_beam` (finite elements; skin and ribs as the package has them), whose recorder
+has another filter, mounting or place than the scene says; its modes may be off as well. The shipped model looks through
+the stated beam, through what `calibrate` makes of 300 unlabelled impacts, and through the true one. Nothing of the
+package makes the signals.
+
+    python benchmarks/beam/chain.py                      # every row
+    python benchmarks/beam/chain.py --rows 3 --seed 7    # random chains alone, as many as that
+    python benchmarks/beam/chain.py --sound 10           # sound calibrations: refused or moved
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+from scipy import signal
+from threadpoolctl import threadpool_limits
+
+from benchmarks.beam import independent_beam as other
+from benchmarks.beam.through_beam import batches_of, judged
+from cgid.calibration import calibrate
+from cgid.errors import BadData
+from cgid.identification.inversion.through_beam import ThroughBeam
+from cgid.identification.model import Model
+from cgid.identification.prediction import load_model
+from cgid.identification.prediction.diagnosis import MISSHAPEN
+from cgid.measure.features.vibration import VibrationBatch
+from cgid.scene import load_scene, parse_scene
+from cgid.scene.synthesis.through_beam import beam_of
+
+#: The beam as the package has it, but for a thousandth of shear.
+VARIANT = "0.001 mindlin"
+#: Taps of the linear-phase filter, at so many times the sampling rate, and its edge in sampling rates.
+_TAPS, _OVER, _FIR_EDGE = 257, 4, 0.4
+
+
+@dataclass(frozen=True)
+class Case:
+    """What is true and not stated: filter, mounting, sensor, and the error of the modes."""
+
+    name: str
+    edge: float = 10e3
+    order: int = 8
+    mounting: float = 25e3
+    sensor: tuple[float, float] = other.SENSOR
+    modes: float = 0.0
+    kind: str = "butterworth"
+
+
+def cases(n_random: int, seed: int) -> Iterator[Case]:
+    x, y = other.SENSOR
+    yield Case("as stated")
+    for millimetres in (10, 30):
+        yield Case(f"sensor {millimetres} mm off", sensor=(x + 1e-3 * millimetres, y))
+    for edge in (6e3, 8e3, 9e3, 11e3, 12e3):
+        yield Case(f"edge {edge / 1e3:g} kHz", edge=edge)
+    for mounting in (9e3, 12e3, 16e3, 40e3):
+        yield Case(f"mounting {mounting / 1e3:g} kHz", mounting=mounting)
+    for order in (4, 6):
+        yield Case(f"order {order}", order=order)
+    yield Case("edge 8 kHz, sensor 30 mm off", edge=8e3, sensor=(x, y + 0.03))
+    yield Case("edge 8 kHz, modes 1 % off", edge=8e3, modes=0.01)
+    yield Case("edge 12 kHz, mounting 14 kHz, sensor 20 mm off, modes 3 % off", 12e3, 8, 14e3, (x - 0.02, y), 0.03)
+    yield Case("Bessel, 10 kHz", kind="bessel")
+    yield Case("linear phase", kind="fir")
+    random = np.random.default_rng(seed)
+    for _ in range(n_random):
+        edge, order = random.uniform(6e3, 12e3), int(random.integers(4, 9))
+        mounting = float(np.exp(random.uniform(np.log(9e3), np.log(40e3))))
+        yield Case(
+            f"edge {edge / 1e3:.1f} kHz, order {order}, mounting {mounting / 1e3:.1f} kHz", edge, order, mounting
+        )
+
+
+def recorder_of(case: Case) -> Callable[[Any], Any]:
+    """Return the gain of a recorder at points of the Laplace plane."""
+    if case.kind == "butterworth":
+        return partial(other.chain, mounting=(case.mounting, 0.05), edge=case.edge, order=case.order)
+    if case.kind == "bessel":
+        zeros, poles, gain = signal.bessel(case.order, 2 * np.pi * case.edge, analog=True, output="zpk", norm="mag")
+    step = 1 / (_OVER * other.RATE)
+    taps = signal.firwin(_TAPS, _FIR_EDGE * other.RATE, fs=_OVER * other.RATE, window=("kaiser", 10.0))
+
+    def filtered(s: Any) -> Any:
+        stiff = other.chain(s, mounting=(case.mounting, 0.05), edge=1e9, order=1)
+        if case.kind == "bessel":
+            return stiff * gain / np.prod(s[:, None] - poles, axis=1)
+        # Its delay is cut off, as recorders do.
+        late = (np.arange(_TAPS) - _TAPS // 2) * step
+        return stiff * np.exp(-s[:, None] * late) @ taps
+
+    return filtered
+
+
+def made(case: Case, n: int, seed: int) -> dict[str, Any]:
+    modes = other.modes_for(other.VARIANTS[VARIANT])
+    if case.modes:
+        off = np.random.default_rng(seed).normal(0, case.modes, modes.frequency.size)
+        modes = replace(modes, frequency=modes.frequency * np.exp(off))
+    before, other.modes_for = other.modes_for, lambda *_: modes
+    try:
+        return other.generate(n, seed, VARIANT, sensors=(case.sensor,), recorder=recorder_of(case))
+    finally:
+        other.modes_for = before
+
+
+def asked(model: Model, beam: Any, tests: dict[str, Any]) -> dict[str, Any]:
+    through = replace(model)
+    through.__dict__["beam"] = ThroughBeam(beam)
+    return judged(through, batches_of(tests))
+
+
+def warned(model: Model, signals: Any) -> float:
+    """Return the median share of the forces outside of contacts [%]."""
+    assert model.beam is not None
+    _, contact = model.beam.look(VibrationBatch(signals.astype(float), other.RATE, other.PRE_TRIGGER))
+    return 100 * float(np.nanmedian(contact.outside))
+
+
+def row(case: Case, model: Model, n: int, n_test: int, seed: int) -> str:
+    """Return a row: right through the stated, the learned and the true beam."""
+    assert model.beam is not None
+    whole = made(case, n + n_test, seed)
+    tests = {key: part[n:] if np.ndim(part) else part for key, part in whole.items()}
+    scene, impacts = load_scene("tail_beam"), whole["acceleration"][:n]
+    share = warned(model, impacts[:100])
+    content = json.loads(scene.text)
+    content["tail_beam"]["sensor_point"] = dict(zip("xy", case.sensor, strict=True))
+    content["sensor"]["anti_alias"] = {"frequency": case.edge, "order": case.order}
+    content["sensor"]["mounting"] = {"frequency": case.mounting, "damping_ratio": 0.05}
+    best = "-"
+    if case.kind == "butterworth" and not case.modes:
+        best = f"{asked(model, replace(beam_of(parse_scene(content))), tests)['accuracy']:.3f}"
+    clock, said = time.process_time(), ""
+    with threadpool_limits(1):
+        try:
+            found = calibrate(
+                scene, impacts, other.RATE, other.PRE_TRIGGER, start_error=max(case.modes, 0.01), max_impacts=n
+            )
+        except BadData as error:
+            after, said = "refused", str(error).partition(":")[0][-40:]
+        else:
+            learned = beam_of(found.scene)
+            told = asked(model, replace(learned, modes=replace(learned.modes, deviation=None)), tests)
+            after = f"{told['accuracy']:.3f}"
+            said = ", ".join(
+                [f"{one.name[-1]} {1e3 * (one.after - one.before):+.1f} mm" for one in found.dimensions]
+                + [f"{name.rpartition('.')[0][:4]} {new:.4g}" for name, (_, new) in found.chain.items()]
+            )
+    clock = time.process_time() - clock
+    before = asked(model, model.beam.beam, tests)
+    flag = " *" if share > MISSHAPEN else ""
+    return (
+        f"| {case.name} | {share:.1f} %{flag} | {before['accuracy']:.3f} ({before['unknown']:.2f}) | {after} | {best} | "
+        f"{said} | {clock:.0f} |"
+    )
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--rows", type=int, default=4, help="random chains")
+    parser.add_argument("--only", default="", help="rows whose name contains this")
+    parser.add_argument("--sound", type=int, default=0, help="so many sound calibrations instead")
+    parser.add_argument("--seed", type=int, default=600_001)
+    parser.add_argument("--impacts", type=int, default=300)
+    parser.add_argument("--test", type=int, default=768)
+    options = parser.parse_args()
+    model = load_model("default-acceleration")
+    print("| true | force outside of contacts (* warned) | right, stated (unknown) | after | true beam | learned | s |")
+    print("|---|---|---|---|---|---|---|")
+    chosen = [case for case in cases(options.rows, options.seed) if options.only in case.name]
+    if options.sound:
+        chosen = [Case("as stated", modes=0.01)] * options.sound
+    for number, case in enumerate(chosen):
+        print(row(case, model, options.impacts, options.test, options.seed + number), flush=True)
+
+
+if __name__ == "__main__":
+    main()
