@@ -256,15 +256,17 @@ def generate(
     beam: Beam | None = None,
     given: Rocks | None = None,
     recorder: Callable[[Complex], Complex] = chain,
+    modes: Modes | None = None,
 ) -> dict[str, Any]:
     """Return n recorded impacts; equal seeds give equal rocks, places and touches, whatever the variant.
 
     The factor `noise` 0 leaves out noise and converter; `sensors` are points (x, y) [m]; `beam` has the ribs of the
-    variant; `given` falls in place of rocks of the scene; `recorder` is the gain of mounting and filter. `acceleration` [m/s^2] is (n, 2048) or (n, n_sensors, 2048);
-    durations are those to the first and the last separation [s].
+    variant, unless its `modes` are given; `given` falls in place of rocks of the scene; `recorder` is the gain of
+    mounting and filter. `acceleration` [m/s^2] is (n, 2048) or (n, n_sensors, 2048); durations are those to the first
+    and the last separation [s].
     """
     variant = VARIANTS[variant] if isinstance(variant, str) else variant
-    modes = modes_for(variant, beam)
+    modes = modes or modes_for(variant, beam)
     omega = 2 * np.pi * modes.frequency
     damping = damping_ratios(modes.frequency, variant.damping)
     attached = variant.attached

@@ -115,7 +115,8 @@ class Learned:
         self, beam: Beam, impacts: ImpactFrames, prior: Floats, progress: Callable[[int], object] | None = None
     ) -> None:
         self._beam, self._impacts, self._progress, self._prior = beam, impacts, progress, prior
-        self.correction, self.deviation, self.has_converged = np.zeros(prior.shape), prior.copy(), False
+        self.correction: Floats = np.zeros(prior.shape)
+        self.deviation, self.has_converged = prior.copy(), False
         self._quantities, self._raised = np.flatnonzero(prior.any(axis=1)), np.ones(len(impacts))
 
     def on(self, beam: Beam, prior: Floats) -> Learned:
