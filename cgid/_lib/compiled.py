@@ -42,6 +42,7 @@ SOURCES = (
     "physics/contact/_contact.py",
     "physics/contact/_dop853.py",
     "physics/contact/_kernels.py",
+    "physics/contact/_modal_step.py",
     "physics/contact/_modes.py",
     "physics/contact/_step.py",
     "physics/contact/laws.py",
@@ -109,7 +110,7 @@ def by_address(signature: Any) -> Callable[[Function], Function]:
     """Return the decorator of a function that kernels get as an argument: it is compiled once, not in each of them."""
 
     def decorated(function: Function) -> Function:
-        dispatcher: Any = jit(function)
+        dispatcher: Any = _compiled(function, _OPTIONS | {"no_cpython_wrapper": True, "_nrt": False})
         dispatcher.by_address = numba.types.FunctionType(signature)
         result: Function = dispatcher
         return result

@@ -7,14 +7,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from cgid.physics.contact._dop853 import DENSE, END, HISTORY, LAST, STAGES, TAU, W, Y
+from cgid.physics.contact._dop853 import DENSE, END, ERROR_3, ERROR_5, HISTORY, LAST, STAGES, TAU, W, Y
 
 PATH = Path(__file__).parents[2] / "cgid" / "physics" / "contact" / "_step.py"
-#: Weights of the stages in the two error estimates.
-ERROR_5 = {0: 0.01312004499419488, 5: -1.2251564463762044, 6: -0.4957589496572502, 7: 1.6643771824549864, 8:
-    -0.35032884874997366, 9: 0.3341791187130175, 10: 0.08192320648511571, 11: -0.022355307863886294}  # fmt: skip
-ERROR_3 = {0: -0.18980075407240762, 5: 4.450312892752409, 6: 1.8915178993145003, 7: -5.801203960010585, 8:
-    -0.4226823213237919, 9: -0.1521609496625161, 10: 0.20136540080403034, 11: 0.02265179219836082}  # fmt: skip
 
 
 def weighted(weights: dict[int, float], name: str) -> str:
@@ -39,14 +34,9 @@ def dense(variable: str, rate: str, change: str, column: int) -> str:
 STAGE_SOURCE = """
     w{i} = w + h * ({w})
     y{i} = y + h * ({y})
-    v = 0.0
-    if modal:
-        v = velocity(cells, _STAGE[{i}], tau + h * ({t}), h)
     g, c = force(p, history, w{i})
-    f = (g + c * (y{i} - v)) / (1.0 + inelasticity * c)
-    u = y{i} - v - inelasticity * f
-    if modal:
-        cells[STAGE + {i}, IMPULSE], cells[STAGE + {i}, RATE] = w{i} * f, u
+    f = (g + c * y{i}) / (1.0 + inelasticity * c)
+    u = y{i} - inelasticity * f
     dw{i} = 0.5 * u
     dy{i} = w{i} * (weight - f)
 """
@@ -63,21 +53,17 @@ from __future__ import annotations
 import math
 from typing import Any
 
-import numpy as np
 from numpy.typing import NDArray
 
 from cgid._lib.compiled import bare_jit
-from cgid.physics.contact._modes import IMPULSE, RATE, STAGE, velocity
 
 Array = NDArray[Any]
-#: Stages that are no integers of Python, each of which would compile `velocity` anew.
-_STAGE = np.arange({LAST})
 
 
 @bare_jit
 def step(
-    force: Any, p: Array, history: Array, inelasticity: float, weight: float, modal: bool, cells: Array, h: float,
-    w: float, y: float, tau: float, u: float, f: float, top: float, peak: float, tolerance: float, row: Array
+    force: Any, p: Array, history: Array, inelasticity: float, weight: float, h: float, w: float, y: float, tau: float,
+    u: float, f: float, top: float, peak: float, tolerance: float, row: Array
 ) -> tuple[float, ...]:
     """Return the error over the permitted one, w, y, tau, x', g, c and f at the end; a good step fills its row."""
     w0, dw0, dy0 = w, 0.5 * u, w * (weight - f)

@@ -29,10 +29,12 @@ from numpy.typing import NDArray
 
 from cgid._lib.compiled import FLOATS, LAW, ROWS, bare_jit, by_address, inner_jit, jit
 from cgid.physics.contact._dop853 import COLUMNS, HISTORY, LAST, TAU, W, Y
+from cgid.physics.contact._modal_step import modal_step
 from cgid.physics.contact._modes import (
     IMPULSE,
     LONGEST,
     RATE,
+    SPARE,
     STAGE,
     STRUCTURE,
     THROUGH,
@@ -151,11 +153,11 @@ def state_at(
     return w, y - inelasticity * f, f
 
 
-@inner_jit
+@bare_jit
 def _refine(cells: Array, row: Array, first: float, last: float) -> None:
     """Replace the dense output of y by that of x', a polynomial: the slope of w is of a lower order."""
-    u = np.empty(WITHIN.size)
-    u[0], u[-1] = first, last
+    u = cells[SPARE]
+    u[0], u[WITHIN.size - 1] = first, last
     for k in range(1, WITHIN.size - 1):
         u[k] = value(row, Y, WITHIN[k]) - velocity(cells, LAST + k, value(row, TAU, WITHIN[k]), row[0])
     for degree in range(WITHIN.size):
@@ -276,7 +278,33 @@ def _is_free(force: Any, p: Array, history: Array, w: float, y: float, negligibl
 def _rests(force: Any, p: Array, history: Array, weight: float, modes: Structure, w: float, u: float, f: float) -> bool:
     """Return whether neither contact nor modes swing so far that a sphere leaves which its weight holds."""
     swing = abs(f - weight) + math.sqrt(max(_stiffness(force, p, history, w), 0.0)) * abs(u) if w > 0.0 else weight
-    return bool(swing < 0.5 * weight and swing + sway(modes, weight) < 0.5 * weight)
+    return bool(swing < 0.5 * weight and swing + sway(modes.modes, weight) < 0.5 * weight)
+
+
+@bare_jit
+def _any_step(
+    force: Any,
+    p: Array,
+    history: Array,
+    inelasticity: float,
+    weight: float,
+    modal: bool,
+    cells: Array,
+    h: float,
+    w: float,
+    y: float,
+    tau: float,
+    u: float,
+    f: float,
+    top: float,
+    peak: float,
+    tolerance: float,
+    row: Array,
+) -> tuple[float, ...]:
+    """Take a step as `_step.step`, or one on modes."""
+    if modal:
+        return modal_step(force, p, history, weight, cells, h, w, y, tau, u, f, top, peak, tolerance, row)
+    return step(force, p, history, inelasticity, weight, h, w, y, tau, u, f, top, peak, tolerance, row)
 
 
 @by_address(
@@ -312,14 +340,14 @@ def integrate(
     top, peak, compressing, begin = 0.0, 0.0, True, tau
     result[0] = OUT_OF_REACH
     corner = corner_of(p, history) if hysteretic else math.inf
-    v, cuts, longest, least = 0.0, 1, math.inf, 0.0
+    v, cuts, part, longest, least = 0.0, 1, 1.0, math.inf, 0.0
     if weight > 1.0:
         # The fall into the contact outweighs the energy of the impact, from which the rebound is what remains.
         permitted = max(permitted * math.pow(weight, -5.0 / 3.0), _FINEST)
     if modal:
         # More than one event may fall in a step.
         permitted = max(permitted * math.pow(min(tolerance / _LOOSE, 1.0), 1.25), _LEAST)
-        v, cuts, longest = velocity(cells, _FIRST, tau, 0.0), 8, LONGEST * width_of(cells)
+        v, cuts, part, longest = velocity(cells, _FIRST, tau, 0.0), 8, 0.125, LONGEST * width_of(cells)
     g, c = force(p, history, w)
     f = (g + c * (y - v)) / (1.0 + inelasticity * c)
     u = y - v - inelasticity * f
@@ -339,7 +367,7 @@ def integrate(
                 if weight > 0.0 and (tau - begin > _FOR_GOOD or _rests(force, p, history, weight, modes, w, u, f)):
                     result[0] = STAYS
                     return 0
-        error, w1, y1, tau1, u1, g1, c1, f1 = step(
+        error, w1, y1, tau1, u1, g1, c1, f1 = _any_step(
             force, p, history, inelasticity, weight, modal, cells, h, w, y, tau, u, f, top, peak, permitted, row
         )
         if not error <= 1.0 or tau1 - tau > longest:
@@ -353,7 +381,7 @@ def integrate(
             _refine(cells, row, u, u1)
         event, share, low = _NO_EVENT, 1.0, 0.0
         for cut in range(1, cuts + 1):
-            share, w2, u2, f2 = cut / cuts, w1, u1, f1
+            share, w2, u2, f2 = cut * part, w1, u1, f1
             if modal:
                 w2, u2, f2 = state_at(force, p, history, inelasticity, modal, row, share)
                 # The structure may run from the sphere faster than the material recovers; rounding is no attraction.
@@ -382,9 +410,9 @@ def integrate(
                     event, share = ending, until
             if event != _NO_EVENT:
                 break
-            low = cut / cuts
+            low = cut * part
         if share < 1.0:
-            error, w1, y1, tau1, u1, g1, c1, f1 = step(
+            error, w1, y1, tau1, u1, g1, c1, f1 = _any_step(
                 force,
                 p,
                 history,
@@ -464,7 +492,7 @@ def integrate(
     return 0
 
 
-@inner_jit
+@bare_jit
 def _fly(row: Array, history: Array, w: float, y: float, tau: float) -> None:
     """Fill the last step of a sphere that feels no more force."""
     row[:] = 0.0

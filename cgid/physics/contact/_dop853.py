@@ -1,4 +1,4 @@
-"""Coefficients of DOP853; `_step` holds the step that follows from them.
+"""Coefficients of DOP853, the step of `_step`.
 
 Hairer, Norsett & Wanner (1993), Solving Ordinary Differential Equations I, section II.10: a Runge-Kutta method of order
 8 with errors of order 5 and 3, and three more stages for dense output of order 7.
@@ -50,6 +50,12 @@ DENSE: tuple[dict[int, float], ...] = (
      93.40532418362432, 9: -37.45832313645163, 10: 104.0996495089623, 11: 29.8402934266605, 12: -43.53345659001114,
      13: 96.32455395918828, 14: -39.17726167561544, 15: -149.72683625798564},
 )  # fmt: skip
+
+#: Weights of the stages in the two error estimates.
+ERROR_5 = {0: 0.01312004499419488, 5: -1.2251564463762044, 6: -0.4957589496572502, 7: 1.6643771824549864, 8:
+    -0.35032884874997366, 9: 0.3341791187130175, 10: 0.08192320648511571, 11: -0.022355307863886294}  # fmt: skip
+ERROR_3 = {0: -0.18980075407240762, 5: 4.450312892752409, 6: 1.8915178993145003, 7: -5.801203960010585, 8:
+    -0.4226823213237919, 9: -0.1521609496625161, 10: 0.20136540080403034, 11: 0.02265179219836082}  # fmt: skip
 
 END, LAST = 12, len(STAGES)
 #: Columns of a step: its length in sigma, the history, and the dense output of w, y and tau.

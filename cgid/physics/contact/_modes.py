@@ -77,11 +77,10 @@ _POINTS, _BEFORE = 10, 4
 #: Times before the clock at which answers are known, all such times, and the Chebyshev times between.
 _NEGATIVE = LONGEST + _BEFORE
 _TIMES, _NODES = _NEGATIVE + CELLS + _POINTS, 52
-#: Rows of `cells`: answers from LONGEST before an impulse to LONGEST after it, the next motion, the stages, and the
-#: clock: its time, width of a cell, first of the next cells.
+#: Rows of `cells`: answers from LONGEST before an impulse to LONGEST after it, the next motion, and the stages.
 _NEAR, STAGE = 2 * LONGEST, 3 * LONGEST + 2
-#: Columns of a stage.
-TIME, IMPULSE, VELOCITY, RATE = 0, 1, 2, 3
+#: Columns of a stage; the last three are those of `_step`.
+TIME, IMPULSE, VELOCITY, RATE, PLACE, TURN_W, TURN_Y = range(7)
 
 
 def _cardinal(at: Array) -> Array:
@@ -94,7 +93,10 @@ _FIT = _cardinal(np.arange(_POINTS) - float(_BEFORE))
 #: Where in a step its velocity is known after it, the ends included; weights of the stages in its stages and there.
 WITHIN = np.array([0.0, 0.08, 0.25, 0.42, 0.58, 0.75, 0.92, 1.0])
 _WEIGHTS = np.array([[weights.get(k, 0.0) for k in range(LAST)] for weights in (*STAGES, *map(within, WITHIN))])
+#: Further rows: the clock (its time, width of a cell, first of the next cells); impulse, its work on the structure and
+#: that of the approach; numbers in between; the displacement without any force.
 _CLOCK = STAGE + len(_WEIGHTS)
+TOTALS, SPARE, LEVEL = np.arange(_CLOCK + 1, _CLOCK + 4)
 #: From values within a step to the coefficients of their polynomial.
 THROUGH = _cardinal(WITHIN)
 #: Chebyshev times on [-1, 1], and from values there to those at all times of the grid.
@@ -105,31 +107,30 @@ _EXPAND = (
     * (2 / _NODES)
 )
 _COLLECT = _EXPAND.T.copy()
+#: Rows of `modes`: mu, z / sqrt(1 - z^2), w_d, the real and imaginary part of a when the clock was set, numbers in
+#: between, and the real and imaginary part of exp(lambda t) at the Chebyshev times.
+SHARE, LOSS, ANGULAR, REAL, IMAGINARY, _A, _B, _C, _D, TURNS = range(10)
+_SINES = TURNS + _NODES
+#: Rows of `grids`: velocity after a unit impulse, without any more force, the impulses of the force since the clock was
+#: set, and numbers in between.
+_ANSWER, _FREE, _IMPULSES, _OWN, _AT, _PAST = np.arange(6)
+#: Such numbers as arguments: numba compiles a function anew for each Python integer that it is given.
+_BEGIN, _ONE, _NEXT, _NEXT_CELLS, _ALL_CELLS = np.array([0, 1, _NEAR, LONGEST + 2, CELLS])
 
 
 class Structure(NamedTuple):
-    """The modes of a structure in units of L, T0 and v, and their motion."""
+    """The modes of a structure in units of L, T0 and v, and their motion: three arrays, since each costs a reference."""
 
-    share: Array  # (modes,) mu
-    loss: Array  # (modes,) z / sqrt(1 - z^2)
-    angular: Array  # (modes,) w_d
-    turns: Array  # (2, nodes, modes) real and imaginary part of exp(lambda t) at the Chebyshev times
-    amplitude: Array  # (2, modes) of a when the clock was set
-    answer: Array  # (times,) velocity after a unit impulse
-    free: Array  # (times,) velocity without any more force
-    level: Array  # (CELLS, 10) displacement without any force
-    impulses: Array  # (times,) of the force since the clock was set
-    cells: Array  # (rows, 10) what the stages of a step take: one array, since every other costs a reference
-    totals: Array  # impulse, its work on the structure and that of the approach
+    modes: Array  # (rows, modes)
+    grids: Array  # (rows, times)
+    cells: Array  # (rows, 10) polynomials, and what the stages of a step take
 
 
 @inner_jit
 def structure(n_modes: int) -> Structure:
     """Return a structure to be filled: share, loss, angular and turns, then by `settle`."""
-    numbers, grids, level = np.zeros((3, n_modes)), np.zeros((3, _TIMES)), np.zeros((CELLS, _POINTS))
-    turns, amplitude, cells = np.zeros((2, _NODES, n_modes)), np.zeros((2, n_modes)), np.zeros((_CLOCK + 1, _POINTS))
     return Structure(
-        numbers[0], numbers[1], numbers[2], turns, amplitude, grids[0], grids[1], level, grids[2], cells, np.zeros(3)
+        np.zeros((_SINES + _NODES, n_modes)), np.zeros((_PAST + 1, _TIMES)), np.zeros((LEVEL + CELLS, _POINTS))
     )
 
 
@@ -137,32 +138,41 @@ def structure(n_modes: int) -> Structure:
 STRUCTURE = numba.typeof(structure.py_func(1))
 
 
-@inner_jit
-def tabulate(decay: Array, angular: Array, width: float, turns: Array) -> None:
+@bare_jit
+def tabulate(decay: Array, angular: Array, width: float, modes: Array) -> None:
     """Fill the turns of modes for cells of this width [s]."""
     for k in range(_NODES):
         t = width * (0.5 * (_TIMES - 1) * (NODES[k] + 1.0) - _NEGATIVE)
         for r in range(decay.size):
             size = math.exp(-decay[r] * t)
-            turns[0, k, r], turns[1, k, r] = size * math.cos(angular[r] * t), size * math.sin(angular[r] * t)
+            modes[TURNS + k, r], modes[_SINES + k, r] = size * math.cos(angular[r] * t), size * math.sin(angular[r] * t)
 
 
-@inner_jit
+@bare_jit
 def settle(m: Structure, width: float) -> None:
     """Bring a structure to rest at time 0."""
-    m.amplitude[:] = 0.0
-    m.free[:] = 0.0
-    m.impulses[:] = 0.0
-    m.totals[:] = 0.0
-    m.cells[:] = 0.0
-    m.cells[_CLOCK, 1] = width
-    _expand(m, m.share, m.share * m.loss, m.answer)
-    _fit(m.answer, 0, m.cells[:_NEAR])
+    modes, grids, cells = m.modes, m.grids, m.cells
+    for r in range(modes.shape[1]):
+        modes[REAL, r], modes[IMAGINARY, r] = 0.0, 0.0
+        modes[_A, r], modes[_B, r] = modes[SHARE, r], modes[SHARE, r] * modes[LOSS, r]
+    _clear(grids, _FREE)
+    _clear(grids, _IMPULSES)
+    for row in range(SPARE):
+        _clear(cells, row)
+    cells[_CLOCK, 1] = width
+    _expand(m, _ANSWER)
+    _fit(grids, _ANSWER, _BEGIN, cells, _BEGIN, _NEXT)
+
+
+@bare_jit
+def _clear(rows: Array, row: int) -> None:
+    for k in range(rows.shape[1]):
+        rows[row, k] = 0.0
 
 
 @bare_jit
 def dot(a: Array, b: Array) -> float:
-    """Return the scalar product in four sums, which are independent and so run side by side."""
+    """Return the scalar product with the first of b in four sums, which are independent and so run side by side."""
     s0, s1, s2, s3 = 0.0, 0.0, 0.0, 0.0
     n = a.size - a.size % 4
     for k in range(0, n, 4):
@@ -175,23 +185,23 @@ def dot(a: Array, b: Array) -> float:
     return (s0 + s1) + (s2 + s3)
 
 
-@inner_jit
-def _expand(m: Structure, a: Array, b: Array, out: Array) -> None:
-    """Fill out (times,) with the sum of the real part of (a + i b) exp(lambda t)."""
-    at_nodes = np.empty(_NODES)
+@bare_jit
+def _expand(m: Structure, line: int) -> None:
+    """Fill a row of the grids with the sum of the real part of (a + i b) exp(lambda t), a and b as left in `modes`."""
+    modes, nodes, out = m.modes, m.grids[_AT], m.grids[line]
     for k in range(_NODES):
-        at_nodes[k] = dot(m.turns[0, k], a) - dot(m.turns[1, k], b)
+        nodes[k] = dot(modes[TURNS + k], modes[_A]) - dot(modes[_SINES + k], modes[_B])
     for k in range(_TIMES):
-        out[k] = dot(_EXPAND[k], at_nodes)
+        out[k] = dot(_EXPAND[k], nodes)
 
 
 @bare_jit
-def _fit(values: Array, first: int, cells: Array) -> None:
-    """Fill cells (n, 10) with the polynomials through values from the first on."""
-    for k in range(len(cells)):
-        near = values[first + k : first + k + _POINTS]
+def _fit(grids: Array, line: int, first: int, cells: Array, begin: int, n: int) -> None:
+    """Fill n cells with the polynomials through the values of a grid from the first on."""
+    for k in range(n):
+        near = grids[line, first + k : first + k + _POINTS]
         for degree in range(_POINTS):
-            cells[k, degree] = dot(_FIT[degree], near)
+            cells[begin + k, degree] = dot(_FIT[degree], near)
 
 
 @bare_jit
@@ -209,14 +219,14 @@ def _polynomial(c: Array, first: int, n: int, at: float) -> float:
 
 
 @bare_jit
-def _spread(at: float, weights: Array) -> int:
-    """Fill the weights (10,) of the values that give that at a time; return the first of these values."""
+def _spread(at: float, cells: Array) -> int:
+    """Put the weights of the values that give that at a time into the spare cell; return the first of these values."""
     k = math.floor(at)
     s = at - k
-    weights[:] = 0.0
+    _clear(cells, SPARE)
     for degree in range(_POINTS - 1, -1, -1):
         for i in range(_POINTS):
-            weights[i] = weights[i] * s + _FIT[degree, i]
+            cells[SPARE, i] = cells[SPARE, i] * s + _FIT[degree, i]
     return int(k) + _NEGATIVE - _BEFORE
 
 
@@ -224,32 +234,34 @@ def _spread(at: float, weights: Array) -> int:
 def velocity(cells: Array, stage: int, time: float, h: float) -> float:
     """Return the velocity of the point of impact at a stage of a step."""
     per = 1.0 / cells[_CLOCK, 1]
-    v = _polynomial(cells, _NEAR, LONGEST + 2, (time - cells[_CLOCK, 0]) * per - cells[_CLOCK, 2])
+    v = _polynomial(cells, _NEXT, _NEXT_CELLS, (time - cells[_CLOCK, 0]) * per - cells[_CLOCK, 2])
     for k in range(min(stage, LAST)):
         weight = _WEIGHTS[stage, k] * cells[STAGE + k, IMPULSE]
         if weight != 0.0:
-            v += h * weight * _polynomial(cells, 0, _NEAR, (time - cells[STAGE + k, TIME]) * per + LONGEST)
+            v += h * weight * _polynomial(cells, _BEGIN, _NEXT, (time - cells[STAGE + k, TIME]) * per + LONGEST)
     cells[STAGE + stage, TIME], cells[STAGE + stage, VELOCITY] = time, v
     return v
 
 
-@inner_jit
+@bare_jit
 def remember(m: Structure, h: float) -> None:
     """Take the impulses of a step into the motion after it."""
-    cells, totals, weights, own = m.cells, m.totals, np.empty(_POINTS), np.zeros(_TIMES)
+    cells, grids = m.cells, m.grids
+    _clear(grids, _OWN)
     per, first, last = 1.0 / cells[_CLOCK, 1], _TIMES, 0
     for k in range(END):
         impulse = h * _WEIGHTS[END, k] * cells[STAGE + k, IMPULSE]
         if impulse != 0.0:
-            at = _spread((cells[STAGE + k, TIME] - cells[_CLOCK, 0]) * per, weights)
+            at = _spread((cells[STAGE + k, TIME] - cells[_CLOCK, 0]) * per, cells)
             first, last = min(first, at), max(last, at + _POINTS)
             for i in range(_POINTS):
-                own[at + i] += impulse * weights[i]
-            totals[0] += impulse
-            totals[1] += impulse * cells[STAGE + k, VELOCITY]
-            totals[2] += impulse * cells[STAGE + k, RATE]
+                grids[_OWN, at + i] += impulse * cells[SPARE, i]
+            cells[TOTALS, 0] += impulse
+            cells[TOTALS, 1] += impulse * cells[STAGE + k, VELOCITY]
+            cells[TOTALS, 2] += impulse * cells[STAGE + k, RATE]
     time = cells[STAGE + END, TIME]
-    begin, free, answer, impulses = int((time - cells[_CLOCK, 0]) * per) + LONGEST, m.free, m.answer, m.impulses
+    begin = int((time - cells[_CLOCK, 0]) * per) + LONGEST
+    own, free, answer, impulses = grids[_OWN], grids[_FREE], grids[_ANSWER], grids[_IMPULSES]
     for j in range(first, last):
         impulses[j] += own[j]
         after, later = free[begin : _TIMES - _NEGATIVE + j], answer[begin - j + _NEGATIVE :]
@@ -260,13 +272,13 @@ def remember(m: Structure, h: float) -> None:
     _look_ahead(m, time)
 
 
-@inner_jit
+@bare_jit
 def _look_ahead(m: Structure, time: float) -> None:
     """Fit the motion in the next cells."""
     cells = m.cells
     first = max(min(math.floor((time - cells[_CLOCK, 0]) / cells[_CLOCK, 1]), CELLS - LONGEST - 2.0), 0.0)
     cells[_CLOCK, 2] = first
-    _fit(m.free, int(first) + LONGEST, cells[_NEAR:STAGE])
+    _fit(m.grids, _FREE, int(first) + LONGEST, cells, _NEXT, _NEXT_CELLS)
 
 
 @bare_jit
@@ -283,81 +295,85 @@ def width_of(cells: Array) -> float:
     return width
 
 
-@inner_jit
+@bare_jit
 def advance(m: Structure, time: float) -> None:
     """Let the modes take up the impulses until a time, and tabulate their free motion from there."""
-    at, past, weights, clock = np.zeros(_TIMES), np.zeros(_TIMES), np.empty(_POINTS), m.cells[_CLOCK]
-    first = _spread((time - clock[0]) / clock[1], weights)
+    modes, grids, cells = m.modes, m.grids, m.cells
+    first = _spread((time - cells[_CLOCK, 0]) / cells[_CLOCK, 1], cells)
+    _clear(grids, _OWN)
+    _clear(grids, _PAST)
     for i in range(_POINTS):
-        at[first + i] = weights[i]
-    moved = np.zeros((4, m.share.size))
-    cosine, sine, real, imaginary = moved[0], moved[1], moved[2], moved[3]
+        grids[_OWN, first + i] = cells[SPARE, i]
     for j in range(_TIMES):
-        if m.impulses[j] != 0.0:
+        if grids[_IMPULSES, j] != 0.0:
             begin = first - j + _NEGATIVE
             for i in range(_POINTS):
-                past[begin + i] += m.impulses[j] * weights[i]
+                grids[_PAST, begin + i] += grids[_IMPULSES, j] * cells[SPARE, i]
+    for row in range(_A, _D + 1):
+        _clear(modes, row)
+    cosine, sine, real, imaginary, at, past = modes[_A], modes[_B], modes[_C], modes[_D], grids[_OWN], grids[_PAST]
     for k in range(_NODES):
-        turn, impulse, c, s = dot(_COLLECT[k], at), dot(_COLLECT[k], past), m.turns[0, k], m.turns[1, k]
+        turn, impulse, c, s = dot(_COLLECT[k], at), dot(_COLLECT[k], past), modes[TURNS + k], modes[_SINES + k]
         for r in range(c.size):
             cosine[r] += turn * c[r]
             sine[r] += turn * s[r]
             real[r] += impulse * c[r]
             imaginary[r] += impulse * s[r]
-    a, b = m.amplitude[0], m.amplitude[1]
-    for r in range(m.share.size):
-        a[r], b[r] = cosine[r] * a[r] - sine[r] * b[r] + real[r], cosine[r] * b[r] + sine[r] * a[r] + imaginary[r]
+    for r in range(modes.shape[1]):
+        a, b, share, loss = modes[REAL, r], modes[IMAGINARY, r], modes[SHARE, r], modes[LOSS, r]
+        a, b = cosine[r] * a - sine[r] * b + real[r], cosine[r] * b + sine[r] * a + imaginary[r]
+        modes[REAL, r], modes[IMAGINARY, r] = a, b
         # Q' is the real part of (1 + i z / sqrt(1 - z^2)) a.
-        real[r], imaginary[r] = m.share[r] * (a[r] - m.loss[r] * b[r]), m.share[r] * (b[r] + m.loss[r] * a[r])
-    _expand(m, real, imaginary, m.free)
-    clock[0] = time
-    m.impulses[:] = 0.0
+        cosine[r], sine[r] = share * (a - loss * b), share * (b + loss * a)
+    _expand(m, _FREE)
+    cells[_CLOCK, 0] = time
+    _clear(grids, _IMPULSES)
     _look_ahead(m, time)
 
 
-@inner_jit
+@bare_jit
 def rise(m: Structure) -> float:
     """Tabulate the displacement without a force, Q is Im(a) / w_d; return the largest one."""
-    level, largest = np.empty(_TIMES), 0.0
-    real, imaginary = np.empty(m.share.size), np.empty(m.share.size)
-    for r in range(m.share.size):
-        per = m.share[r] / m.angular[r]
-        real[r], imaginary[r] = per * m.amplitude[1, r], -per * m.amplitude[0, r]
-        largest += math.sqrt(real[r] * real[r] + imaginary[r] * imaginary[r])
-    _expand(m, real, imaginary, level)
-    _fit(level, LONGEST, m.level)
+    modes, largest = m.modes, 0.0
+    for r in range(modes.shape[1]):
+        per = modes[SHARE, r] / modes[ANGULAR, r]
+        real, imaginary = per * modes[IMAGINARY, r], -per * modes[REAL, r]
+        modes[_A, r], modes[_B, r] = real, imaginary
+        largest += math.sqrt(real * real + imaginary * imaginary)
+    _expand(m, _PAST)
+    _fit(m.grids, _PAST, _BEGIN + LONGEST, m.cells, LEVEL, _ALL_CELLS)
     return largest
 
 
-@inner_jit
+@bare_jit
 def aloft(m: Structure, sphere: float, y: float, weight: float, t: float) -> tuple[float, float]:
     """Return the approach and its rate at a time in flight, of a sphere that began at `sphere` with the velocity y."""
-    at = t / width_of(m.cells)
+    cells = m.cells
+    at = t / width_of(cells)
     k = min(int(at), CELLS - 1)
-    cell = np.empty((1, _POINTS))
-    _fit(m.free, k + LONGEST, cell)
-    x = sphere + t * (y + 0.5 * weight * t) - _polynomial(m.level, 0, CELLS, at)
-    return x, y + weight * t - _polynomial(cell, 0, 1, at - k)
+    _fit(m.grids, _FREE, k + LONGEST, cells, SPARE, _ONE)
+    x = sphere + t * (y + 0.5 * weight * t) - _polynomial(cells, LEVEL, _ALL_CELLS, at)
+    return x, y + weight * t - _polynomial(cells, SPARE, _ONE, at - k)
 
 
-@inner_jit
-def energy(m: Structure) -> float:
+@bare_jit
+def energy(modes: Array) -> float:
     """Return the energy of the modes: mu (Q'^2 + w^2 Q^2) / 2."""
     total = 0.0
-    for r in range(m.share.size):
-        a, b, loss = m.amplitude[0, r], m.amplitude[1, r], m.loss[r]
+    for r in range(modes.shape[1]):
+        a, b, loss = modes[REAL, r], modes[IMAGINARY, r], modes[LOSS, r]
         rate = a - loss * b
-        total += 0.5 * m.share[r] * (rate * rate + b * b * (1.0 + loss * loss))
+        total += 0.5 * modes[SHARE, r] * (rate * rate + b * b * (1.0 + loss * loss))
     return total
 
 
-@inner_jit
-def sway(m: Structure, weight: float) -> float:
+@bare_jit
+def sway(modes: Array, weight: float) -> float:
     """Return the largest acceleration of the point of impact about where a weight holds it."""
     total = 0.0
-    for r in range(m.share.size):
-        loss, omega = m.loss[r], m.angular[r]
+    for r in range(modes.shape[1]):
+        loss, omega = modes[LOSS, r], modes[ANGULAR, r]
         still = weight / (omega * (1.0 + loss * loss))
-        a, b = m.amplitude[0, r] - still * loss, m.amplitude[1, r] - still
-        total += m.share[r] * omega * (1.0 + loss) * math.sqrt(a * a + b * b)
+        a, b = modes[REAL, r] - still * loss, modes[IMAGINARY, r] - still
+        total += modes[SHARE, r] * omega * (1.0 + loss) * math.sqrt(a * a + b * b)
     return total

@@ -10,178 +10,114 @@ from __future__ import annotations
 import math
 from typing import Any
 
-import numpy as np
 from numpy.typing import NDArray
 
 from cgid._lib.compiled import bare_jit
-from cgid.physics.contact._modes import IMPULSE, RATE, STAGE, velocity
 
 Array = NDArray[Any]
-#: Stages that are no integers of Python, each of which would compile `velocity` anew.
-_STAGE = np.arange(16)
 
 
 @bare_jit
 def step(
-    force: Any, p: Array, history: Array, inelasticity: float, weight: float, modal: bool, cells: Array, h: float,
-    w: float, y: float, tau: float, u: float, f: float, top: float, peak: float, tolerance: float, row: Array
+    force: Any, p: Array, history: Array, inelasticity: float, weight: float, h: float, w: float, y: float, tau: float,
+    u: float, f: float, top: float, peak: float, tolerance: float, row: Array
 ) -> tuple[float, ...]:
     """Return the error over the permitted one, w, y, tau, x', g, c and f at the end; a good step fills its row."""
     w0, dw0, dy0 = w, 0.5 * u, w * (weight - f)
 
     w1 = w + h * (0.05260015195876773 * dw0)
     y1 = y + h * (0.05260015195876773 * dy0)
-    v = 0.0
-    if modal:
-        v = velocity(cells, _STAGE[1], tau + h * (0.05260015195876773 * w0), h)
     g, c = force(p, history, w1)
-    f = (g + c * (y1 - v)) / (1.0 + inelasticity * c)
-    u = y1 - v - inelasticity * f
-    if modal:
-        cells[STAGE + 1, IMPULSE], cells[STAGE + 1, RATE] = w1 * f, u
+    f = (g + c * y1) / (1.0 + inelasticity * c)
+    u = y1 - inelasticity * f
     dw1 = 0.5 * u
     dy1 = w1 * (weight - f)
 
     w2 = w + h * (0.0197250569845379 * dw0 + 0.0591751709536137 * dw1)
     y2 = y + h * (0.0197250569845379 * dy0 + 0.0591751709536137 * dy1)
-    v = 0.0
-    if modal:
-        v = velocity(cells, _STAGE[2], tau + h * (0.0197250569845379 * w0 + 0.0591751709536137 * w1), h)
     g, c = force(p, history, w2)
-    f = (g + c * (y2 - v)) / (1.0 + inelasticity * c)
-    u = y2 - v - inelasticity * f
-    if modal:
-        cells[STAGE + 2, IMPULSE], cells[STAGE + 2, RATE] = w2 * f, u
+    f = (g + c * y2) / (1.0 + inelasticity * c)
+    u = y2 - inelasticity * f
     dw2 = 0.5 * u
     dy2 = w2 * (weight - f)
 
     w3 = w + h * (0.02958758547680685 * dw0 + 0.08876275643042054 * dw2)
     y3 = y + h * (0.02958758547680685 * dy0 + 0.08876275643042054 * dy2)
-    v = 0.0
-    if modal:
-        v = velocity(cells, _STAGE[3], tau + h * (0.02958758547680685 * w0 + 0.08876275643042054 * w2), h)
     g, c = force(p, history, w3)
-    f = (g + c * (y3 - v)) / (1.0 + inelasticity * c)
-    u = y3 - v - inelasticity * f
-    if modal:
-        cells[STAGE + 3, IMPULSE], cells[STAGE + 3, RATE] = w3 * f, u
+    f = (g + c * y3) / (1.0 + inelasticity * c)
+    u = y3 - inelasticity * f
     dw3 = 0.5 * u
     dy3 = w3 * (weight - f)
 
     w4 = w + h * (0.2413651341592667 * dw0 + -0.8845494793282861 * dw2 + 0.924834003261792 * dw3)
     y4 = y + h * (0.2413651341592667 * dy0 + -0.8845494793282861 * dy2 + 0.924834003261792 * dy3)
-    v = 0.0
-    if modal:
-        v = velocity(cells, _STAGE[4], tau + h * (0.2413651341592667 * w0 + -0.8845494793282861 * w2 + 0.924834003261792 * w3), h)
     g, c = force(p, history, w4)
-    f = (g + c * (y4 - v)) / (1.0 + inelasticity * c)
-    u = y4 - v - inelasticity * f
-    if modal:
-        cells[STAGE + 4, IMPULSE], cells[STAGE + 4, RATE] = w4 * f, u
+    f = (g + c * y4) / (1.0 + inelasticity * c)
+    u = y4 - inelasticity * f
     dw4 = 0.5 * u
     dy4 = w4 * (weight - f)
 
     w5 = w + h * (0.037037037037037035 * dw0 + 0.17082860872947386 * dw3 + 0.12546768756682242 * dw4)
     y5 = y + h * (0.037037037037037035 * dy0 + 0.17082860872947386 * dy3 + 0.12546768756682242 * dy4)
-    v = 0.0
-    if modal:
-        v = velocity(cells, _STAGE[5], tau + h * (0.037037037037037035 * w0 + 0.17082860872947386 * w3 + 0.12546768756682242 * w4), h)
     g, c = force(p, history, w5)
-    f = (g + c * (y5 - v)) / (1.0 + inelasticity * c)
-    u = y5 - v - inelasticity * f
-    if modal:
-        cells[STAGE + 5, IMPULSE], cells[STAGE + 5, RATE] = w5 * f, u
+    f = (g + c * y5) / (1.0 + inelasticity * c)
+    u = y5 - inelasticity * f
     dw5 = 0.5 * u
     dy5 = w5 * (weight - f)
 
     w6 = w + h * (0.037109375 * dw0 + 0.17025221101954405 * dw3 + 0.06021653898045596 * dw4 + -0.017578125 * dw5)
     y6 = y + h * (0.037109375 * dy0 + 0.17025221101954405 * dy3 + 0.06021653898045596 * dy4 + -0.017578125 * dy5)
-    v = 0.0
-    if modal:
-        v = velocity(cells, _STAGE[6], tau + h * (0.037109375 * w0 + 0.17025221101954405 * w3 + 0.06021653898045596 * w4 + -0.017578125 * w5), h)
     g, c = force(p, history, w6)
-    f = (g + c * (y6 - v)) / (1.0 + inelasticity * c)
-    u = y6 - v - inelasticity * f
-    if modal:
-        cells[STAGE + 6, IMPULSE], cells[STAGE + 6, RATE] = w6 * f, u
+    f = (g + c * y6) / (1.0 + inelasticity * c)
+    u = y6 - inelasticity * f
     dw6 = 0.5 * u
     dy6 = w6 * (weight - f)
 
     w7 = w + h * (0.03709200011850479 * dw0 + 0.17038392571223998 * dw3 + 0.10726203044637328 * dw4 + -0.015319437748624402 * dw5 + 0.008273789163814023 * dw6)
     y7 = y + h * (0.03709200011850479 * dy0 + 0.17038392571223998 * dy3 + 0.10726203044637328 * dy4 + -0.015319437748624402 * dy5 + 0.008273789163814023 * dy6)
-    v = 0.0
-    if modal:
-        v = velocity(cells, _STAGE[7], tau + h * (0.03709200011850479 * w0 + 0.17038392571223998 * w3 + 0.10726203044637328 * w4 + -0.015319437748624402 * w5 + 0.008273789163814023 * w6), h)
     g, c = force(p, history, w7)
-    f = (g + c * (y7 - v)) / (1.0 + inelasticity * c)
-    u = y7 - v - inelasticity * f
-    if modal:
-        cells[STAGE + 7, IMPULSE], cells[STAGE + 7, RATE] = w7 * f, u
+    f = (g + c * y7) / (1.0 + inelasticity * c)
+    u = y7 - inelasticity * f
     dw7 = 0.5 * u
     dy7 = w7 * (weight - f)
 
     w8 = w + h * (0.6241109587160757 * dw0 + -3.3608926294469414 * dw3 + -0.868219346841726 * dw4 + 27.59209969944671 * dw5 + 20.154067550477894 * dw6 + -43.48988418106996 * dw7)
     y8 = y + h * (0.6241109587160757 * dy0 + -3.3608926294469414 * dy3 + -0.868219346841726 * dy4 + 27.59209969944671 * dy5 + 20.154067550477894 * dy6 + -43.48988418106996 * dy7)
-    v = 0.0
-    if modal:
-        v = velocity(cells, _STAGE[8], tau + h * (0.6241109587160757 * w0 + -3.3608926294469414 * w3 + -0.868219346841726 * w4 + 27.59209969944671 * w5 + 20.154067550477894 * w6 + -43.48988418106996 * w7), h)
     g, c = force(p, history, w8)
-    f = (g + c * (y8 - v)) / (1.0 + inelasticity * c)
-    u = y8 - v - inelasticity * f
-    if modal:
-        cells[STAGE + 8, IMPULSE], cells[STAGE + 8, RATE] = w8 * f, u
+    f = (g + c * y8) / (1.0 + inelasticity * c)
+    u = y8 - inelasticity * f
     dw8 = 0.5 * u
     dy8 = w8 * (weight - f)
 
     w9 = w + h * (0.47766253643826434 * dw0 + -2.4881146199716677 * dw3 + -0.590290826836843 * dw4 + 21.230051448181193 * dw5 + 15.279233632882423 * dw6 + -33.28821096898486 * dw7 + -0.020331201708508627 * dw8)
     y9 = y + h * (0.47766253643826434 * dy0 + -2.4881146199716677 * dy3 + -0.590290826836843 * dy4 + 21.230051448181193 * dy5 + 15.279233632882423 * dy6 + -33.28821096898486 * dy7 + -0.020331201708508627 * dy8)
-    v = 0.0
-    if modal:
-        v = velocity(cells, _STAGE[9], tau + h * (0.47766253643826434 * w0 + -2.4881146199716677 * w3 + -0.590290826836843 * w4 + 21.230051448181193 * w5 + 15.279233632882423 * w6 + -33.28821096898486 * w7 + -0.020331201708508627 * w8), h)
     g, c = force(p, history, w9)
-    f = (g + c * (y9 - v)) / (1.0 + inelasticity * c)
-    u = y9 - v - inelasticity * f
-    if modal:
-        cells[STAGE + 9, IMPULSE], cells[STAGE + 9, RATE] = w9 * f, u
+    f = (g + c * y9) / (1.0 + inelasticity * c)
+    u = y9 - inelasticity * f
     dw9 = 0.5 * u
     dy9 = w9 * (weight - f)
 
     w10 = w + h * (-0.9371424300859873 * dw0 + 5.186372428844064 * dw3 + 1.0914373489967295 * dw4 + -8.149787010746927 * dw5 + -18.52006565999696 * dw6 + 22.739487099350505 * dw7 + 2.4936055526796523 * dw8 + -3.0467644718982196 * dw9)
     y10 = y + h * (-0.9371424300859873 * dy0 + 5.186372428844064 * dy3 + 1.0914373489967295 * dy4 + -8.149787010746927 * dy5 + -18.52006565999696 * dy6 + 22.739487099350505 * dy7 + 2.4936055526796523 * dy8 + -3.0467644718982196 * dy9)
-    v = 0.0
-    if modal:
-        v = velocity(cells, _STAGE[10], tau + h * (-0.9371424300859873 * w0 + 5.186372428844064 * w3 + 1.0914373489967295 * w4 + -8.149787010746927 * w5 + -18.52006565999696 * w6 + 22.739487099350505 * w7 + 2.4936055526796523 * w8 + -3.0467644718982196 * w9), h)
     g, c = force(p, history, w10)
-    f = (g + c * (y10 - v)) / (1.0 + inelasticity * c)
-    u = y10 - v - inelasticity * f
-    if modal:
-        cells[STAGE + 10, IMPULSE], cells[STAGE + 10, RATE] = w10 * f, u
+    f = (g + c * y10) / (1.0 + inelasticity * c)
+    u = y10 - inelasticity * f
     dw10 = 0.5 * u
     dy10 = w10 * (weight - f)
 
     w11 = w + h * (2.273310147516538 * dw0 + -10.53449546673725 * dw3 + -2.0008720582248625 * dw4 + -17.9589318631188 * dw5 + 27.94888452941996 * dw6 + -2.8589982771350235 * dw7 + -8.87285693353063 * dw8 + 12.360567175794303 * dw9 + 0.6433927460157636 * dw10)
     y11 = y + h * (2.273310147516538 * dy0 + -10.53449546673725 * dy3 + -2.0008720582248625 * dy4 + -17.9589318631188 * dy5 + 27.94888452941996 * dy6 + -2.8589982771350235 * dy7 + -8.87285693353063 * dy8 + 12.360567175794303 * dy9 + 0.6433927460157636 * dy10)
-    v = 0.0
-    if modal:
-        v = velocity(cells, _STAGE[11], tau + h * (2.273310147516538 * w0 + -10.53449546673725 * w3 + -2.0008720582248625 * w4 + -17.9589318631188 * w5 + 27.94888452941996 * w6 + -2.8589982771350235 * w7 + -8.87285693353063 * w8 + 12.360567175794303 * w9 + 0.6433927460157636 * w10), h)
     g, c = force(p, history, w11)
-    f = (g + c * (y11 - v)) / (1.0 + inelasticity * c)
-    u = y11 - v - inelasticity * f
-    if modal:
-        cells[STAGE + 11, IMPULSE], cells[STAGE + 11, RATE] = w11 * f, u
+    f = (g + c * y11) / (1.0 + inelasticity * c)
+    u = y11 - inelasticity * f
     dw11 = 0.5 * u
     dy11 = w11 * (weight - f)
 
     w12 = w + h * (0.054293734116568765 * dw0 + 4.450312892752409 * dw5 + 1.8915178993145003 * dw6 + -5.801203960010585 * dw7 + 0.3111643669578199 * dw8 + -0.1521609496625161 * dw9 + 0.20136540080403034 * dw10 + 0.04471061572777259 * dw11)
     y12 = y + h * (0.054293734116568765 * dy0 + 4.450312892752409 * dy5 + 1.8915178993145003 * dy6 + -5.801203960010585 * dy7 + 0.3111643669578199 * dy8 + -0.1521609496625161 * dy9 + 0.20136540080403034 * dy10 + 0.04471061572777259 * dy11)
-    v = 0.0
-    if modal:
-        v = velocity(cells, _STAGE[12], tau + h * (0.054293734116568765 * w0 + 4.450312892752409 * w5 + 1.8915178993145003 * w6 + -5.801203960010585 * w7 + 0.3111643669578199 * w8 + -0.1521609496625161 * w9 + 0.20136540080403034 * w10 + 0.04471061572777259 * w11), h)
     g, c = force(p, history, w12)
-    f = (g + c * (y12 - v)) / (1.0 + inelasticity * c)
-    u = y12 - v - inelasticity * f
-    if modal:
-        cells[STAGE + 12, IMPULSE], cells[STAGE + 12, RATE] = w12 * f, u
+    f = (g + c * y12) / (1.0 + inelasticity * c)
+    u = y12 - inelasticity * f
     dw12 = 0.5 * u
     dy12 = w12 * (weight - f)
 
@@ -198,40 +134,25 @@ def step(
 
         w13 = w + h * (0.056167502283047954 * dw0 + 0.25350021021662483 * dw6 + -0.2462390374708025 * dw7 + -0.12419142326381637 * dw8 + 0.15329179827876568 * dw9 + 0.00820105229563469 * dw10 + 0.007567897660545699 * dw11 + -0.008298 * dw12)
         y13 = y + h * (0.056167502283047954 * dy0 + 0.25350021021662483 * dy6 + -0.2462390374708025 * dy7 + -0.12419142326381637 * dy8 + 0.15329179827876568 * dy9 + 0.00820105229563469 * dy10 + 0.007567897660545699 * dy11 + -0.008298 * dy12)
-        v = 0.0
-        if modal:
-            v = velocity(cells, _STAGE[13], tau + h * (0.056167502283047954 * w0 + 0.25350021021662483 * w6 + -0.2462390374708025 * w7 + -0.12419142326381637 * w8 + 0.15329179827876568 * w9 + 0.00820105229563469 * w10 + 0.007567897660545699 * w11 + -0.008298 * w12), h)
         g, c = force(p, history, w13)
-        f = (g + c * (y13 - v)) / (1.0 + inelasticity * c)
-        u = y13 - v - inelasticity * f
-        if modal:
-            cells[STAGE + 13, IMPULSE], cells[STAGE + 13, RATE] = w13 * f, u
+        f = (g + c * y13) / (1.0 + inelasticity * c)
+        u = y13 - inelasticity * f
         dw13 = 0.5 * u
         dy13 = w13 * (weight - f)
 
         w14 = w + h * (0.03183464816350214 * dw0 + 0.028300909672366776 * dw5 + 0.053541988307438566 * dw6 + -0.05492374857139099 * dw7 + -0.00010834732869724932 * dw10 + 0.0003825710908356584 * dw11 + -0.00034046500868740456 * dw12 + 0.1413124436746325 * dw13)
         y14 = y + h * (0.03183464816350214 * dy0 + 0.028300909672366776 * dy5 + 0.053541988307438566 * dy6 + -0.05492374857139099 * dy7 + -0.00010834732869724932 * dy10 + 0.0003825710908356584 * dy11 + -0.00034046500868740456 * dy12 + 0.1413124436746325 * dy13)
-        v = 0.0
-        if modal:
-            v = velocity(cells, _STAGE[14], tau + h * (0.03183464816350214 * w0 + 0.028300909672366776 * w5 + 0.053541988307438566 * w6 + -0.05492374857139099 * w7 + -0.00010834732869724932 * w10 + 0.0003825710908356584 * w11 + -0.00034046500868740456 * w12 + 0.1413124436746325 * w13), h)
         g, c = force(p, history, w14)
-        f = (g + c * (y14 - v)) / (1.0 + inelasticity * c)
-        u = y14 - v - inelasticity * f
-        if modal:
-            cells[STAGE + 14, IMPULSE], cells[STAGE + 14, RATE] = w14 * f, u
+        f = (g + c * y14) / (1.0 + inelasticity * c)
+        u = y14 - inelasticity * f
         dw14 = 0.5 * u
         dy14 = w14 * (weight - f)
 
         w15 = w + h * (-0.42889630158379194 * dw0 + -4.697621415361164 * dw5 + 7.683421196062599 * dw6 + 4.06898981839711 * dw7 + 0.3567271874552811 * dw8 + -0.0013990241651590145 * dw12 + 2.9475147891527724 * dw13 + -9.15095847217987 * dw14)
         y15 = y + h * (-0.42889630158379194 * dy0 + -4.697621415361164 * dy5 + 7.683421196062599 * dy6 + 4.06898981839711 * dy7 + 0.3567271874552811 * dy8 + -0.0013990241651590145 * dy12 + 2.9475147891527724 * dy13 + -9.15095847217987 * dy14)
-        v = 0.0
-        if modal:
-            v = velocity(cells, _STAGE[15], tau + h * (-0.42889630158379194 * w0 + -4.697621415361164 * w5 + 7.683421196062599 * w6 + 4.06898981839711 * w7 + 0.3567271874552811 * w8 + -0.0013990241651590145 * w12 + 2.9475147891527724 * w13 + -9.15095847217987 * w14), h)
         g, c = force(p, history, w15)
-        f = (g + c * (y15 - v)) / (1.0 + inelasticity * c)
-        u = y15 - v - inelasticity * f
-        if modal:
-            cells[STAGE + 15, IMPULSE], cells[STAGE + 15, RATE] = w15 * f, u
+        f = (g + c * y15) / (1.0 + inelasticity * c)
+        u = y15 - inelasticity * f
         dw15 = 0.5 * u
         dy15 = w15 * (weight - f)
 

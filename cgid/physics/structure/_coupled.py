@@ -12,11 +12,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cgid._lib.compiled import inner_jit, jit
+from cgid._lib.compiled import bare_jit, inner_jit, jit
 from cgid.physics.contact import _contact, _dop853
 from cgid.physics.contact._contact import OUT_OF_REACH, SEPARATED, find_peak
 from cgid.physics.contact._modes import (
+    ANGULAR,
     CELLS,
+    LEVEL,
+    LOSS,
+    SHARE,
+    TOTALS,
     Structure,
     advance,
     aloft,
@@ -39,7 +44,7 @@ RESULTS = (*_contact.RESULTS, "contacts", "end", "impulse", "material_loss", "mo
 _NEVER, _TOUCH, _CAUGHT_UP, _CREST = np.arange(4)
 
 
-@inner_jit
+@bare_jit
 def _sought(event: int, force: Any, p: Array, history: Array, x: float, u: float) -> float:
     """Return what rises through 0 at the end of a flight."""
     if event == _TOUCH:
@@ -52,7 +57,7 @@ def _sought(event: int, force: Any, p: Array, history: Array, x: float, u: float
     return push
 
 
-@inner_jit
+@bare_jit
 def _between(
     event: int, force: Any, p: Array, history: Array, m: Structure, flight: tuple[float, ...], low: float, high: float
 ) -> float:
@@ -68,7 +73,7 @@ def _between(
     return high
 
 
-@inner_jit
+@bare_jit
 def _event(
     force: Any, p: Array, history: Array, m: Structure, flight: tuple[float, ...], released: bool
 ) -> tuple[int, float]:
@@ -93,7 +98,7 @@ def _event(
     return _NEVER, CELLS * width
 
 
-@inner_jit
+@bare_jit
 def _fly(
     force: Any, p: Array, history: Array, weight: float, window: float, m: Structure, state: Array, result: Array
 ) -> int:
@@ -102,7 +107,7 @@ def _fly(
     x, first = history[0] + w * w, True
     while True:
         largest = rise(m)
-        sphere = x + m.level[0, 0]
+        sphere = x + m.cells[LEVEL, 0]
         if first:
             result[-1], first = sphere, False
         left = window - tau
@@ -150,8 +155,8 @@ def _follow(
         find_peak(force, p, 0.0, True, steps[first:n], result)
         advance(m, state[2])
         lasts = state[2] if contacts == 1 else lasts
-        result[2], result[8], result[9], result[10] = lasts, m.totals[1], contacts, state[2]
-        result[11], result[12], result[13] = m.totals[0], m.totals[2], energy(m)
+        result[2], result[8], result[9], result[10] = lasts, m.cells[TOTALS, 1], contacts, state[2]
+        result[11], result[12], result[13] = m.cells[TOTALS, 0], m.cells[TOTALS, 2], energy(m.modes)
         event = _fly(force, p, history, weight, window, m, state, result)
         if event == _NEVER:
             return n
@@ -189,20 +194,20 @@ def follow(
     m, here, tabulated = structure(angular.size), 0, 0.0
     first_step[0] = 0
     for r in range(angular.size):
-        m.loss[r] = loss[r]
+        m.modes[LOSS, r] = loss[r]
     for i in range(rows.size):
         if len(steps) - here < MAX_STEPS:
             return
         row = rows[i]
         weight, window, mass, unit, width = parameters[row]
         if width != tabulated:
-            tabulate(decay, angular, width, m.turns)
+            tabulate(decay, angular, width, m.modes)
             tabulated = width
         for r in range(angular.size):
-            m.share[r], m.angular[r] = participation[row, r] * mass, angular[r] * unit
+            m.modes[SHARE, r], m.modes[ANGULAR, r] = participation[row, r] * mass, angular[r] * unit
         settle(m, width / unit)
+        room = steps[here : here + MAX_STEPS]
         here += _follow(
-            force, corner_of, turn, integrate, flags, numbers[row], weight, window, tolerance, m, steps[here : here + MAX_STEPS],
-            results[row],
-        )  # fmt: skip
+            force, corner_of, turn, integrate, flags, numbers[row], weight, window, tolerance, m, room, results[row]
+        )
         first_step[i + 1] = here
