@@ -6,7 +6,8 @@ import click
 
 from cgid.cli.help import Command
 from cgid.cli.options import json_option
-from cgid.cli.table import Column, TableOutput
+from cgid.cli.table import TableOutput
+from cgid.units import Column
 
 
 @click.command(cls=Command, short_help="List the models that come with cgid.", example="cgid models")
