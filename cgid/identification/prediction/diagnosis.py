@@ -505,7 +505,7 @@ class Diagnosis:
                 causes.setdefault(cause, []).append(name)
             elif name in changed:
                 causes.setdefault(CauseKind.BEAM, []).append(name)
-            elif channel.median_misshapen > MISSHAPEN:
+            elif channel.misshapen and channel.median_misshapen > MISSHAPEN:
                 causes.setdefault(CauseKind.CHAIN, []).append(name)
         return [
             self._change({name: changed[name] for name in names})
