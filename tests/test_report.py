@@ -147,6 +147,7 @@ def test_the_page_holds_everything(report: Report) -> None:
         assert f"gangue at the end ({share.low:.0%} to {share.high:.0%}, trained seam" in text
     (turn,) = re.findall(r"Shut the window at (\d\.\d\d) s", text)
     assert float(turn) == pytest.approx(report.turns[0].time, abs=0.006)
+    assert text.count(Path(report.source).name) == 3  # twice as titles of the page, once in its path
     assert len(seen.references) == 3
     for reference in seen.references:
         kind, data = reference.split(",")
@@ -223,6 +224,41 @@ def test_a_browser_shows_it_and_asks_nobody(report: Report, tmp_path: Path, visi
         # The script has run, so the rules allow it.
         assert '<button type="button">time [s]</button>' in shown and "1 of 1 rows" in shown
         assert bool(asked) == (name == "open")
+
+
+def test_the_result_stands_first_in_a_sentence(report: Report) -> None:
+    whole = [replace(share, channel=channel, n_impacts=40, n_unknown=2, share=0.55, low=0.4, high=0.69)
+             for share, channel in zip(report.shares, "12", strict=False)]  # fmt: skip
+    text = " ".join(Page(report_page([replace(report, whole=whole[:1])])).texts)
+    assert text.index("40 rocks: 55% gangue (40% to 69%)") < text.index("coal (43%)")
+    assert "recorded from" not in text
+    dated = report.recording | {"started": "2026-11-27 06:00:00"}
+    text = " ".join(Page(report_page([replace(report, whole=whole, recording=dated)])).texts)
+    assert "channel 2: 40 rocks" in text and "2 more unknown, recorded from 2026-11-27 06:00:00" in text
+    few = [replace(whole[0], n_impacts=3)]
+    assert "3 rocks" not in " ".join(Page(report_page([replace(report, whole=few)])).texts)
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_long_tables_have_pages(report: Report, tmp_path: Path) -> None:
+    steps = """
+      const rows = () => [...document.querySelectorAll("tbody tr")].filter(row => !row.hidden);
+      const seen = () => `${rows().length}:${rows()[0].cells[0].textContent}`;
+      const turn = text => [...document.querySelectorAll(".pages button")].find(b => b.textContent === text);
+      const told = [seen()];
+      turn("Next").click(); told.push(seen()); turn("Next").click(); told.push(seen(), turn("Next").disabled);
+      turn("Back").click(); told.push(seen());
+      document.querySelector("th button").click(); document.querySelector("th button").click(); told.push(seen());
+      document.title = JSON.stringify(told);
+    """
+    answers = [answer(0.001 * k, "coal", 0.9) for k in range(450)]
+    text = re.sub(
+        r'<meta http-equiv="Content-Security-Policy"[^>]*>', "", report_page([replace(report, answers=answers)])
+    )
+    (tmp_path / "page.html").write_text(text.replace("</body>", f"<script>{steps}</script></body>"), "utf-8")
+    shown = browse(tmp_path / "page.html", tmp_path / "browser")
+    told = json.loads(html.unescape(re.search("<title>(.*?)</title>", shown)[1]))
+    assert told == ["200:1", "200:201", "50:401", True, "200:201", "200:450"]
 
 
 @pytest.mark.usefixtures("undrawn")

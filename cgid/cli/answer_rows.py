@@ -255,7 +255,7 @@ class RecordingRows:
         self.turns: list[Switch] = []
         self.hints: list[Hint] = []
         self.warnings: list[str] = []
-        self._keep, self._settings = keep, pipeline.settings
+        self._keep, self.settings = keep, pipeline.settings
         self._numbers: Counter[str] = Counter()
         self._diagnosis = hints
         self._measured = self._live
@@ -296,7 +296,7 @@ class RecordingRows:
         from cgid.errors import BadData
 
         last = self._pipeline.finish()
-        self.lines.begin(self.source, self._pipeline.model, self._settings)  # the head of an empty table
+        self.lines.begin(self.source, self._pipeline.model, self.settings)  # the head of an empty table
         silent = self._silent
         if silent and not self.tally.total and not self._live:
             raise BadData(silent[0])
@@ -317,7 +317,7 @@ class RecordingRows:
         self._print_reports(last.reports)
         for channel, state in self._held.items():
             self.lines.share(self.source, self.name(channel), state)
-        if (stated := self._settings.coal_until) is not None and stated > last.until:
+        if (stated := self.settings.coal_until) is not None and stated > last.until:
             self._warn(
                 f"{self.source}: --coal-until must be within the recording of {last.until:.6g} s, got {stated:.6g} s"
             )
@@ -396,7 +396,7 @@ class RecordingRows:
 
     def _print_answers(self) -> None:
         if self._pending_answers:
-            self.lines.begin(self.source, self._pipeline.model, self._settings)
+            self.lines.begin(self.source, self._pipeline.model, self.settings)
         for answer in self._pending_answers:
             self._numbers[answer.channel] += 1
             self.lines.answer(self.source, answer, self.kind, **{self.kind: self._numbers[answer.channel]})
@@ -405,7 +405,7 @@ class RecordingRows:
     def _print_reports(self, more: Iterable[SupportReport]) -> None:
         """Print the records of supports; a recording of one impact has none unless an option requests them."""
         self._pending_reports += more
-        if not (self._live or self._settings.needs_shares or self.tally.total > 1):
+        if not (self._live or self.settings.needs_shares or self.tally.total > 1):
             return
         for one in self._pending_reports:
             state, share = one.state, one.state.share
@@ -420,7 +420,7 @@ class RecordingRows:
                     self.lines.share(self.source, name, state)
             elif one.switch is not None:
                 self.turns += [one.switch] * self._keep
-                self.lines.turn(self.source, name, state, one.switch, self._settings.shares.costs)
+                self.lines.turn(self.source, name, state, one.switch, self.settings.shares.costs)
             else:
                 message = self._state_message(state)
                 self.warnings += [f"{name}: {message}"] * (self._keep and message is not None)
@@ -442,7 +442,7 @@ class RecordingRows:
         if share.basis == self._bases.get(share.channel) or not (share.n_impacts or share.basis == Basis.TOO_FEW):
             return
         self._bases[share.channel] = share.basis
-        coal = f"the coal of {self._settings.coal_until or 0.0:.6g} s"
+        coal = f"the coal of {self.settings.coal_until or 0.0:.6g} s"
         so = "so the interval of the gangue fraction is for any seam"
         message = {
             Basis.TOO_FEW: f"{coal} must give at least {MIN_ANCHOR} identified impacts, it gave fewer, {so}; state a "

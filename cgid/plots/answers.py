@@ -156,7 +156,7 @@ def draw_drawn(
 def finish_drawn(axes: Any) -> None:
     """Name the axes of the operators' curve."""
     axes.set(xlim=(0, 100), xlabel="recovered coal [% of the recording]", ylabel="cumulative gangue fraction [%]")
-    axes.set_ylim(0, 1.25 * axes.dataLim.ymax)
+    axes.set_ylim(0, 100)
     axes.grid(alpha=0.3)
     axes.spines[["top", "right"]].set_visible(False)
     if len(axes.get_legend_handles_labels()[1]) > 1:

@@ -50,6 +50,7 @@ class Report:
     shares: Sequence[Share] = ()  # gangue shares over sliding windows
     turns: Sequence[Switch] = ()  # when the window should be shut or opened
     states: Sequence[SupportState] = ()  # the last record of each support
+    whole: Sequence[Share] = ()  # gangue share of each support over the whole recording
     threshold: float | None = None  # share of gangue above which further caving costs more than it brings
     warnings: Sequence[str] = field(default_factory=tuple)  # what is damaged or doubtful
     unit_of_decision: str = "impact"  # subject of an answer, or "window"
@@ -170,7 +171,7 @@ def report_page(reports: Sequence[Report], *, title: str = "") -> str:
         title=_text(title),
         style=style,
         version=__version__,
-        sections="\n".join(line for report in reports for line in _section(report)),
+        sections="\n".join(line for report in reports for line in _section(report, named=len(reports) > 1)),
         script=script,
     )
 
@@ -181,9 +182,11 @@ def _title(names: Sequence[str]) -> str:
     return ", ".join(different) if len(different) < 4 else f"{different[0]} and {len(different) - 1} other recordings"
 
 
-def _section(report: Report) -> Iterator[str]:
+def _section(report: Report, *, named: bool) -> Iterator[str]:
     yield "<section>"
-    yield f"<h2>{_text(Path(report.source).name)}</h2>"
+    if named:  # else the title of the page is its name
+        yield f"<h2>{_text(Path(report.source).name)}</h2>"
+    yield from _verdict(report)
     yield from _next_steps(report)
     if report.warnings:
         yield '<div class="warnings"><strong>Warnings</strong><ul>'
@@ -200,6 +203,21 @@ def _section(report: Report) -> Iterator[str]:
     yield from _pictures(report)
     yield from _table(report)
     yield "</section>"
+
+
+def _verdict(report: Report) -> Iterator[str]:
+    """Yield the result in a sentence for each support, if it has enough answers for one."""
+    subject = "rock" if report.unit_of_decision == "impact" else "window"
+    started = report.recording.get("started")
+    when = f", recorded from {started}" if started else ""
+    for share in report.whole:
+        if share.n_impacts < MIN_IMPACTS:
+            continue
+        where = f"channel {share.channel}: " if len(report.whole) > 1 else ""
+        unknown = f", {share.n_unknown} more unknown" if share.n_unknown else ""
+        gangue = f"{share.share:.0%} gangue ({share.low:.0%} to {share.high:.0%})"
+        text = f"{where}{counted(share.n_impacts, subject)}: {gangue}"
+        yield f'<p class="verdict"><strong>{_text(text)}</strong>{_text(unknown + when)}</p>'
 
 
 def _next_steps(report: Report) -> Iterator[str]:

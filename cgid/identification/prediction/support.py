@@ -307,6 +307,18 @@ class CavingWatch:
         return sum(answer.probabilities[label] for label in self._gangue)
 
 
+def whole_shares(
+    model: Model, answers: Sequence[Answer], settings: PredictionSettings, weight: float, duration: float
+) -> list[Share]:
+    """Return the gangue fraction of each support over a whole recording of this duration [s]; arguments as above."""
+    supports = list(dict.fromkeys(answer.channel for answer in answers))
+    whole = replace(settings, share_time=duration, share_step=duration, hold=None)
+    watch = CavingWatch(model, supports, whole, weight)
+    watch.feed(answers, 0.0)
+    watch.finish(duration)
+    return [state.share for state in watch.states() if state.share.n_impacts]
+
+
 @dataclass
 class _Support:
     """The window, the rule and the latest record of one support; `rows` are its channels."""
