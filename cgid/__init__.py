@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from cgid.identification.prediction.prediction import load_model as load_model
     from cgid.identification.prediction.prediction import predict as predict
     from cgid.identification.training.classifier import ImpactClassifier as ImpactClassifier
+    from cgid.identification.training.impact_table import impact_table as impact_table
     from cgid.identification.training.training import train_on_groups as train_on_groups
     from cgid.identification.training.training import train_on_specimens as train_on_specimens
     from cgid.impactor import estimate_impactors as estimate_impactors
@@ -64,6 +65,7 @@ _NAMES = {
     "identification.prediction.pipeline": ("identify_recording",),
     "identification.prediction.prediction": ("load_model", "predict"),
     "identification.training.classifier": ("ImpactClassifier",),
+    "identification.training.impact_table": ("impact_table",),
     "identification.training.training": ("train_on_groups", "train_on_specimens"),
     "impactor": ("estimate_impactors",),
     "learning.transformer": ("ImpactFeatures", "stream"),

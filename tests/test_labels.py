@@ -5,17 +5,21 @@ from __future__ import annotations
 import csv
 import json
 import threading
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+import cgid
+from cgid import impact_table, open_recording
 from cgid._lib.workers import Workers
 from cgid.cli import main
-from cgid.errors import InvalidValue, Stopped
+from cgid.errors import BadData, InvalidValue, Stopped
 from cgid.identification.prediction.fraction import wilson_interval
 from cgid.identification.training import train_on_groups
+from cgid.identification.training.audacity import read_track
 from cgid.identification.training.manifest import Annotation, Manifest, read_manifest
 from cgid.identification.training.metrics import clustered_interval, evaluate_drawn
 from cgid.identification.training.recordings import Reading, labelled, record
@@ -165,8 +169,6 @@ def test_drawn_impacts_are_counted_by_rock_and_over_recordings(site: Any) -> Non
     doubtful[first] = doubtful[first[0]]
     counted = evaluate_drawn(one, doubtful, ("coal", "gangue"))
     assert (counted["n"], counted["n_right"]) == (N_IMPACTS, N_IMPACTS - 1)
-    from dataclasses import replace
-
     several = replace(one, file=one.rock // 10, digests=tuple("abcd"))
     rock = np.unique(several.rock, return_index=True)[1]
     counted = evaluate_drawn(several, doubtful, ("coal", "gangue"))
@@ -202,3 +204,58 @@ def test_stopped_workers_do_no_more(jobs: int) -> None:
     ended.set()
     with pytest.raises(Stopped):
         list(results)
+
+
+# -- tables of impacts ------------------------------------------------------------------------------------
+
+
+def test_the_table_of_impacts_is_that_of_events_and_can_be_trained_on(site: Any) -> None:
+    folder, rows, labels = site
+    recording = open_recording(folder / "a.npy", sampling_rate=RATE, unit="g")
+    table = impact_table(recording)
+    assert table["time_s"].tolist() == [float(row["time_s"]) for row in rows]
+    assert (table[["label", "by", "chosen"]] == "").all(axis=None)
+    assert table["end_s"].tolist() == [float(row["end_s"]) for row in rows]
+    named = table.assign(path="a.npy", label=labels, rate_Hz=RATE, unit="g")
+    named.to_csv(folder / "python.csv", index=False)
+    assert main(["train", str(folder / "python.csv"), "-o", str(folder / "python.npz"), "--overwrite"]) == 0
+    predicted = impact_table(recording, folder / "python.npz")
+    assert np.mean(predicted["predicted"].to_numpy() == np.array(labels)) > 0.8
+    assert np.allclose(predicted["p_coal"] + predicted["p_gangue"], 1) and (predicted["novelty"] > 0).all()
+    # The mean over both channels of what predict says of each.
+    each = cgid.predict(np.load(folder / "a.npy").T, RATE, "g", folder / "python.npz")
+    near = [each[np.abs(each["time_s"] - time) < 5e-3] for time in predicted["time_s"]]
+    assert predicted["p_coal"].tolist() == pytest.approx([one["p_coal"].mean() for one in near], abs=1e-12)
+    assert {len(one) for one in near} == {2}
+
+
+def test_labels_go_to_audacity_and_back(site: Any, tmp_path: Path, capsys: Any) -> None:
+    folder, rows, labels = site
+    track = tmp_path / "a.txt"
+    events = ["events", str(folder / "a.npy"), "--rate", "10000", "--unit", "g", "--audacity", str(track)]
+    assert main([*events, "-o", str(tmp_path / "new.csv")]) == 0
+    assert "40 marks in Audacity" in capsys.readouterr().err
+    lines = [line.split("\t") for line in track.read_text().splitlines()]
+    assert [line[0] for line in lines] == [f"{float(row['time_s']):.6f}" for row in rows]
+    # A person names most of them, one by a mark at an instant, some by a region, and marks one that is none.
+    named = [f"{begin}\t{end}\t{label}" for (begin, end, _), label in zip(lines, labels, strict=True)]
+    named[3] = f"{float(lines[3][0]) + 0.02}\t{float(lines[3][0]) + 0.02}\tslate\n\\\t100.0\t2000.0"
+    region = f"{float(lines[20][0]) - 0.1:.6f}\t{float(lines[29][0]) + 0.1:.6f}\tcoal"
+    track.write_text(
+        "\n".join(
+            [*named[:20], region, lines[20][0] + "\t" + lines[20][1] + "\tgangue", *named[30:35], "0.01\t0.02\tcoal"]
+        )
+    )
+    assert main([*events, "-o", str(tmp_path / "labelled.csv")]) == 0
+    err = capsys.readouterr().err
+    assert "labels 35 of 40 impacts" in err and "1 mark with a label at no impact" in err
+    with (tmp_path / "labelled.csv").open(newline="") as file:
+        found = [row["label"] for row in csv.DictReader(file)]
+    assert found == [*labels[:3], "slate", *labels[4:20], "gangue", *["coal"] * 9, *labels[30:35], *[""] * 5]
+
+
+@pytest.mark.parametrize("line", ["coal", "1\t0.5\tcoal", "1\t2e999\tcoal", "nan\t1\tx", "1 2 coal"])
+def test_a_damaged_track_is_one_line(line: str, tmp_path: Path) -> None:
+    (tmp_path / "a.txt").write_text(f"0.1\t0.2\tcoal\n{line}\n")
+    with pytest.raises(BadData, match="line 2: a label track must have begin and end in s"):
+        read_track(tmp_path / "a.txt")

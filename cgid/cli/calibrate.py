@@ -197,7 +197,7 @@ def _frames(
 def _found(recording: Any, scene: Scene, reading: ReadingOptions) -> list[Event]:
     """Return the impacts of a recording in the unit of a scene's sensor."""
     from cgid.calibration.modes import check_scene
-    from cgid.cli.events import found_impacts
+    from cgid.identification.training.impact_table import found_impacts
     from cgid.identification.training.recordings import unit_of
     from cgid.units import UNITS, quantity_of
 
@@ -214,7 +214,8 @@ def _found(recording: Any, scene: Scene, reading: ReadingOptions) -> list[Event]
             f"{quantity} [{unit}]; choose another channel, or give --unit"
         )
     check_scene(scene, recording.sampling_rate)
-    return found_impacts(recording, "vibration", reading, UNITS[quantity][unit])
+    factor = UNITS[quantity][unit] * (-1 if reading.invert else 1)
+    return found_impacts(recording, "vibration", factor, dead_time=reading.dead_time)
 
 
 def _of_dataset(path: str, scene: Scene) -> tuple[NDArray[np.floating], float, int]:

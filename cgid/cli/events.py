@@ -5,9 +5,8 @@ from __future__ import annotations
 import os
 import shlex
 from collections.abc import Collection, Iterator, Sequence
-from itertools import compress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
@@ -24,19 +23,13 @@ from cgid.cli.options import (
     strict_option,
 )
 from cgid.cli.output import FileErrors, say, say_error, warn
-from cgid.errors import BadData, CgidError, InvalidValue, MissingOption
+from cgid.errors import CgidError, InvalidValue, MissingOption
 
 if TYPE_CHECKING:
-    from cgid.identification.detection import Event
-    from cgid.measure.features.table import ImpactKind
     from cgid.recordings import RecordingFile
 
 #: Channels of each beam, by name or number.
 Groups = tuple[tuple[str, ...], ...]
-#: An interval begins this long before its impact, because channels may measure it at different times [s].
-_BEFORE = 2e-3
-#: Impacts are found without the channels that lack more than this fraction of their samples.
-_MOST_MISSING = 0.01
 
 
 @click.command(
@@ -48,6 +41,12 @@ _MOST_MISSING = 0.01
 @click.option(
     "-o", "--output", type=OUTPUT, required=True, help="Write this table, ending in .csv, or to stdout for -."
 )
+@click.option(
+    "--audacity",
+    type=OUTPUT,
+    metavar="TRACK.txt",
+    help="Fill in the labels of this label track of Audacity; if it does not exist, write one to label there.",
+)
 @overwrite_option
 @strict_option
 @same_beam_option
@@ -55,6 +54,7 @@ _MOST_MISSING = 0.01
 def events(
     files: tuple[str, ...],
     output: str,
+    audacity: str | None,
     overwrite: bool,
     strict: bool,
     same_beam: tuple[str, ...],
@@ -69,6 +69,7 @@ def events(
     """
     from cgid._lib.files import check_new, write_whole
     from cgid.identification.prediction.settings import require_groups
+    from cgid.identification.training.audacity import read_track
     from cgid.identification.training.manifest import manifest_text, recordings_of, require_labels_kept
 
     beams = require_groups(same_beam)
@@ -81,6 +82,12 @@ def events(
     if path is not None:
         require_labels_kept(path)
     reading.require_files(every)
+    if audacity is not None and (len(every) > 1 or beams):
+        raise InvalidValue(
+            f"--audacity {audacity}: a label track must be of one recording without --same-beam, got "
+            f"{counted(len(every), 'recording')}; give each its own"
+        )
+    marks = None if audacity is None or not Path(audacity).exists() else read_track(Path(audacity))
     rates = _require_trainable(every, reading, beams)
     errors = FileErrors(strict=strict)
     for file in errors.each(every):
@@ -88,6 +95,8 @@ def events(
             rows += _rows(file, folder, reading, beams, rates)
     if not rows:
         return errors.code
+    if audacity is not None:
+        _exchange(rows, Path(audacity), marks)
     text = manifest_text(rows)
     if path is None:
         for line in text.removesuffix("\n").split("\n"):
@@ -98,6 +107,21 @@ def events(
     train = shlex.join(["cgid", "train", str(path), "-o", "mine.npz"])
     say(f"wrote {path}: {counted(len(rows), 'impact')}; fill in the column label, then {train}", err=True)
     return errors.code
+
+
+def _exchange(rows: list[dict[str, str]], track: Path, marks: list[tuple[float, float, str]] | None) -> None:
+    """Fill in the labels of a track of Audacity, or write one."""
+    from cgid._lib.files import write_whole
+    from cgid.identification.training.audacity import fill_in, track_text
+
+    if marks is None:
+        write_whole(track, track_text(rows).encode(), overwrite=False)
+        say(f"wrote {track}: label its {counted(len(rows), 'mark')} in Audacity, then run this again", err=True)
+        return
+    n, lost = fill_in(rows, marks)
+    say(f"cgid: {track} labels {n} of {counted(len(rows), 'impact')}", err=True)
+    if lost:
+        warn(f"{track}: {counted(lost, 'mark')} with a label at no impact")
 
 
 def _require_trainable(files: Sequence[str], reading: ReadingOptions, beams: Groups) -> set[float]:
@@ -142,8 +166,9 @@ def _rows(
 
     from cgid.identification.detection import Event
     from cgid.identification.prediction.same_beam import RockAssigner, grouped
+    from cgid.identification.training.impact_table import interval_rows, measured_impacts
     from cgid.identification.training.manifest import path_from
-    from cgid.identification.training.recordings import measurable, unit_of
+    from cgid.identification.training.recordings import unit_of
     from cgid.measure.features.extraction import kind_for
     from cgid.units import quantity_of
 
@@ -153,21 +178,8 @@ def _rows(
     unit = unit_of(recording)
     named = recording.named(beams, "--same-beam")
     kind = kind_for(quantity_of(unit))
-    found = found_impacts(recording, kind, reading, joint=not beams)
-    events = list(compress(found, measurable(found, kind, sorted(rates))))
-    if not events and len(recording.channels) > 1:  # one bad channel is enough, and train can leave it out
-        warn(
-            f"{recording.source}: no impact can be measured on all channels together; name a sound one by --channel, "
-            "or in the column channel"
-        )
-        events = found
-    if not events:
-        raise BadData(
-            f"{recording.source}: impacts must be long and clear enough to be measured at {recording.sampling_rate:g} "
-            f"Hz, none of {len(found)} is; record faster, or closer to the impact"
-        )
-    if lost := len(found) - len(events):
-        warn(f"{recording.source}: {lost} of {counted(len(found), 'impact')} cannot be measured and are left out")
+    sign = -1.0 if reading.invert else 1.0
+    events = measured_impacts(recording, kind, sorted(rates), sign, dead_time=reading.dead_time, joint=not beams)
     names = [channel.name for channel in recording.channels]
     chain = {name: ";".join(values) for name, values in reading.chain_of(file).items() if values}
     given = {
@@ -181,7 +193,7 @@ def _rows(
         "format": reading.format or "",
     }
     if not beams:
-        yield from ({**given, **row} for row in _intervals([[event] for event in events], unit))
+        yield from ({**given, **row} for row in interval_rows([[event] for event in events], unit))
         return
     groups = grouped(names, named)
     rocks = RockAssigner[Event](groups, recording.sampling_rate).feed(events, np.inf)
@@ -189,68 +201,8 @@ def _rows(
     for rows in groups:
         channel = "+".join(names[row] for row in rows)
         given |= {"channel": channel, "same_beam": channel if len(rows) > 1 else ""}
-        cells += [given | row for row in _intervals([rock for rock in rocks if rock[0].channel in rows], unit)]
+        cells += [given | row for row in interval_rows([rock for rock in rocks if rock[0].channel in rows], unit)]
     yield from sorted(cells, key=lambda row: float(row["time_s"]))
-
-
-def _intervals(rocks: Sequence[Sequence[Event]], unit: str) -> Iterator[dict[str, str]]:
-    """Yield the cells of each rock, of which every channel has an event."""
-    before = 0.0
-    for events, following in zip(rocks, [*rocks[1:], None], strict=True):
-        time, end = events[0].time, max(event.end / event.sampling_rate for event in events)
-        start = max(time - _BEFORE, (before + time) / 2 if before else 0.0)
-        if following is not None:
-            end = min(end, max(following[0].time - _BEFORE, (time + following[0].time) / 2))
-        before = time
-        yield {
-            "start": f"{start:.7f}",
-            "end": f"{end:.7f}",
-            "label": "",
-            "time_s": f"{time:.6f}",
-            "peak": f"{max(map(_peak, events)):.5g}",
-            "peak_unit": unit,
-            "flags": " ".join(
-                name for name in ("overlapping", "clipped", "cut") if any(getattr(event, name) for event in events)
-            ),
-        }
-
-
-def found_impacts(
-    recording: RecordingFile, kind: ImpactKind, reading: ReadingOptions, factor: float = 1.0, *, joint: bool = False
-) -> list[Event]:
-    """Return the impacts of a recording, whose samples are multiplied first; raises `BadData` if there is none."""
-    from cgid.identification.detection import ImpactDetector
-
-    rows, factor = list(range(len(recording.channels))), -factor if reading.invert else factor
-    while True:
-        detector = ImpactDetector(
-            recording.sampling_rate, len(rows), kind=kind, dead_time=reading.dead_time, joint=joint, gaps=True
-        )
-        gaps, events = recording.gaps(rows, joint=joint), []
-        for block in gaps.marked(block[rows] for block in recording.blocks(gaps=True)):
-            events += detector.feed(block * factor)
-        lacking = gaps.n_samples > _MOST_MISSING * gaps.n_seen
-        if not joint or not lacking.any() or lacking.all():
-            break
-        # A lost channel would end or cut the impacts of all others.
-        names = ", ".join(recording.channels[row].name for row in compress(rows, lacking))
-        warn(f"{recording.source}: channel {names} is left out, it lacks too many samples")
-        rows = list(compress(rows, ~lacking))
-    gaps.require(recording.source)
-    events += detector.finish()
-    for warning in recording.warnings:
-        warn(warning)
-    if not events:
-        raise BadData(f"{recording.source}: {detector.why_silent(unit=recording.channels[0].unit)}")
-    return events
-
-
-def _peak(event: Event) -> Any:
-    """Return the largest distance from the baseline, of the channel that measures the impact best."""
-    import numpy as np
-
-    frame = np.atleast_2d(event.samples)
-    return max(np.abs(row - np.median(row)).max() for row in frame.astype(float))
 
 
 # -- one row per recording --------------------------------------------------------------------------------

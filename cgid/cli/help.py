@@ -25,8 +25,8 @@ _OPTIONS = {
     "Signals": "--signals --seed --laws --dtype --quantities --shuffle-labels --test-share --calibration-share",
     "Calibration": "--start-error --drift --participation-error --dimension-error --exact --impacts",
     "Tap test": "--hammer --band --max-order --contact --taps",
-    "Output": "--output --mirror --report --plot --plots --overwrite --resume --compression --shard-signals --json "
-    "--clock --strict",
+    "Output": "--output --audacity --mirror --report --plot --plots --overwrite --resume --compression --shard-signals "
+    "--json --clock --strict",
     _PLANT: "--mqtt --modbus --prometheus --live --on-shut --on-open --on-blind",
     "Speed": "--jobs --scheduler",
     _OTHERS: "--help --version",
