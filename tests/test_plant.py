@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import random
+import re
 import shutil
 import socket
 import struct
@@ -25,9 +26,10 @@ import pytest
 
 from cgid.cli.main import run
 from cgid.errors import BadData, CannotCreate, InvalidValue, NoInput
+from cgid.pages.server import MAX_CLIENTS
 from cgid.plant import PlantOutputs, command, mqtt
 from cgid.plant.modbus import HEAD, MAX_SUPPORTS, WIDTH, registers
-from cgid.plant.output import MAX_CLIENTS, Output
+from cgid.plant.output import Output
 from cgid.plant.state import BIN_TIME, Waveform
 from cgid.plant.web import page
 from tests.streams_of_pulses import RATE, ROOT, stream
@@ -672,8 +674,13 @@ def test_scrape_and_page_share_a_port(outputs, tmp_path) -> None:
     assert wave["name"] == 'a"b'
     np.testing.assert_allclose(np.multiply([wave["low"], wave["high"]], wave["scale"]), [[10, 15], [14, 19]], rtol=1e-4)
     headers, text = get(port, "/?x=1")
-    assert text == page()
-    assert "default-src 'none'" in headers["Content-Security-Policy"]
+    assert "default-src 'none'; script-src 'self'" in headers["Content-Security-Policy"]
+    # Nothing stands in the page that its policy would not run, and the page of a file is all of its parts.
+    assert not re.search(r"<style|<script>|\bstyle=|\bon[a-z]+=", text)
+    whole = page()
+    for part in re.findall(r'(?:src|href)="([^"]+)"', text):
+        assert get(port, f"/{part}")[1] in whole
+    assert not re.search(r"<link|<script src", whole)
     with pytest.raises(urllib.error.HTTPError, match="404"):
         get(port, "/../etc/passwd")
     with socket.create_connection(("127.0.0.1", port)) as odd:  # one that says nonsense and goes harms nobody
@@ -707,7 +714,9 @@ def page_functions(script: str) -> Any:
     if node is None:
         pytest.skip("node is not installed")
     functions = page().split("// Pure functions")[1].split("// The page.")[0].partition("\n")[2]
-    program = f"const LATE = 3; {functions}; console.log(JSON.stringify({script}))"
+    shared = (ROOT / "cgid" / "pages" / "common.js").read_text(encoding="utf-8")
+    shared += "const { percent, scale, labelColour } = common;"
+    program = f"{shared} const LATE = 3; {functions}; console.log(JSON.stringify({script}))"
     return json.loads(subprocess.run([node, "-e", program], capture_output=True, text=True, check=True).stdout)
 
 

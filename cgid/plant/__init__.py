@@ -9,7 +9,8 @@ from typing import Any
 from numpy.typing import NDArray
 
 from cgid.errors import InvalidValue
-from cgid.plant.output import Output, Service
+from cgid.pages.server import Service
+from cgid.plant.output import Output
 from cgid.plant.state import PlantState, Waveform
 
 __all__ = ["PlantOutputs"]

@@ -16,7 +16,8 @@ from typing import Any
 
 from cgid.errors import InvalidValue
 from cgid.identification.prediction.support import Ground
-from cgid.plant.output import Output, since
+from cgid.pages.server import since
+from cgid.plant.output import Output
 from cgid.plant.state import PlantState, Record, stamped
 
 #: Time limit of a command [s]; a command that waits longer than this for the one before it is reported [s].

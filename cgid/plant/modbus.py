@@ -13,7 +13,7 @@ from typing import Any
 
 from cgid._lib.validation import UNKNOWN
 from cgid.identification.prediction.support import Decision, Ground
-from cgid.plant.output import Address, Server
+from cgid.pages.server import Address, Server
 from cgid.plant.state import PlantState, Record, Support, age
 
 #: Version of the registers.

@@ -14,7 +14,8 @@ from typing import Any, NamedTuple
 from urllib.parse import quote, unquote, urlsplit
 
 from cgid.errors import BadData, InvalidValue, NoInput
-from cgid.plant.output import FIRST_PAUSE, MAX_PAUSE, Output, library, since
+from cgid.pages.server import since
+from cgid.plant.output import FIRST_PAUSE, MAX_PAUSE, Output, library
 from cgid.plant.state import RECORDS, PlantState, Record, stamped
 
 #: Maximum number of messages that the broker has not acknowledged.

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from cgid.identification.prediction.fraction import Share
 from cgid.identification.prediction.support import Decision, Ground, SupportState
-from cgid.plant.output import since
+from cgid.pages.server import since
 
 if TYPE_CHECKING:
     from cgid.plant.output import Output

@@ -1,36 +1,25 @@
-"""A small HTTP server for the metrics of Prometheus and the live page; or the page as a file."""
+"""The metrics of Prometheus and the live page, served or as a file."""
 
 from __future__ import annotations
 
 import json
 import math
-import re
 from collections.abc import Callable, Iterator
-from contextlib import suppress
 from functools import cache
-from http.server import BaseHTTPRequestHandler
-from ipaddress import ip_address
 from pathlib import Path
 from typing import Any
 
 from cgid._lib.files import write_whole
 from cgid.errors import CannotCreate
 from cgid.identification.prediction.support import Decision, Ground
-from cgid.plant.output import Address, Server, Service, library
+from cgid.pages.http import COMMON, JSON, HttpServer, Route, of_bytes, of_file
+from cgid.pages.server import Address, Service
+from cgid.plant.output import library
 from cgid.plant.state import PlantState, Record, Support, age
 
-#: Response of a path: a function that returns the bytes, and their type.
-Routes = dict[str, tuple[Callable[[], bytes], str]]
 #: Interval at which the page is written to a file [s].
 _EVERY = 1.0
-#: Time for a request and its response [s].
-TIMEOUT = 10.0
-_HTML = "text/html; charset=utf-8"
-#: Nothing is loaded from other sites, whatever a name contains, and no other page may embed this one.
-_POLICY = (
-    "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; connect-src 'self'; "
-    "frame-ancestors 'none'"
-)
+_FOLDER = Path(__file__).parent
 _DATA = "/*DATA*/null"
 
 
@@ -38,73 +27,22 @@ def web_services(
     prometheus: str | None, live: str | None, plant: PlantState, warn: Callable[[str], None]
 ) -> Iterator[Service]:
     """Yield the servers and the file that were requested; one address may serve both."""
-    routes: dict[Address, Routes] = {}
+    routes: dict[Address, dict[str, Route]] = {}
     options: dict[Address, str] = {}
     if prometheus is not None:
         address = Address.of("--prometheus", prometheus)
         its_routes, options[address] = routes.setdefault(address, {}), "--prometheus"
-        its_routes["/metrics"] = metrics_of(plant), "text/plain; version=0.0.4; charset=utf-8"
+        its_routes["/metrics"] = of_bytes(metrics_of(plant), "text/plain; version=0.0.4; charset=utf-8")
     if live is not None and live.lower().endswith((".html", ".htm")):
         yield PageFile(live, plant, warn)
     elif live is not None:
         address = Address.of("--live", live)
         its_routes, options[address] = routes.setdefault(address, {}), options.get(address, "--live")
-        its_routes["/"] = (lambda: page().encode()), _HTML
-        its_routes["/state.json"] = (lambda: _json(plant).encode()), "application/json"
+        its_routes |= {**COMMON, "/": of_file(_FOLDER / "live.html")}
+        its_routes |= {f"/{name}": of_file(_FOLDER / name) for name in ("live.css", "live.js")}
+        its_routes["/state.json"] = of_bytes(lambda: _json(plant).encode(), JSON)
     for address, its_routes in routes.items():
-        yield WebServer(options[address], address, its_routes, warn)
-
-
-class WebServer(Server):
-    """Serve a few paths by GET and HEAD; on a loopback address only under loopback names (DNS rebinding)."""
-
-    def __init__(self, option: str, address: Address, routes: Routes, warn: Callable[[str], None]) -> None:
-        class PageHandler(BaseHTTPRequestHandler):
-            server_version, sys_version = "cgid", ""
-            default_request_version = "HTTP/1.0"  # an answer to HTTP/0.9, or to nonsense, would have no headers
-
-            def _answer(self) -> None:
-                """Answer one request."""
-                make, kind = routes.get(self.path.partition("?")[0], (lambda: b"nothing here\n", ""))
-                status = 200 if kind else 404
-                listening: Any = self.server.server_address
-                names = map(_host, self.headers.get_all("Host", []))
-                if _is_loopback(listening[0]) and not all(_is_loopback(name, address.host) for name in names):
-                    make, kind, status = (lambda: b"this server answers loopback names only\n"), "", 421
-                content = make()
-                self.send_response(status)
-                self.send_header("Content-Type", kind or "text/plain")
-                self.send_header("Content-Length", str(len(content)))
-                self.end_headers()
-                if self.command == "GET":
-                    self.wfile.write(content)
-
-            def end_headers(self) -> None:
-                """Add the headers of every answer, also of errors that `http.server` finds."""
-                self.send_header("Content-Security-Policy", _POLICY)
-                self.send_header("X-Content-Type-Options", "nosniff")
-                self.send_header("Cache-Control", "no-store")
-                super().end_headers()
-
-            do_GET = do_HEAD = _answer  # noqa: N815 - names that http.server looks for
-
-            def log_message(self, *_: Any) -> None:
-                """Log nothing."""
-
-        super().__init__(option, address, PageHandler, TIMEOUT, warn)
-
-
-def _host(header: str) -> str:
-    """Return the name in a Host header, without its port."""
-    match = re.fullmatch(r"\[(.*)\](?::\d*)?|([^:]*)(?::\d*)?", header.strip())
-    return (match[1] or match[2] or "") if match else header.strip()
-
-
-def _is_loopback(name: str, given: str = "localhost") -> bool:
-    """Return whether a name or an address is of this machine alone: a loopback one, or the one `given`."""
-    with suppress(ValueError):
-        return ip_address(name).is_loopback
-    return name.lower() in ("localhost", given.lower())
+        yield HttpServer(options[address], address, its_routes, warn)
 
 
 class PageFile(Service):
@@ -145,8 +83,15 @@ class PageFile(Service):
 
 @cache
 def page() -> str:
-    """Return the live page, which requests its data."""
-    return (Path(__file__).parent / "live.html").read_text(encoding="utf-8")
+    """Return the live page as one file that loads no other."""
+    text, common = (_FOLDER / "live.html").read_text(encoding="utf-8"), _FOLDER.parent / "pages"
+    for name in ("common.css", "live.css", "common.js", "live.js"):
+        content = ((common if name.startswith("common") else _FOLDER) / name).read_text(encoding="utf-8")
+        if name.endswith(".css"):
+            text = text.replace(f'<link rel="stylesheet" href="{name}">', f"<style>\n{content}</style>")
+        else:
+            text = text.replace(f'<script src="{name}"></script>', f"<script>\n{content}</script>")
+    return text
 
 
 def _json(plant: PlantState) -> str:

@@ -1,0 +1,1 @@
+"""Pages in a browser on this machine: their server, its checks, and what they share to draw."""
