@@ -88,7 +88,7 @@ def events(
             f"{counted(len(every), 'recording')}; give each its own"
         )
     marks = None if audacity is None or not Path(audacity).exists() else read_track(Path(audacity))
-    rates = _require_trainable(every, reading, beams)
+    rates = require_trainable(every, reading, beams)
     errors = FileErrors(strict=strict)
     for file in errors.each(every):
         with errors:
@@ -124,7 +124,7 @@ def _exchange(rows: list[dict[str, str]], track: Path, marks: list[tuple[float, 
         warn(f"{track}: {counted(lost, 'mark')} with a label at no impact")
 
 
-def _require_trainable(files: Sequence[str], reading: ReadingOptions, beams: Groups) -> set[float]:
+def require_trainable(files: Sequence[str], reading: ReadingOptions, beams: Groups) -> set[float]:
     """Return the sampling rates [Hz] of the recordings; raise an error if no model could be trained on them."""
     from cgid.identification.training.recordings import measurable, require_alike, unit_of
     from cgid.measure.features.extraction import kind_for
@@ -158,6 +158,23 @@ def _require_trainable(files: Sequence[str], reading: ReadingOptions, beams: Gro
     return rates
 
 
+def cells_of(file: str, folder: Path, reading: ReadingOptions) -> dict[str, str]:
+    """Return the cells that every row of a recording has in a table in a folder."""
+    from cgid.identification.training.manifest import path_from
+
+    chain = {name: ";".join(values) for name, values in reading.chain_of(file).items() if values}
+    return {
+        **chain,
+        "path": path_from(folder, file),
+        "channel": "+".join(reading.channel),
+        "invert": "yes" if reading.invert else "",
+        "rate": "" if reading.sampling_rate is None else f"{reading.sampling_rate:.12g}",
+        "unit": reading.unit or "",
+        "variable": reading.variable or "",
+        "format": reading.format or "",
+    }
+
+
 def _rows(
     file: str, folder: Path, reading: ReadingOptions, beams: Groups, rates: Collection[float]
 ) -> Iterator[dict[str, str]]:
@@ -167,7 +184,6 @@ def _rows(
     from cgid.identification.detection import Event
     from cgid.identification.prediction.same_beam import RockAssigner, grouped
     from cgid.identification.training.impact_table import interval_rows, measured_impacts
-    from cgid.identification.training.manifest import path_from
     from cgid.identification.training.recordings import unit_of
     from cgid.measure.features.extraction import kind_for
     from cgid.units import quantity_of
@@ -181,17 +197,7 @@ def _rows(
     sign = -1.0 if reading.invert else 1.0
     events = measured_impacts(recording, kind, sorted(rates), sign, dead_time=reading.dead_time, joint=not beams)
     names = [channel.name for channel in recording.channels]
-    chain = {name: ";".join(values) for name, values in reading.chain_of(file).items() if values}
-    given = {
-        **chain,
-        "path": path_from(folder, file),
-        "channel": "+".join(reading.channel),
-        "invert": "yes" if reading.invert else "",
-        "rate": "" if reading.sampling_rate is None else f"{reading.sampling_rate:.12g}",
-        "unit": reading.unit or "",
-        "variable": reading.variable or "",
-        "format": reading.format or "",
-    }
+    given = cells_of(file, folder, reading)
     if not beams:
         yield from ({**given, **row} for row in interval_rows([[event] for event in events], unit))
         return

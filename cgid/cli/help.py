@@ -13,7 +13,8 @@ from cgid.cli.options import OutputName, require_no_input_written
 _OTHERS, _PLANT = "Other", "Plant outputs"
 #: Heading -> the options below it; "command --option" if a command uses the name differently.
 _OPTIONS = {
-    "Task": "--sample --list --explain --features-only --closed-form-only --parameters-only --scene --template",
+    "Task": "--labels --sample --list --explain --features-only --closed-form-only --parameters-only --scene "
+    "--template",
     "Reading the recording": "--rate --unit --sensitivity --gain --full-scale --channel --channels --same-beam "
     "--sample-format --variable --format --index --invert --keep-baseline --lines --dead-time --give-up --from --to "
     "--events --kind",
@@ -25,8 +26,8 @@ _OPTIONS = {
     "Signals": "--signals --seed --laws --dtype --quantities --shuffle-labels --test-share --calibration-share",
     "Calibration": "--start-error --drift --participation-error --dimension-error --exact --impacts",
     "Tap test": "--hammer --band --max-order --contact --taps",
-    "Output": "--output --audacity --mirror --report --plot --plots --overwrite --resume --compression --shard-signals "
-    "--json --clock --strict",
+    "Output": "--output --save --port --audacity --mirror --report --plot --plots --overwrite --resume --compression "
+    "--shard-signals --json --clock --strict",
     _PLANT: "--mqtt --modbus --prometheus --live --on-shut --on-open --on-blind",
     "Speed": "--jobs --scheduler",
     _OTHERS: "--help --version",
@@ -43,7 +44,7 @@ _EXCEPTIONS = {
 }
 #: Heading -> the commands below it.
 _COMMANDS = {
-    "Recordings": "predict monitor events features info plot",
+    "Recordings": "predict monitor events label features info plot",
     "Models": "train export-model",
     "Datasets and scenes": "generate check tap calibrate verify export fetch",
 }

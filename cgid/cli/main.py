@@ -22,6 +22,7 @@ from cgid.cli.fetch import fetch
 from cgid.cli.generate import generate
 from cgid.cli.help import Group
 from cgid.cli.info import info
+from cgid.cli.label import label
 from cgid.cli.models import models
 from cgid.cli.monitor import monitor
 from cgid.cli.output import (
@@ -71,6 +72,7 @@ for command in (
     calibrate,
     tap,
     events,
+    label,
     train,
     predict,
     monitor,

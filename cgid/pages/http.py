@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 from urllib.parse import parse_qsl
 
-from cgid.errors import CgidError
+from cgid.errors import CgidError, WriteFailed
 from cgid.pages.server import Address, Server
 
 #: Time for a request and its response [s], and largest body of a request [bytes].
@@ -112,7 +112,7 @@ class HttpServer(Server):
                 except Refused as error:
                     found = Answer(f"{error}\n".encode(), TEXT, error.status)
                 except CgidError as error:
-                    found = of_json({"error": str(error)}, 409)
+                    found = of_json({"error": str(error)}, 507 if isinstance(error, WriteFailed) else 409)
                 self.send_response(found.status)
                 self.send_header("Content-Type", found.kind)
                 self.send_header("Content-Length", str(len(found.content)))

@@ -300,10 +300,13 @@ def _is_table_of_numbers(path: Path) -> bool:
     return not any({"path", "label"} & set(cells) for cells in rows) and any(map(_NUMBERS_ONLY.fullmatch, lines))
 
 
-def read_manifest(path: str | Path) -> Manifest:
-    """Return a checked manifest, without opening its recordings; `BadData` has one line per mistake."""
+def read_manifest(path: str | Path, text: str | None = None) -> Manifest:
+    """Return a checked manifest, without opening its recordings; `BadData` has one line per mistake.
+
+    With `text`, that is what the CSV file is taken to contain.
+    """
     path = Path(path)
-    rows, labels = _csv_rows(path) if path.suffix.lower() == ".csv" else _toml_rows(path)
+    rows, labels = _csv_rows(path, text) if path.suffix.lower() == ".csv" else _toml_rows(path)
     annotations, mistakes = [], []
     kept, empty = resolved(str(path), rows)
     if rows and not kept:
@@ -337,10 +340,10 @@ def _text(path: Path) -> str:
         raise BadData(f"{path}: a manifest must be UTF-8 text, byte {error.start} is not; save it as UTF-8") from None
 
 
-def _csv_table(path: Path) -> tuple[list[list[str]], str]:
+def _csv_table(path: Path, text: str | None = None) -> tuple[list[list[str]], str]:
     """Return the cells of a CSV manifest, line by line, empty for comments; and their separator."""
     # Not `splitlines`, which also splits at other characters that a path may contain.
-    split = re.split("\r\n?|\n", _text(path))
+    split = re.split("\r\n?|\n", _text(path) if text is None else text)
     lines = [line if line.strip() and not line.lstrip().startswith("#") else "" for line in split]
     header = next((line for line in lines if line), "")
     separator = max(",;\t", key=header.count)
@@ -351,9 +354,9 @@ def _csv_table(path: Path) -> tuple[list[list[str]], str]:
     return table, separator
 
 
-def _csv_rows(path: Path) -> tuple[list[Row], tuple[str, ...] | None]:
+def _csv_rows(path: Path, text: str | None = None) -> tuple[list[Row], tuple[str, ...] | None]:
     """Return the rows of a CSV manifest with their line numbers, and None: it lists no labels."""
-    table, separator = _csv_table(path)
+    table, separator = _csv_table(path, text)
     by_title = {_TITLES.get(name, name).lower(): name for name in (*COLUMNS, *INFORMATIVE)}
     names: list[str] = []
     rows: list[Row] = []

@@ -144,7 +144,7 @@ def open_all(
     files: list[AnnotatedFile] = []
     for rows in _by_channels([one for one in manifest.annotations if one.reference == references]):
         try:
-            file = _opened(rows, reading)
+            file = opened(rows, reading)
             first = (files or [file])[0]
             require_alike(file.recording, first.recording, counts=not (file.is_grouped or first.is_grouped))
             files.append(file)
@@ -209,7 +209,8 @@ def _by_channels(annotations: Sequence[Annotation]) -> list[tuple[Annotation, ..
     return [tuple(sorted(rows, key=lambda one: one.start)) for rows in together.values()]
 
 
-def _opened(annotations: tuple[Annotation, ...], reading: Reading) -> AnnotatedFile:
+def opened(annotations: tuple[Annotation, ...], reading: Reading) -> AnnotatedFile:
+    """Return an open recording with the annotations of one selection of its channels."""
     first = annotations[0]
     with clear_errors(str(first.path)):  # a manifest may name anything, even a pipe, which would be copied
         require_regular(first.path, "a recording of a manifest", MAX_STREAM)
@@ -351,7 +352,7 @@ def record(
     runs = open_all(manifest, replace(reading, strict=True), failures, references=True)
     references = reference_spectra(runs, files[0], slicing.window_time)
     unit = files[0].unit if model is None else model.unit
-    cutting = _Cutting(names, slicing, unit, equalisations_of(references), augment, model)
+    cutting = Cutting(names, slicing, unit, equalisations_of(references), augment, model)
     measured: list[tuple[AnnotatedFile, list[AnnotatedRows]]] = []
     for file in files:
         try:
@@ -366,7 +367,7 @@ def record(
         )
     for failure in failures[n_reported:]:
         reading.failed(failure)
-    rows = _joined(measured, cutting)
+    rows = rows_of(measured, cutting)
     return replace(
         rows, references=references, failures=tuple(failures), notes=notes, warnings=(*warnings, *rows.warnings)
     )
@@ -415,7 +416,7 @@ def _silence(files: Sequence[AnnotatedFile], slicing: Slicing) -> Silence:
     return silence
 
 
-def _joined(measured: Sequence[tuple[AnnotatedFile, list[AnnotatedRows]]], cutting: _Cutting) -> Rows:
+def rows_of(measured: Sequence[tuple[AnnotatedFile, list[AnnotatedRows]]], cutting: Cutting) -> Rows:
     """Return the complete rows of all files, and warnings of the damage of files and of annotations without a row."""
     recordings = [file.recording for file, _ in measured]
     pieces = [piece for _, parts in measured for piece in parts]
@@ -515,10 +516,10 @@ def _names(
             )
         require_supported(selected, rate, _length(kind_of(selected), rate, slicing))
         return selected
-    return _default_names(kind, rates, slicing, level_free)
+    return default_names(kind, rates, slicing, level_free)
 
 
-def _default_names(kind: Kind, rates: Sequence[float], slicing: Slicing, level_free: bool = False) -> tuple[str, ...]:
+def default_names(kind: Kind, rates: Sequence[float], slicing: Slicing, level_free: bool = False) -> tuple[str, ...]:
     """Return the features of all sets that recordings of these rates [Hz], the lowest first, support."""
     names_of_sets = names = union_of(sets_for(kind, rates[0], level_free=level_free))
     if not names_of_sets:
@@ -535,7 +536,7 @@ def measurable(events: Sequence[Event], kind: ImpactKind, rates: Sequence[float]
 
     Raises `BadData` if the rates leave no feature.
     """
-    names, found = _default_names(kind, sorted(rates), Slicing(by="impact")), [False] * len(events)
+    names, found = default_names(kind, sorted(rates), Slicing(by="impact")), [False] * len(events)
     for numbers, frames in frames_alike(events):
         first = events[numbers[0]]
         rows = extract_array(
@@ -575,7 +576,7 @@ def _length(kind: Kind, rate: float, slicing: Slicing) -> int:
 
 
 @dataclass(frozen=True)
-class _Cutting:
+class Cutting:
     """Settings to cut rows from a file and measure them."""
 
     names: tuple[str, ...]
@@ -614,16 +615,14 @@ class AnnotatedRows(NamedTuple):
         return len(self.times)
 
 
-def _pieces(
-    file: AnnotatedFile, cutting: _Cutting, progress: Callable[[int], object] | None
-) -> Iterator[AnnotatedRows]:
+def _pieces(file: AnnotatedFile, cutting: Cutting, progress: Callable[[int], object] | None) -> Iterator[AnnotatedRows]:
     for piece in (_windows if cutting.slicing.by == "window" else _impacts)(file, cutting):
         yield piece
         if progress is not None:
             progress(int(np.sum(piece.snr == np.inf)))
 
 
-def _windows(file: AnnotatedFile, cutting: _Cutting) -> Iterator[AnnotatedRows]:
+def _windows(file: AnnotatedFile, cutting: Cutting) -> Iterator[AnnotatedRows]:
     """Yield annotation, times and features of the windows completely inside annotated intervals."""
     rate, slicing = file.recording.sampling_rate, cutting.slicing
     for annotation, blocks in annotated_blocks(file, cutting.unit):
@@ -641,7 +640,7 @@ def _windows(file: AnnotatedFile, cutting: _Cutting) -> Iterator[AnnotatedRows]:
                 yield AnnotatedRows(annotation, np.repeat(times[some : some + _COPIED], n_copies), features, snr)
 
 
-def _impacts(file: AnnotatedFile, cutting: _Cutting) -> Iterator[AnnotatedRows]:
+def _impacts(file: AnnotatedFile, cutting: Cutting) -> Iterator[AnnotatedRows]:
     """Yield annotation, times and features of the impacts in annotated intervals; the detector gets all samples."""
     # As in prediction, channels are separate sensors: an impact gives a row for each channel that measures it, or one
     # for those of a beam.
@@ -657,7 +656,7 @@ def _impacts(file: AnnotatedFile, cutting: _Cutting) -> Iterator[AnnotatedRows]:
         gaps=True,
     )
     for block in chain(file.blocks(), [None]):
-        pieces = _measured_events(detector.finish() if block is None else detector.feed(sign * block), file, cutting)
+        pieces = measured_events(detector.finish() if block is None else detector.feed(sign * block), file, cutting)
         if not file.is_grouped:
             for annotation, channel, times, features in pieces:
                 yield AnnotatedRows(annotation, times, features, np.full(len(times), np.inf), names[channel])
@@ -697,8 +696,8 @@ def _of_rock(rock: Sequence[_Part], names: tuple[str, ...]) -> Floats:
     return joined(values, names)
 
 
-def _measured_events(
-    events: list[Event], file: AnnotatedFile, cutting: _Cutting
+def measured_events(
+    events: list[Event], file: AnnotatedFile, cutting: Cutting
 ) -> Iterator[tuple[Annotation, int, Floats, Floats]]:
     """Yield annotation, channel, times and features of the impacts in annotated intervals."""
     starts = [one.start for one in file.annotations]

@@ -1,0 +1,1 @@
+"""`cgid label`: a page in the browser in which impacts are labelled, and what the labels are worth."""
