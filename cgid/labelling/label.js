@@ -299,7 +299,7 @@ function showRows() {
   const done = page.impacts.filter(labelOf).length, one = recording();
   $("count").textContent = `${done} ${say("of")} ${page.impacts.length} ${say("labelled")}` + (one && !one.ended ? ` · ${say("reading")} ${percent(one.read / one.duration)}` : "") + (page.state && page.state.n_unsure ? ` · ${say("unsure")} ${page.state.n_unsure}` : "") + (one && one.fault ? ` · ${one.fault}` : "");
   const on = body.querySelector(".on");
-  if (on && document.activeElement === document.body) on.scrollIntoView({ block: "nearest" });
+  if (on) body.closest(".scroll").scrollTop = on.offsetTop - 120;
 }
 function showLearning() {
   const learning = page.state.learning, best = learning.best, result = learning.results[best] || learning.results.new || learning.results.corrected;

@@ -101,18 +101,28 @@ class HttpServer(Server):
             server_version, sys_version = "cgid", ""
             default_request_version = "HTTP/1.0"  # an answer to HTTP/0.9, or to nonsense, would have no headers
 
+            def parse_request(self) -> bool:
+                """Read the head of a request, and refuse who may not ask, whatever is asked."""
+                if not super().parse_request():
+                    return False
+                try:
+                    self._require_known()
+                except Refused as error:
+                    self._send(Answer(f"{error}\n".encode(), TEXT, error.status))
+                    return False
+                return True
+
             def _answer(self) -> None:
                 """Answer one request."""
                 try:
-                    listening: Any = self.server.server_address
-                    names = [_host(one) for one in self.headers.get_all("Host", [])]
-                    if _is_loopback(listening[0]) and not all(_is_loopback(name, address.host) for name in names):
-                        raise Refused(421, "this server answers loopback names only")
                     found = self._found()
                 except Refused as error:
                     found = Answer(f"{error}\n".encode(), TEXT, error.status)
                 except CgidError as error:
                     found = of_json({"error": str(error)}, 507 if isinstance(error, WriteFailed) else 409)
+                self._send(found)
+
+            def _send(self, found: Answer) -> None:
                 self.send_response(found.status)
                 self.send_header("Content-Type", found.kind)
                 self.send_header("Content-Length", str(len(found.content)))
@@ -123,8 +133,6 @@ class HttpServer(Server):
             def _found(self) -> Answer:
                 path, _, query = self.path.partition("?")
                 route = routes.get(path)
-                if key is not None:
-                    self._require_own_page()
                 if route is None:
                     raise Refused(404, "nothing here")
                 if (self.command == "POST") != route.posts:
@@ -136,9 +144,14 @@ class HttpServer(Server):
                 body = self._body() if route.posts else {}
                 return route.answer(Request(dict(parse_qsl(query, max_num_fields=20)), body))
 
-            def _require_own_page(self) -> None:
-                """Raise unless the request comes from a page of this server, or from no page."""
+            def _require_known(self) -> None:
+                """Raise unless the host is of this machine and, with a key, the page is of this server, if any."""
+                listening: Any = self.server.server_address
                 hosts = self.headers.get_all("Host", [])
+                if _is_loopback(listening[0]) and not all(_is_loopback(_host(one), address.host) for one in hosts):
+                    raise Refused(421, "this server answers loopback names only")
+                if key is None:
+                    return
                 if len(hosts) != 1:
                     raise Refused(421, "a request must name one host")
                 for origin in self.headers.get_all("Origin", []):
