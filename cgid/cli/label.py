@@ -149,7 +149,7 @@ def _opened(
 
     cells = cells_of(file, folder, reading)
     annotation = annotation_of({**{name: cell for name, cell in cells.items() if cell}, "label": "x"}, folder, None)
-    opened_file = opened((replace(annotation, label=""),), Stated(**reading.common))
+    opened_file = opened((replace(annotation, label=""),), Stated(**reading.common), hashed=False)
     kind, slicing = kind_for(quantity_of(opened_file.unit)), Slicing(by="impact", dead_time=reading.dead_time)
     names = default_names(kind, sorted(rates), slicing)
     names += tuple(name for name in default_guards(names) if name not in names)

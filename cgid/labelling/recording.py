@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from bisect import bisect_left
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -15,7 +15,14 @@ from cgid.errors import BadData, CgidError, NoInput, Stopped
 from cgid.identification.detection.detector import ImpactDetector
 from cgid.identification.detection.events import Event
 from cgid.identification.training.impact_table import interval_rows
-from cgid.identification.training.recordings import AnnotatedFile, AnnotatedRows, Cutting, measured_events, rows_of
+from cgid.identification.training.recordings import (
+    AnnotatedFile,
+    AnnotatedRows,
+    Cutting,
+    digest_of,
+    measured_events,
+    rows_of,
+)
 from cgid.identification.training.rows import SAME_IMPACT, Rows
 from cgid.labelling.table import Cells
 from cgid.measure.features.table import ImpactKind
@@ -112,6 +119,8 @@ class LabelledRecording:
         if is_first and rest.shape[1]:
             self._put(rest[:, None, :])
         self._found(waiting + detector.finish(), np.inf, name, stopped, shown=is_first)
+        if not self.file.digest:  # reading it again takes seconds, so after all that is shown
+            self.file = replace(self.file, digest=digest_of(self.file.annotations[0].path))
         self.measured.add(name)
         self.ended = True
 

@@ -13,6 +13,7 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import chain, compress, groupby, product
+from pathlib import Path
 from typing import Any, NamedTuple, NoReturn
 
 import numpy as np
@@ -209,8 +210,8 @@ def _by_channels(annotations: Sequence[Annotation]) -> list[tuple[Annotation, ..
     return [tuple(sorted(rows, key=lambda one: one.start)) for rows in together.values()]
 
 
-def opened(annotations: tuple[Annotation, ...], reading: Reading) -> AnnotatedFile:
-    """Return an open recording with the annotations of one selection of its channels."""
+def opened(annotations: tuple[Annotation, ...], reading: Reading, *, hashed: bool = True) -> AnnotatedFile:
+    """Return an open recording with the annotations of one selection of its channels, without a digest if told."""
     first = annotations[0]
     with clear_errors(str(first.path)):  # a manifest may name anything, even a pipe, which would be copied
         require_regular(first.path, "a recording of a manifest", MAX_STREAM)
@@ -227,16 +228,21 @@ def opened(annotations: tuple[Annotation, ...], reading: Reading) -> AnnotatedFi
         format=first.format or reading.format,
     )
     unit = unit_of(recording)
-    try:
-        with first.path.open("rb") as content:
-            digest = hashlib.file_digest(content, "sha256").hexdigest()
-    except OSError as error:
-        raise NoInput(f"{first.path}: the file cannot be read ({error.strerror}); check it") from None
+    digest = digest_of(first.path) if hashed else ""
     named = recording.named(require_groups(first.same_beam or reading.same_beam), "same_beam", all_read=False)
     groups = grouped([channel.name for channel in recording.channels], named)
     file = AnnotatedFile(annotations=annotations, recording=recording, unit=unit, digest=digest, groups=groups)
     file.require_inside(recording.n_samples)
     return file
+
+
+def digest_of(path: Path) -> str:
+    """Return the SHA-256 of a file."""
+    try:
+        with path.open("rb") as content:
+            return hashlib.file_digest(content, "sha256").hexdigest()
+    except OSError as error:
+        raise NoInput(f"{path}: the file cannot be read ({error.strerror}); check it") from None
 
 
 def unit_of(recording: RecordingFile) -> str:
