@@ -6,6 +6,7 @@ import csv
 import json
 import threading
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -120,6 +121,24 @@ def test_a_stretch_trains_what_its_rows_would(site: Any) -> None:
         assert np.array_equal(first, second)
 
 
+def test_stretches_of_one_recording_are_its_groups(site: Any) -> None:
+    """Eight stretches of five impacts; with two of a label, or as single impacts, blocks of time are the groups."""
+    folder, rows, _ = site
+    spans = list(pairwise([0.0, *[float(row["start_s"]) - 0.01 for row in rows[5::5]], 17.0]))
+    table = [
+        {"path": "a.npy", "start_s": a, "end_s": b, "label": ["coal", "gangue"][k % 2], "chosen": "stretch"}
+        for k, (a, b) in enumerate(spans)
+    ]
+    measured = record(whole(folder), slicing=Slicing(by="impact"), reading=READING)
+    for n, found in ((8, "8 stretches"), (5, "blocks of its time")):
+        manifest = read_manifest(written(folder / "spans.csv", table[:n]))
+        training = train_on_groups(labelled(measured, manifest))
+        recorded = training.model.training["recorded"]
+        assert any(found in line for line in recorded["warnings"])
+        assert recorded["class_weights"] == ("balanced" if n == 8 else None)
+    assert training.rows is not None and set(training.rows.chosen) == {"stretch"}
+
+
 def test_a_training_says_its_rows(site: Any) -> None:
     folder, rows, labels = site
     table = written(folder / "all.csv", [{**row, "label": label} for row, label in zip(rows, labels, strict=True)])
@@ -223,7 +242,8 @@ def test_the_table_of_impacts_is_that_of_events_and_can_be_trained_on(site: Any)
     assert np.mean(predicted["predicted"].to_numpy() == np.array(labels)) > 0.8
     assert np.allclose(predicted["p_coal"] + predicted["p_gangue"], 1) and (predicted["novelty"] > 0).all()
     # The mean over both channels of what predict says of each.
-    each = cgid.predict(np.load(folder / "a.npy").T, RATE, "g", folder / "python.npz")
+    with pytest.warns(UserWarning, match="hear the same rocks"):
+        each = cgid.predict(np.load(folder / "a.npy").T, RATE, "g", folder / "python.npz")
     near = [each[np.abs(each["time_s"] - time) < 5e-3] for time in predicted["time_s"]]
     assert predicted["p_coal"].tolist() == pytest.approx([one["p_coal"].mean() for one in near], abs=1e-12)
     assert {len(one) for one in near} == {2}

@@ -273,7 +273,7 @@ def test_a_row_with_a_label_keeps_it_in_a_stretch_and_is_told(tmp_path: Path) ->
         *(("coal", 10, 20), ("coal", 20.2, 30), ("coal", 30.2, 39.9)),
     }
     parts = [one for one in manifest.annotations if one.stretch]
-    assert {one.name for one in parts} == {"a from 10 to 40 s"}
+    assert {one.name for one in parts} == {"a from 10 to 40 s"} and {one.chosen for one in parts} == {"stretch"}
     assert {one.unit for one in manifest.annotations} == {"g"}  # the stretch takes it from its rows
 
 

@@ -169,7 +169,7 @@ def coverage(n_draws: int) -> None:
     from cgid.identification.training.recordings import Reading, labelled, record
     from cgid.identification.training.rows import Slicing
 
-    n_impacts, batch = 600, 20
+    n_impacts, batch = 600, 10
     held: dict[str, list[tuple[bool, float, float, float]]] = {"random": [], "stretch": []}
     for draw in range(n_draws):
         generator = np.random.default_rng([62, draw])
@@ -186,7 +186,7 @@ def coverage(n_draws: int) -> None:
         number = np.round((rows.time - 0.32) / 0.4).astype(int)
         names = np.array(["coal", "gangue"])[truth]
         chosen = generator.choice(n_impacts, 60, replace=False)
-        batches = [generator.choice(np.flatnonzero(truth[::batch] == label), 2, replace=False) for label in (0, 1)]
+        batches = [generator.choice(np.flatnonzero(truth[::batch] == label), 3, replace=False) for label in (0, 1)]
         tables = {
             "random": [(0.2 + 0.4 * k, 0.55 + 0.4 * k, names[k], "random") for k in chosen.tolist()],
             "stretch": [

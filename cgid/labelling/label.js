@@ -103,7 +103,7 @@ function undo() {
   post(last);
   show();
 }
-const isOpen = one => !labelOf(one) && one[7] !== "unsure";
+const isOpen = one => !one[5] && one[7] !== "unsure";  // also in a stretch, or the sample would not be of all
 function draw() {  // the next impact of the random order that has no label
   if (page.queue.length < page.impacts.length) {
     const known = new Set(page.queue), more = page.impacts.map(one => one[0]).filter(k => !known.has(k));

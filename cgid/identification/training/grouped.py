@@ -44,6 +44,8 @@ from cgid.identification.training.rows import SAME_IMPACT, Rows, Sets, adapted, 
 #: Maximum number of folds: up to this number of groups each is a fold; more groups share this many folds, in the inner
 #: loop a quarter of it, since it is run for each fold of the outer one.
 MAX_FOLDS, INNER_FOLDS = 20, 5
+#: Minimum number of labelled stretches of each label of a single recording for these to be its groups.
+MIN_STRETCHES = 3
 #: Minimum number of blocks of time of a single recording; more, up to `MAX_FOLDS`, if a label is in too few of them.
 MIN_BLOCKS = 8
 #: Part of the certainty that the model of all groups gains over those of the folds, which few groups can show.
@@ -136,6 +138,24 @@ def in_blocks_of_time(rows: Rows) -> Rows:
             )
             return replace(rows, group=block, groups=names, warnings=(*rows.warnings, warning))[is_inside]
     return rows
+
+
+def in_stretches(rows: Rows) -> Rows | None:
+    """Return the rows of a single recording with its labelled stretches as groups; None if few rows are of stretches.
+
+    Impacts of one stretch are labelled by one word, so they are one trial.
+    """
+    of_stretch = rows.chosen == "stretch"
+    if not len(of_stretch) or np.mean(of_stretch) <= 0.5:
+        return None
+    stretches = [len(np.unique(rows.source[of_stretch & (rows.labels == one)])) for one in np.unique(rows.labels)]
+    if min(stretches) < MIN_STRETCHES:
+        return None
+    warning = (
+        f"all rows are from one recording: cross-validated over its {sum(stretches)} stretches, with equal weights of "
+        "the labels, so the accuracy is optimistic; add recordings of other days or supports"
+    )
+    return replace(rows, group=rows.source, groups=rows.sources, warnings=(*rows.warnings, warning))
 
 
 def leave_groups_out(

@@ -117,6 +117,7 @@ def _pieces(
             "their labels",
             stacklevel=4,
         )
+    row["chosen"] = row.get("chosen") or "stretch"
     edges = [start, *(edge for number in own for edge in spans[number]), end]
     pieces = [(first, last) for first, last in zip(edges[::2], edges[1::2], strict=True) if first < last]
     return [(where, {**row, "start": first, "end": last, "stretch": (start, end)}) for first, last in pieces]

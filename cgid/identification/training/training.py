@@ -39,6 +39,7 @@ from cgid.identification.training.grouped import (
     final,
     groups_of_labels,
     in_blocks_of_time,
+    in_stretches,
     level_range,
     noise_guard,
     require_groups,
@@ -306,7 +307,11 @@ def train_on_groups(
         )
     names = _named_in(rows, features)
     if len(set(rows.digests)) == 1 and len(rows.groups) == 1:
-        rows = in_blocks_of_time(rows)
+        stretched = in_stretches(rows)
+        rows = in_blocks_of_time(rows) if stretched is None else stretched
+        if stretched is not None and class_weights is None:
+            # How long each material was labelled says nothing of how often it falls.
+            class_weights = "balanced"
     rows = _in_one_spelling(rows)
     if synthetic is not None:
         synthetic = _in_one_spelling(synthetic, tuple(np.unique(rows.labels).tolist()))
