@@ -18,7 +18,7 @@ from cgid import impact_table, open_recording
 from cgid._lib.workers import Workers
 from cgid.cli import main
 from cgid.errors import BadData, InvalidValue, Stopped
-from cgid.identification.prediction.fraction import wilson_interval
+from cgid.identification.model.confusion import wilson_interval
 from cgid.identification.training import train_on_groups
 from cgid.identification.training.audacity import read_track
 from cgid.identification.training.manifest import Annotation, Manifest, read_manifest
