@@ -111,7 +111,7 @@ class World:
             return None
         n, n_groups = len(CHECKS), len(GROUPS)
         shapes: dict[str, tuple[int, ...]] = {"mean": (n, 3, N_SUMMARY), "whitening": (n, N_SUMMARY, N_SUMMARY)}
-        shapes |= dict.fromkeys(("centre", "scale"), (n, n_groups))
+        shapes |= {"centre": (n, n_groups), "scale": (n, n_groups)}
         for name in cls.ARRAYS:
             if name not in stored:
                 raise BadData(f"array {cls.PREFIX}{name} is missing")
