@@ -106,12 +106,12 @@ VERBS = (
 LAW = tuple(map(numba.types.FunctionType, VERBS))
 
 
-def by_address(signature: Any) -> Callable[[Function], Function]:
+def by_address(type_: Any) -> Callable[[Function], Function]:
     """Return the decorator of a function that kernels get as an argument: it is compiled once, not in each of them."""
 
     def decorated(function: Function) -> Function:
         dispatcher: Any = _compiled(function, _OPTIONS | {"no_cpython_wrapper": True, "_nrt": False})
-        dispatcher.by_address = numba.types.FunctionType(signature)
+        dispatcher.by_address = type_ if isinstance(type_, numba.types.Type) else numba.types.FunctionType(type_)
         result: Function = dispatcher
         return result
 
@@ -120,11 +120,16 @@ def by_address(signature: Any) -> Callable[[Function], Function]:
 
 def with_law(kernel: Any, *arguments: Any) -> None:
     """Call a kernel whose first arguments are the addresses of a law's functions; it is compiled once for all laws."""
-    others = (getattr(one, "by_address", None) or numba.typeof(one) for one in arguments[len(LAW) :])
-    types = (*LAW, *others)
+    types = (*LAW, *map(_type_of, arguments[len(LAW) :]))
     if types not in kernel.overloads:
         kernel.compile(types)
     kernel.overloads[types].entry_point(*arguments)
+
+
+def _type_of(argument: Any) -> Any:
+    if isinstance(argument, tuple):
+        return numba.types.Tuple([_type_of(one) for one in argument])
+    return getattr(argument, "by_address", None) or numba.typeof(argument)
 
 
 class KernelCache(NullCache):

@@ -53,19 +53,28 @@ from __future__ import annotations
 import math
 from typing import Any
 
+from numba import float64
+from numba.types import FunctionType, UniTuple
 from numpy.typing import NDArray
 
-from cgid._lib.compiled import bare_jit
+from cgid._lib.compiled import FLOATS, LAW, ROWS, by_address
 
 Array = NDArray[Any]
 
 
-@bare_jit
+#: The type of a step.
+STEP = FunctionType(UniTuple(float64, 8)(LAW[0], FLOATS, FLOATS, float64, float64, ROWS, *9 * [float64], FLOATS))
+
+
+@by_address(STEP)
 def step(
-    force: Any, p: Array, history: Array, inelasticity: float, weight: float, h: float, w: float, y: float, tau: float,
-    u: float, f: float, top: float, peak: float, tolerance: float, row: Array
+    force: Any, p: Array, history: Array, inelasticity: float, weight: float, cells: Array, h: float, w: float,
+    y: float, tau: float, u: float, f: float, top: float, peak: float, tolerance: float, row: Array
 ) -> tuple[float, ...]:
-    """Return the error over the permitted one, w, y, tau, x', g, c and f at the end; a good step fills its row."""
+    """Return the error over the permitted one, w, y, tau, x', g, c and f at the end; a good step fills its row.
+
+    Steps on modes take space in `cells`.
+    """
     w0, dw0, dy0 = w, 0.5 * u, w * (weight - f)
 {stages(STAGE_SOURCE, 1, END + 1)}
     later = tau + h * ({weighted(STAGES[END], "w")})

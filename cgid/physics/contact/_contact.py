@@ -25,11 +25,11 @@ from typing import Any
 
 import numpy as np
 from numba import boolean, float64, int64
+from numba.types import UniTuple
 from numpy.typing import NDArray
 
 from cgid._lib.compiled import FLOATS, LAW, ROWS, bare_jit, by_address, inner_jit, jit
 from cgid.physics.contact._dop853 import COLUMNS, HISTORY, LAST, TAU, W, Y
-from cgid.physics.contact._modal_step import modal_step
 from cgid.physics.contact._modes import (
     IMPULSE,
     LONGEST,
@@ -49,7 +49,7 @@ from cgid.physics.contact._modes import (
     velocity,
     width_of,
 )
-from cgid.physics.contact._step import step
+from cgid.physics.contact._step import STEP, step
 
 Array = NDArray[Any]
 
@@ -281,39 +281,14 @@ def _rests(force: Any, p: Array, history: Array, weight: float, modes: Structure
     return bool(swing < 0.5 * weight and swing + sway(modes.modes, weight) < 0.5 * weight)
 
 
-@bare_jit
-def _any_step(
-    force: Any,
-    p: Array,
-    history: Array,
-    inelasticity: float,
-    weight: float,
-    modal: bool,
-    cells: Array,
-    h: float,
-    w: float,
-    y: float,
-    tau: float,
-    u: float,
-    f: float,
-    top: float,
-    peak: float,
-    tolerance: float,
-    row: Array,
-) -> tuple[float, ...]:
-    """Take a step as `_step.step`, or one on modes."""
-    if modal:
-        return modal_step(force, p, history, weight, cells, h, w, y, tau, u, f, top, peak, tolerance, row)
-    return step(force, p, history, inelasticity, weight, h, w, y, tau, u, f, top, peak, tolerance, row)
-
-
 @by_address(
-    int64(*LAW, int64, FLOATS, float64, float64, float64, boolean, STRUCTURE, FLOATS, FLOATS, ROWS, int64, FLOATS)
+    int64(*LAW, STEP, int64, FLOATS, float64, float64, float64, boolean, STRUCTURE, FLOATS, FLOATS, ROWS, int64, FLOATS)
 )
 def integrate(
     force: Any,
     corner_of: Any,
     turn: Any,
+    step: Any,
     flags: int,
     p: Array,
     inelasticity: float,
@@ -367,8 +342,8 @@ def integrate(
                 if weight > 0.0 and (tau - begin > _FOR_GOOD or _rests(force, p, history, weight, modes, w, u, f)):
                     result[0] = STAYS
                     return 0
-        error, w1, y1, tau1, u1, g1, c1, f1 = _any_step(
-            force, p, history, inelasticity, weight, modal, cells, h, w, y, tau, u, f, top, peak, permitted, row
+        error, w1, y1, tau1, u1, g1, c1, f1 = step(
+            force, p, history, inelasticity, weight, cells, h, w, y, tau, u, f, top, peak, permitted, row
         )
         if not error <= 1.0 or tau1 - tau > longest:
             h *= max(0.2, min(0.8, 0.9 * math.pow(max(error, 1e-30), -0.125))) if error < 1e300 else 0.2
@@ -412,13 +387,12 @@ def integrate(
                 break
             low = cut * part
         if share < 1.0:
-            error, w1, y1, tau1, u1, g1, c1, f1 = _any_step(
+            error, w1, y1, tau1, u1, g1, c1, f1 = step(
                 force,
                 p,
                 history,
                 inelasticity,
                 weight,
-                modal,
                 cells,
                 share * h,
                 w,
@@ -508,8 +482,7 @@ def summaries(
     force: Any,
     corner_of: Any,
     turn: Any,
-    integrate: Any,
-    flags: int,
+    parts: Any,
     numbers: Array,
     inelasticity: Array,
     weight: Array,
@@ -521,9 +494,9 @@ def summaries(
     steps, lent = np.empty((MAX_STEPS, COLUMNS)), structure(_NO_MODES)
     for i in rows:
         p, yields = numbers[i], inelasticity[i]
-        n = _follow(force, corner_of, turn, integrate, flags, p, yields, weight[i], tolerance, lent, steps, out[i])
+        n = _follow(force, corner_of, turn, parts, p, yields, weight[i], tolerance, lent, steps, out[i])
         if n > 0:
-            squared, least = find_peak(force, p, yields, False, steps[:n], out[i])
+            squared, least = parts[3](force, p, yields, False, steps[:n], out[i])
             out[i, 8] = yields * squared
             if least < -_ATTRACTION * tolerance * out[i, 3]:
                 out[i, 0] = ATTRACTS
@@ -534,8 +507,7 @@ def _follow(
     force: Any,
     corner_of: Any,
     turn: Any,
-    integrate: Any,
-    flags: int,
+    parts: Any,
     p: Array,
     inelasticity: float,
     weight: float,
@@ -548,13 +520,28 @@ def _follow(
     result[:] = 0.0
     history, state = np.zeros(4), np.zeros(3)
     state[1] = 1.0
-    n: int = integrate(
-        force, corner_of, turn, flags, p, inelasticity, weight, tolerance, False, lent, history, state, steps, 0, result
+    n: int = parts[1](
+        force,
+        corner_of,
+        turn,
+        parts[2],
+        parts[0],
+        p,
+        inelasticity,
+        weight,
+        tolerance,
+        False,
+        lent,
+        history,
+        state,
+        steps,
+        0,
+        result,
     )
     return n if result[0] == SEPARATED else 0
 
 
-@bare_jit
+@by_address(UniTuple(float64, 2)(LAW[0], FLOATS, float64, boolean, ROWS, FLOATS))
 def find_peak(
     force: Any, p: Array, inelasticity: float, modal: bool, steps: Array, result: Array
 ) -> tuple[float, float]:
@@ -601,6 +588,10 @@ def find_peak(
             if f >= result[3]:
                 result[3], result[4] = f, value(row, TAU, s)
     return total, lowest
+
+
+#: What the kernels get of here and of `_step` behind the flags of the law: as arguments they are compiled once.
+PARTS = (integrate, step, find_peak)
 
 
 @bare_jit
@@ -651,8 +642,7 @@ def at_times(
     force: Any,
     corner_of: Any,
     turn: Any,
-    integrate: Any,
-    flags: int,
+    parts: Any,
     numbers: Array,
     inelasticity: Array,
     weight: Array,
@@ -683,7 +673,7 @@ def at_times(
         if modal:
             steps = solved[begin[i] : end[i]]
         else:
-            n = _follow(force, corner_of, turn, integrate, flags, p, yields, weight[i], tolerance, lent, room, result)
+            n = _follow(force, corner_of, turn, parts, p, yields, weight[i], tolerance, lent, room, result)
             steps = room[:n]
         last = _end(steps)
         n, s = 0, 0.0
@@ -701,8 +691,7 @@ def add_to_frames(
     force: Any,
     corner_of: Any,
     turn: Any,
-    integrate: Any,
-    flags: int,
+    parts: Any,
     numbers: Array,
     inelasticity: Array,
     weight: Array,
@@ -731,7 +720,7 @@ def add_to_frames(
         if modal:
             steps = solved[begin[i] : end[i]]
         else:
-            n = _follow(force, corner_of, turn, integrate, flags, p, yields, weight[i], tolerance, lent, room, result)
+            n = _follow(force, corner_of, turn, parts, p, yields, weight[i], tolerance, lent, room, result)
             steps = room[:n]
         last, n_samples = _end(steps), float(frames.shape[1])
         here = int(min(max(math.floor(onset[i]) + 1.0, 0.0), n_samples))

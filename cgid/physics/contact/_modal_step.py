@@ -11,9 +11,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cgid._lib.compiled import bare_jit
+from cgid._lib.compiled import bare_jit, by_address
 from cgid.physics.contact._dop853 import DENSE, END, ERROR_3, ERROR_5, HISTORY, LAST, STAGES, TAU, W, Y
 from cgid.physics.contact._modes import IMPULSE, PLACE, RATE, STAGE, TURN_W, TURN_Y, velocity
+from cgid.physics.contact._step import STEP
 
 Array = NDArray[Any]
 
@@ -77,11 +78,12 @@ def _ends(row: Array, column: int, before: float, after: float, h: float, first:
     row[column + 2], row[column + 3] = h * first - change, 2.0 * change - h * (first + last)
 
 
-@bare_jit
+@by_address(STEP)
 def modal_step(
     force: Any,
     p: Array,
     history: Array,
+    inelasticity: float,
     weight: float,
     cells: Array,
     h: float,
@@ -95,7 +97,7 @@ def modal_step(
     tolerance: float,
     row: Array,
 ) -> tuple[float, ...]:
-    """Take a step as `_step.step`, whose results these are, with the stages in `cells`."""
+    """Take a step as `_step.step`, whose results these are, with the stages in `cells`; nothing else yields."""
     place, speed, later = w, y, tau
     _keep(cells, _START, w, u, w * (weight - f))
     g = c = 0.0

@@ -119,7 +119,7 @@ _BEGIN, _ONE, _NEXT, _NEXT_CELLS, _ALL_CELLS = np.array([0, 1, _NEAR, LONGEST + 
 
 
 class Structure(NamedTuple):
-    """The modes of a structure in units of L, T0 and v, and their motion: three arrays, since each costs a reference."""
+    """The modes of a structure in units of L, T0 and v, and their motion: few arrays, each costs a reference."""
 
     modes: Array  # (rows, modes)
     grids: Array  # (rows, times)

@@ -205,14 +205,15 @@ class Curves:
         """Return a kernel of `_contact`, or of another module, with this law."""
         from cgid.physics.contact import _contact
 
-        run, flags = kernel(module or _contact, name, n_impacts, n_samples), _contact.flags_of(self.law)
+        module = module or _contact
+        run, flags = kernel(module, name, n_impacts, n_samples), _contact.flags_of(self.law)
         if not hasattr(run, "py_func"):
-            own = verbs_of(self.law, compiled=False)
-            run = partial(run, *own, _interpreted(_contact)["integrate"], flags)
+            parts = tuple(_interpreted(sys.modules[part.__module__])[part.__name__] for part in module.PARTS)
+            run = partial(run, *verbs_of(self.law, compiled=False), (flags, *parts))
         else:
             from cgid._lib.compiled import with_law
 
-            run = partial(with_law, run, *verbs_of(self.law, compiled=True), _contact.integrate, flags)
+            run = partial(with_law, run, *verbs_of(self.law, compiled=True), (flags, *module.PARTS))
         return run if is_builtin(self.law) else partial(_run_own_law, self.law, run)
 
     def _problem(self, rows: NDArray[np.intp], tolerance: float) -> tuple[Any, ...]:

@@ -10,17 +10,20 @@ import math
 from typing import Any
 
 import numpy as np
+from numba import float64, int64
 from numpy.typing import NDArray
 
-from cgid._lib.compiled import bare_jit, inner_jit, jit
+from cgid._lib.compiled import FLOATS, LAW, bare_jit, by_address, inner_jit, jit
 from cgid.physics.contact import _contact, _dop853
-from cgid.physics.contact._contact import OUT_OF_REACH, SEPARATED, find_peak
+from cgid.physics.contact._contact import OUT_OF_REACH, SEPARATED, find_peak, integrate
+from cgid.physics.contact._modal_step import modal_step
 from cgid.physics.contact._modes import (
     ANGULAR,
     CELLS,
     LEVEL,
     LOSS,
     SHARE,
+    STRUCTURE,
     TOTALS,
     Structure,
     advance,
@@ -98,7 +101,7 @@ def _event(
     return _NEVER, CELLS * width
 
 
-@bare_jit
+@by_address(int64(LAW[0], FLOATS, FLOATS, float64, float64, STRUCTURE, FLOATS, FLOATS))
 def _fly(
     force: Any, p: Array, history: Array, weight: float, window: float, m: Structure, state: Array, result: Array
 ) -> int:
@@ -126,13 +129,16 @@ def _fly(
             return event
 
 
+#: What the kernel gets of here and elsewhere behind the flags of the law: as arguments they are compiled once.
+PARTS = (integrate, modal_step, find_peak, _fly)
+
+
 @inner_jit
 def _follow(
     force: Any,
     corner_of: Any,
     turn: Any,
-    integrate: Any,
-    flags: int,
+    parts: Any,
     p: Array,
     weight: float,
     window: float,
@@ -147,17 +153,32 @@ def _follow(
     state[1], n, contacts, lasts = 1.0, 0, 1, 0.0
     while contacts <= MAX_CONTACTS:
         first = n
-        n = integrate(
-            force, corner_of, turn, flags, p, 0.0, weight, tolerance, True, m, history, state, steps, n, result
+        n = parts[1](
+            force,
+            corner_of,
+            turn,
+            parts[2],
+            parts[0],
+            p,
+            0.0,
+            weight,
+            tolerance,
+            True,
+            m,
+            history,
+            state,
+            steps,
+            n,
+            result,
         )
         if result[0] != SEPARATED:
             return n
-        find_peak(force, p, 0.0, True, steps[first:n], result)
+        parts[3](force, p, 0.0, True, steps[first:n], result)
         advance(m, state[2])
         lasts = state[2] if contacts == 1 else lasts
         result[2], result[8], result[9], result[10] = lasts, m.cells[TOTALS, 1], contacts, state[2]
         result[11], result[12], result[13] = m.cells[TOTALS, 0], m.cells[TOTALS, 2], energy(m.modes)
-        event = _fly(force, p, history, weight, window, m, state, result)
+        event = parts[4](force, p, history, weight, window, m, state, result)
         if event == _NEVER:
             return n
         contacts += int(event == _TOUCH)
@@ -171,8 +192,7 @@ def follow(
     force: Any,
     corner_of: Any,
     turn: Any,
-    integrate: Any,
-    flags: int,
+    parts: Any,
     numbers: Array,
     decay: Array,
     angular: Array,
@@ -207,7 +227,5 @@ def follow(
             m.modes[SHARE, r], m.modes[ANGULAR, r] = participation[row, r] * mass, angular[r] * unit
         settle(m, width / unit)
         room = steps[here : here + MAX_STEPS]
-        here += _follow(
-            force, corner_of, turn, integrate, flags, numbers[row], weight, window, tolerance, m, room, results[row]
-        )
+        here += _follow(force, corner_of, turn, parts, numbers[row], weight, window, tolerance, m, room, results[row])
         first_step[i + 1] = here
