@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import signal
 from importlib import import_module
+from pathlib import Path
 from typing import Any
 
 #: Signals that ask to end: Ctrl-C, a service manager, and a terminal that was closed (Windows lacks the last).
@@ -60,8 +61,14 @@ def optional(module: str, needs: str, extra: str, *, name: str = "", hint: str =
         return import_module(module)
     except (ImportError, OSError):
         raise MissingExtra(
-            f"{needs} {name or module}, which is not installed: pip install 'cgid[{extra}]'{hint}"
+            f"{needs} {name or module}, which is not installed: pip install '{installed_from()}[{extra}]'{hint}"
         ) from None
+
+
+def installed_from() -> str:
+    """Return what pip installs cgid from: its checkout, or PATH for the wheel that only the user knows."""
+    checkout = Path(__file__).parents[1]
+    return str(checkout) if (checkout / "pyproject.toml").is_file() else "PATH"
 
 
 class ClusterFailed(CgidError, ConnectionError):

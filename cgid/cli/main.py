@@ -40,7 +40,7 @@ from cgid.cli.predict import predict
 from cgid.cli.tap import tap
 from cgid.cli.train import train
 from cgid.cli.verify import verify
-from cgid.errors import CgidError, MissingExtra
+from cgid.errors import CgidError, MissingExtra, installed_from
 
 #: Number of threads for numba, whose import fails below 1.
 _THREADS = "NUMBA_NUM_THREADS"
@@ -141,7 +141,10 @@ def run(arguments: list[str] | None = None) -> int:
         if os.environ.get("CGID_DEBUG"):
             raise
         if isinstance(error, ModuleNotFoundError) and not (error.name or "cgid").startswith("cgid"):
-            say(f"cgid: error: this needs {error.name}, which is not installed: pip install cgid", err=True)
+            say(
+                f"cgid: error: this needs {error.name}, which is not installed: pip install '{installed_from()}'",
+                err=True,
+            )
             return MissingExtra.exit_code
         if _asks_for_no_threads():
             say(f"cgid: error: {_THREADS} must be 1 or more, got {os.environ[_THREADS]}; unset it", err=True)

@@ -203,7 +203,7 @@ def monitor(
 ) -> None:
     """Identify the impacts in STREAM as they arrive: raw numbers or WAV; - is stdin.
 
-    Plant outputs (pip install 'cgid[plant]') send the lines to brokers, PLCs, commands and web pages, without delay.
+    Plant outputs (extra `plant`) send the lines to brokers, PLCs, commands and web pages, without delay.
 
     Stdout is one CSV table, one row per impact. Everything else goes to stderr: each channel is a support with its own
     gangue fraction, printed ten times per window and once in a pause. SHUT is printed when going on is expected to lose
