@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import shlex
 import subprocess
 import sys
@@ -70,6 +71,7 @@ def test_every_option_and_the_example_are_on_the_page(
     for option in command.params:
         if isinstance(option, click.Option) and not option.hidden:
             assert f"  {', '.join(sorted(option.opts, key=len))}" in page
+    assert not re.search(r"^ +-.* (FLOAT|INTEGER|TEXT)( |$)", page, re.MULTILINE)  # its name and unit instead
     assert command.example
     assert "Example:\n" + "".join(f"  {line}\n" for line in command.example.splitlines()) in page
 

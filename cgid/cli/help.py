@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Mapping
 from typing import Any
 
@@ -26,8 +27,8 @@ _OPTIONS = {
     "Signals": "--signals --seed --laws --dtype --quantities --shuffle-labels --test-share --calibration-share",
     "Calibration": "--start-error --drift --participation-error --dimension-error --exact --impacts",
     "Tap test": "--hammer --band --max-order --contact --taps",
-    "Output": "--output --save --port --audacity --mirror --report --plot --plots --overwrite --resume --compression "
-    "--shard-signals --json --clock --strict",
+    "Output": "--output --summary --save --port --audacity --mirror --report --plot --plots --overwrite --resume "
+    "--compression --shard-signals --json --clock --strict",
     _PLANT: "--mqtt --modbus --prometheus --live --on-shut --on-open --on-blind",
     "Speed": "--jobs --scheduler",
     _OTHERS: "--help --version",
@@ -42,10 +43,26 @@ _EXCEPTIONS = {
     "verify --laws": "Task",
     "export-model --to": "Task",
 }
+#: Unit in the help of an option -> what its number is called.
+_UNITS = {"Hz": "HZ", "s": "SECONDS", "ms": "MS", "kg": "KG", "m": "METRES"}
+#: What the texts of options are called; other numbers are NUMBER or N.
+_TEXTS = {
+    "--unit": "UNIT",
+    "--features": "NAMES",
+    "--quantities": "NAMES",
+    "--labels": "NAMES",
+    "--scheduler": "ADDRESS",
+    "--sample-format": "FORMAT",
+    "--start-error": "ERROR",
+    "--drift": "ERROR",
+    "--participation-error": "ERROR",
+    "--dimension-error": "ERROR",
+    "--class-weights": "WEIGHTS",
+}
 #: Heading -> the commands below it.
 _COMMANDS = {
     "Recordings": "predict monitor events label features info plot",
-    "Models": "train export-model",
+    "Models": "train export-model models",
     "Datasets and scenes": "generate check tap calibrate verify export fetch",
 }
 #: One line for the startup file of each shell.
@@ -63,12 +80,29 @@ def heading_of(command: str | None, option: click.Parameter) -> str | None:
     return special or next((heading for heading, flags in _OPTIONS.items() if flag in flags.split()), None)
 
 
+def _metavar(option: click.Option) -> str | None:
+    """Return what the value of an option is called, with its unit; None if click knows better."""
+    if option.metavar is not None or option.is_flag or isinstance(option.type, click.Choice):
+        return option.metavar
+    if isinstance(option.type, click.types.IntParamType):
+        return "N"
+    if isinstance(option.type, click.types.FloatParamType):
+        units = re.findall(r"\[(\w+)\]", option.help or "")
+        return _UNITS.get(units[0] if units else "", "NUMBER")
+    if type(option.type) is click.types.StringParamType:  # names of files have their own
+        return _TEXTS.get(max(option.opts, key=len), "NAME")
+    return None
+
+
 class Command(click.Command):
     """A command whose help has headings and ends with an example, one or more lines for a shell."""
 
     def __init__(self, *args: Any, example: str = "", **kwargs: Any) -> None:
         super().__init__(*args, **kwargs)
         self.example = example
+        for option in self.params:
+            if isinstance(option, click.Option):
+                option.metavar = _metavar(option)
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         """Read the arguments, and note the flags for messages."""
