@@ -95,7 +95,7 @@ def recorder_of(case: Case) -> Callable[[Any], Any]:
             return stiff * gain / np.prod(s[:, None] - poles, axis=1)
         # Its delay is cut off, as recorders do.
         late = (np.arange(_TAPS) - _TAPS // 2) * step
-        return stiff * np.exp(-s[:, None] * late) @ taps
+        return stiff * (np.exp(-s[:, None] * late) @ taps)
 
     return filtered
 

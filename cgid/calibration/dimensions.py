@@ -8,7 +8,7 @@ responses shift by less than a period even where the drawing is wrong. Each wide
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,7 +18,7 @@ from cgid._lib.validation import Floats
 from cgid.calibration.learning import ImpactFrames, System, newton
 from cgid.errors import InvalidValue
 from cgid.identification.inversion.inversion import Inversion
-from cgid.measure.modal.beam import Beam, corrected
+from cgid.measure.modal.beam import Beam
 from cgid.scene.file.schema import Scene, parse_scene
 from cgid.scene.synthesis.through_beam import through_modes
 
@@ -34,9 +34,7 @@ _MAX_ERROR, _DAMPING_A_DIMENSION, _MAX_DAMPING = 0.1, 10.0, 0.3
 _LENGTHS = ("value", "values", "lowest", "highest", "mean", "deviation", "median", "characteristic", "parts")
 #: Successive bands as fractions of the whole; rounds in each, and number of impacts.
 _BANDS, _ROUNDS, _FEW = (0.03, 0.05, 0.08, 0.12, 0.18, 0.26, 0.4, 0.6), 6, 60
-#: Bands for the location of the sensor alone: its error is short compared with their waves.
-SENSOR_BANDS = (0.12, 0.4)
-MAX_ROUNDS = (len(_BANDS) + len(SENSOR_BANDS)) * _ROUNDS
+MAX_ROUNDS = len(_BANDS) * _ROUNDS
 #: Minimum number of modes of a band.
 _MIN_MODES = 4
 #: A band has converged when no step is longer than this fraction of its standard deviation.
@@ -90,13 +88,11 @@ def learn_dimensions(
     impacts: ImpactFrames,
     errors: Mapping[str, float],
     *,
-    correction: Floats | None = None,
-    bands: Sequence[float] = _BANDS,
     progress: Callable[[int], object] | None = None,
 ) -> tuple[Scene, tuple[Dimension, ...]]:
     """Return a scene with learned dimensions, and the dimensions."""
-    # `beam` is that of the scene; modes that are learned differ by `correction` (3, n_modes). `progress` receives the
-    # number of rounds since the last call.
+    # `beam` is that of the scene, with modes not yet learned; `progress` receives the number of rounds since the last
+    # call.
     before, names, prior = dimensions_of(scene), list(errors), np.array(list(errors.values()))
     now, deviation = np.zeros(len(names)), prior
     impacts = impacts.taken(slice(_FEW))
@@ -105,15 +101,14 @@ def learn_dimensions(
     top = inversion.bins.stop / inversion.n_samples * beam.sampling_rate
 
     def of(change: Floats) -> Beam:
-        made = through_modes(with_dimensions(scene, names, change), beam)
-        return made if correction is None else corrected(made, correction)
+        return through_modes(with_dimensions(scene, names, change), beam)
 
     def beside(number: int) -> tuple[Beam, Beam]:
         step = np.zeros(len(names))
         step[number] = _STEP
         return of(now + step), of(now - step)
 
-    for fraction in bands:
+    for fraction in _BANDS:
         if np.count_nonzero(np.abs(of(now).poles) < 2 * np.pi * fraction * top) < _MIN_MODES:
             continue
         for _ in range(_ROUNDS):

@@ -31,6 +31,8 @@ _FEW, _N_SEARCHED = 80, 48
 _FIRST, _BETWEEN, _LAST, _MAX_SEARCHES = 8, 2, 10, 6
 #: Successive bands as fractions of the whole, and the range of modes beyond a band that still affect it.
 _BANDS, _BEYOND = (0.12, 0.24, 0.4, 0.6, 0.8, 1.0), 1.15
+#: The same where the modes are nearly known and the sensor is not; step of the quotients in its location [m].
+_BANDS_OF_SENSOR, _PLACE_STEP = (0.24, 0.5, 1.0), 1e-4
 #: With frequency errors below this fraction of the damping ratio, the complete band is learned at once.
 _NARROW = 0.7
 #: Factor of the standard deviations for the nonlinearity in the poles; measured by benchmarks/beam/calibrate.py.
@@ -105,15 +107,30 @@ def learn(
     return learned
 
 
+@dataclass(frozen=True)
+class MovedSensor:
+    """A sensor whose location is uncertain: the beam with it moved by x and y [m], and standard deviations [m]."""
+
+    beam: Callable[[Floats], Beam]
+    deviation: Floats
+
+
 class Learned:
     """Corrections of the modes of a beam, and the steps that improve them."""
 
     # `correction`, `deviation` (3, n_modes): of ln frequency, ln damping ratio and ln participation; `has_converged`:
-    # whether the last step was small compared with the standard deviations.
+    # whether the last step was small compared with the standard deviations. With `sensor`, the location of the sensor
+    # is learned as well, since modes that are off shift it, and the reverse.
 
     def __init__(
-        self, beam: Beam, impacts: ImpactFrames, prior: Floats, progress: Callable[[int], object] | None = None
+        self,
+        beam: Beam,
+        impacts: ImpactFrames,
+        prior: Floats,
+        progress: Callable[[int], object] | None = None,
+        sensor: MovedSensor | None = None,
     ) -> None:
+        self.sensor, self.place = sensor, np.zeros(0 if sensor is None else 2)
         self._beam, self._impacts, self._progress, self._prior = beam, impacts, progress, prior
         self.correction: Floats = np.zeros(prior.shape)
         self.deviation, self.has_converged = prior.copy(), False
@@ -133,7 +150,8 @@ class Learned:
         ratio = float(np.median(self._beam.modes.damping_ratio))
         # Low modes first: they determine the locations, and these the higher modes. Errors well below the width of a
         # resonance need no such order.
-        for fraction in _BANDS if float(self._prior[0].max()) > _NARROW * ratio else _BANDS[-1:]:
+        narrow = _BANDS[-1:] if self.sensor is None else _BANDS_OF_SENSOR
+        for fraction in _BANDS if float(self._prior[0].max()) > _NARROW * ratio else narrow:
             limit = None if fraction == 1 else fraction * top
             for search in range(_MAX_SEARCHES + 1):
                 for _ in range(_BETWEEN if search else _FIRST):
@@ -150,17 +168,37 @@ class Learned:
 
     def _system(self, n_impacts: int, limit: float | None) -> System:
         rows = slice(n_impacts)
-        return System(corrected(self._beam, self.correction), self._impacts.taken(rows), self._raised[rows], limit)
+        return System(self._at(self.place), self._impacts.taken(rows), self._raised[rows], limit)
+
+    def _at(self, place: Floats) -> Beam:
+        """Return the corrected beam with its sensor elsewhere."""
+        beam = self._beam if self.sensor is None else self.sensor.beam(place)
+        return corrected(beam, self.correction)
+
+    def _sides(self, number: int) -> tuple[Beam, Beam]:
+        step = _PLACE_STEP * np.eye(2)[number]
+        return self._at(self.place + step), self._at(self.place - step)
 
     def step(self, n_impacts: int, limit: float | None = None) -> bool:
         """Make a Gauss-Newton step with the first impacts, up to a frequency; return `has_converged`."""
         system, quantities = self._system(n_impacts, limit), self._quantities
         prior = np.maximum(self._prior[quantities], 1e-9)
         indices = np.add.outer(np.arange(quantities.size) * prior.shape[1], system.active).ravel()
-        pulls, curvature = np.zeros((n_impacts, prior.size)), np.zeros((prior.size,) * 2)
-        pulls[:, indices], curvature[np.ix_(indices, indices)] = system.equations(system.by_modes(quantities))
+        slopes, every, now = system.by_modes(quantities), prior.ravel(), self.correction[quantities].ravel()
+        if self.sensor is not None:
+            indices = np.concatenate([indices, prior.size + np.arange(2)])
+            of_modes, of_place = slopes, system.by_beams(self._sides, 2, _PLACE_STEP)
+            every, now = np.concatenate([every, self.sensor.deviation]), np.concatenate([now, self.place])
+
+            def slopes(row: int) -> Singles:
+                return np.concatenate([of_modes(row), of_place(row).astype(np.float32)])
+
+        pulls, curvature = np.zeros((n_impacts, every.size)), np.zeros((every.size,) * 2)
+        pulls[:, indices], curvature[np.ix_(indices, indices)] = system.equations(slopes)
         self._raised[:n_impacts] = np.sqrt(np.maximum(system.power, 1.0))
-        now, step, deviation = newton(curvature, pulls, prior.ravel(), self.correction[quantities].ravel())
+        now, step, deviation = newton(curvature, pulls, every, now)
+        self.place = now[prior.size :]
+        now, step, deviation = now[: prior.size], step[: prior.size], deviation[: prior.size]
         self.correction[quantities] = now.reshape(prior.shape)
         self.deviation[quantities] = np.minimum(_BEYOND_LINEAR * deviation.reshape(prior.shape), prior)
         if self._progress is not None:
@@ -171,7 +209,8 @@ class Learned:
     def search(self, n_impacts: int, limit: float | None) -> bool:
         """Move single modes to other minima; return whether any of them improved."""
         system = self._system(min(n_impacts, _N_SEARCHED), limit)
-        moved = search_valleys(self._beam, self.correction, self._prior, system)
+        beam = self._beam if self.sensor is None else self.sensor.beam(self.place)
+        moved = search_valleys(beam, self.correction, self._prior, system)
         self.correction = self.correction if moved is None else moved
         return moved is not None
 

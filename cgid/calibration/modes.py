@@ -18,13 +18,12 @@ from cgid._lib.validation import Floats
 from cgid.calibration.chain import PARTS, Chain, learn_chain, outside
 from cgid.calibration.dimensions import (
     SENSOR,
-    SENSOR_BANDS,
     Dimension,
     dimension_errors,
     dimensions_of,
     learn_dimensions,
 )
-from cgid.calibration.learning import ImpactFrames, Learned, evidence_of
+from cgid.calibration.learning import ImpactFrames, Learned, MovedSensor, evidence_of
 from cgid.errors import BadData, InvalidValue
 from cgid.identification.detection.detector import ImpactDetector
 from cgid.identification.inversion.contact import MISSHAPEN
@@ -63,8 +62,8 @@ _WORST_OF_STREAM = 0.5
 #: A mode is silent at a sensor if its shape is below this fraction of its root mean square; a sensor at nodes of more
 #: than this fraction of the modes is unusable. On a line of symmetry it is half.
 _SILENT, _MAX_SILENT = 0.02, 0.6
-#: The location of a sensor is off by about this [m], at most by this fraction, and as stated within the last [m].
-_SENSOR_ERROR, _MAX_SENSOR_ERROR, _SAME_PLACE = 0.03, 0.1, 2e-3
+#: The location of a sensor is off by about this [m], and as stated within the second length.
+_SENSOR_ERROR, _SAME_PLACE = 0.02, 2e-3
 #: Forces outside of the pulse family may be so many times those of simulated impacts.
 _LIKE_SIMULATED = 2.0
 #: Keys of a sensor that are learned.
@@ -249,18 +248,14 @@ def calibrate(  # noqa: PLR0913
         if uncertain_dimensions:
             scene, dimensions = learn_dimensions(scene, beam, impacts, uncertain_dimensions, progress=progress)
             beam = through_modes(scene, beam)
-        stated, place = scene, _place_errors(scene, exact, uncertain_dimensions)
-        if place:
-            scene, _ = learn_dimensions(scene, beam, impacts, place, bands=SENSOR_BANDS, progress=progress)
-            beam = through_modes(scene, beam)
+        stated, sensor = scene, _uncertain_sensor(scene, beam, exact, uncertain_dimensions)
         start = _start(scene)
         errors = (start_error, drift, participation_error)
-        result = Learned(beam, impacts, _prior(scene, start, *errors), progress)
+        result = Learned(beam, impacts, _prior(scene, start, *errors), progress, sensor)
         result.approach()
-        if place:
-            scene, moved = _located(stated, scene, beam, impacts, result.correction, place)
-            dimensions += moved
-            beam = through_modes(scene, beam)
+        if np.hypot.reduce(result.place, initial=0.0) > _SAME_PLACE:
+            scene = _with_sensor(scene, result.place)
+            dimensions, beam = dimensions + _moved(stated, scene), through_modes(scene, beam)
         chain = learn_chain(scene, corrected(beam, result.correction), impacts, exact)
         if chain is not None:
             scene = chain.placed(scene)
@@ -309,25 +304,36 @@ def calibrate(  # noqa: PLR0913
     )
 
 
-def _place_errors(scene: Scene, exact: Collection[str], learned: Collection[str]) -> dict[str, float]:
-    """Return the relative errors of the location of the sensor, if it is to be learned and is not yet."""
+def _uncertain_sensor(scene: Scene, beam: Beam, exact: Collection[str], known: Collection[str]) -> MovedSensor | None:
+    """Return the sensor, if its location is to be learned and is not yet."""
     drawn = scene.panel is not None and scene.tail_beam is not None and scene.tail_beam.learned is None
-    if "sensor" in exact or not drawn or set(SENSOR) <= set(learned):
-        return {}
-    place = {name: value for name, value in dimensions_of(scene).items() if name in SENSOR and value > 0}
-    return {name: min(_SENSOR_ERROR / value, _MAX_SENSOR_ERROR) for name, value in place.items()}
+    if "sensor" in exact or not drawn or set(SENSOR) & set(known):
+        return None
+
+    def moved(place: Floats) -> Beam:
+        return through_modes(_with_sensor(scene, place), beam)
+
+    return MovedSensor(moved, np.full(2, _SENSOR_ERROR))
 
 
-def _located(
-    stated: Scene, scene: Scene, beam: Beam, impacts: ImpactFrames, correction: Floats, errors: Mapping[str, float]
-) -> tuple[Scene, tuple[Dimension, ...]]:
-    """Return a scene with the location of its sensor once the modes are nearly learned, that of `stated` if near it."""
-    found, now = learn_dimensions(scene, beam, impacts, errors, correction=correction, bands=SENSOR_BANDS[-1:])
-    before = dimensions_of(stated)
-    moved = tuple(replace(one, before=before[one.name]) for one in now)
-    if np.hypot.reduce([one.after - one.before for one in moved]) <= _SAME_PLACE:
-        return stated, ()
-    return found, moved
+def _with_sensor(scene: Scene, place: Floats) -> Scene:
+    """Return a scene with its sensor moved by x and y [m], on the beam."""
+    assert scene.tail_beam is not None and scene.tail_beam.sensor_point is not None and scene.panel is not None
+    point, sides = scene.tail_beam.sensor_point, (scene.panel.length, scene.panel.width)
+    x, y = (
+        float(np.clip(one + step, 0, side))
+        for one, step, side in zip((point.x, point.y), place.tolist(), sides, strict=True)
+    )
+    return _with_beam(scene, sensor_point={"x": x, "y": y})
+
+
+def _moved(stated: Scene, found: Scene) -> tuple[Dimension, ...]:
+    """Return the changed location of a sensor."""
+    before, after = dimensions_of(stated), dimensions_of(found)
+    known = _SAME_PLACE / 2
+    return tuple(
+        Dimension(name=one, before=before[one], after=after[one], deviation=known / after[one]) for one in SENSOR
+    )
 
 
 def _changes(stated: Scene, chain: Chain) -> dict[str, tuple[float, float]]:

@@ -144,7 +144,7 @@ def calibrate(
     check_scene(scene, scene.sampling.sampling_rate)
     of_dimensions = dimensions.dimension_errors(scene, _of_each(dimension_error))
     frames, rate, before = _frames(recordings, scene, reading)
-    n_rounds = MAX_ROUNDS + dimensions.MAX_ROUNDS * bool(of_dimensions or "sensor" not in parts)
+    n_rounds = MAX_ROUNDS + dimensions.MAX_ROUNDS * bool(of_dimensions)
     with progress_bar(n_rounds, "rounds at most", "fitting beam") as progress:
         errors["dimension_error"] = of_dimensions
         found = calibrated(scene, frames, rate, before, exact=parts, max_impacts=impacts, progress=progress, **errors)

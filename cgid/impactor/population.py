@@ -180,7 +180,9 @@ def fit_through_beam(pulses: Impact | ModalImpact, peak: Floats, beam: ThroughBe
     louder = _ENERGY / np.einsum("ni,ni->n", vector, coefficients)
     information, vector = information * louder[:, None, None], vector * louder[:, None]
     one, pair = np.ones(peak.size), np.ones((peak.size, 2))
-    fitted = beam.fit.fit(ForceEstimate(one, one, pair, order, coefficients, information, vector, one, one, one, one))
+    fitted = beam.fit.fit(
+        ForceEstimate(one, one, pair, order, coefficients, information, vector, one, one, one, one, one)
+    )
     return np.log(fitted.peak), np.log(fitted.width), fitted.shape
 
 

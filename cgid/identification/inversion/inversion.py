@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from cgid._lib.validation import Floats
 from cgid.identification.inversion.beam_responses import ROWS, BeamResponses, Observations, ResponseTable, Rowwise, cut
-from cgid.identification.inversion.location_grid import LocationGrid, Start
+from cgid.identification.inversion.location_grid import LOW, LocationGrid, Start
 from cgid.measure.modal.beam import TOUCH, Singles
 
 __all__ = ["ForceEstimate", "Inversion", "Observations", "Start"]
@@ -33,6 +33,8 @@ _LEADING = 14
 _SAME = 3e-4
 #: Singular values of the clipped samples, relative to the largest, below which they are outside the band.
 _IN_BAND = 1e-3
+#: A second impact begins within this time [s]; it is searched where more than so many standard deviations are left.
+_SECOND, _MUCH_LEFT = 3.2e-3, 6.0
 #: With more than this fraction of clipped samples, as of a square wave, nothing is explained: few samples remain, and
 #: leaving so many out costs a hundred times as much as an impact.
 _MOST_CLIPPED = 0.3
@@ -53,6 +55,7 @@ class ForceEstimate(Rowwise):
     evidence: Floats  # (n,), ln evidence over that of noise alone, per sample
     misfit: Floats  # (n,), mean square of the residual over the noise; 1 if the beam explains the samples
     unexplained: Floats  # (n,), fraction of energy in the residual beyond the noise, at least 0
+    overlap: Floats  # (n,), fraction of the residual at low frequencies that one more impact explains; 0 until asked
 
     def later(self, samples: NDArray[np.intp]) -> Start:
         """Return the start of another estimate at the same location, of a force that begins by some samples later."""
@@ -123,6 +126,33 @@ class Inversion(BeamResponses):
         starts = Start.joined(parts)
         return starts.rows(starts.evidence.reshape(n, -1).argmax(axis=1) + np.arange(n) * n_onsets)
 
+    def with_overlap(self, observations: Observations, estimate: ForceEstimate) -> ForceEstimate:
+        """Return the estimate with its `overlap`: what a second impact, soon after, explains of what it leaves."""
+        own, observations = self._for(observations)
+        parts = [own._overlap(observations.rows(rows), estimate.rows(rows)) for rows in own._slices(len(estimate.x))]
+        return replace(estimate, overlap=np.concatenate(parts))
+
+    @cached_property
+    def _low(self) -> ResponseTable:
+        return self.table(len(self.beam.deviations), _SAME, LOW)
+
+    def _overlap(self, observations: Observations, estimate: ForceEstimate) -> Floats:
+        samples, table = self.cut(observations, estimate.start), self._low
+        weight = self.weights(observations)[0]
+        weight = self.with_errors(weight, self.strength(samples, weight))
+        ways = table.of_shapes(table.beam.weights(estimate.x, estimate.y)[0], None)
+        left = np.zeros_like(samples)
+        fitted = np.einsum("ns,nsk->nk", estimate.coefficients.astype(np.float32), ways)
+        left[:, table.kept] = samples[:, table.kept] - fitted
+        count = np.count_nonzero(weight[:, table.kept], axis=1)
+        energy = np.sum(np.square(left) * weight, axis=1) - count
+        rows = np.flatnonzero(energy > _MUCH_LEFT * np.sqrt(2 * np.maximum(count, 1)))
+        out = np.zeros(len(samples))
+        if rows.size:
+            gained = self.grid.later(left[rows], weight[rows], round(_SECOND * self.beam.sampling_rate))
+            out[rows] = np.clip(2 * gained / energy[rows], 0, 1)
+        return out
+
     def _slices(self, n: int) -> list[slice]:
         """Return slices of rows, at least one."""
         n_rows = max(ROWS // self.beam.n_sensors, 1)
@@ -148,7 +178,7 @@ class Inversion(BeamResponses):
                 others = self._descended(samples[rows], weight, x, y, level, self._directions(clipped[rows], weight))
                 for name, array in fields.items():
                     array[rows] = others[name]
-        return ForceEstimate(start=start.first, noise=observations.level, **fields)
+        return ForceEstimate(start=start.first, noise=observations.level, overlap=np.zeros(len(samples)), **fields)
 
     def _directions(self, clipped: NDArray[np.bool_], weight: Singles) -> Singles:
         """Return orthonormal directions (n, n_directions, n_coefficients) that clipped samples move; or zeros."""

@@ -28,7 +28,7 @@ from cgid.measure.modal.beam import GRID, TOUCH, Singles
 _LEVELS = np.geomspace(2.0, 2e4, 12)
 #: The onset is searched below this frequency [Hz], with this number of shapes and grid spacing [m], at every second
 #: sample.
-_LOW, _LOW_SHAPES, _LOW_GRID, _STRIDE = 3.2e3, 6, 0.05, 2
+LOW, _LOW_SHAPES, _LOW_GRID, _STRIDE = 3.2e3, 6, 0.05, 2
 #: The location is found with so many shapes: fewer lose it in the ring-down of an earlier impact. Before, the best of
 #: every second location of the grid in either direction are found below this frequency [Hz], with so many shapes.
 #: So many of these are compared by themselves, and the best of these with the locations next to them.
@@ -131,7 +131,7 @@ class LocationGrid:
     @cached_property
     def low(self) -> CoarseTables:
         """The tables for the onset."""
-        return CoarseTables.of(self.responses.table(_LOW_SHAPES, _NEARLY, _LOW), _LOW_GRID)
+        return CoarseTables.of(self.responses.table(_LOW_SHAPES, _NEARLY, LOW), _LOW_GRID)
 
     @cached_property
     def wide(self) -> CoarseTables:
@@ -195,6 +195,13 @@ class LocationGrid:
             # A force begins so gradually that a late start explains the samples equally well: prefer an early one.
             first[rows] += np.round(trust @ steps / trust.sum(axis=1)).astype(np.intp) - TOUCH // 2
         return first
+
+    def later(self, samples: Singles, weight: Singles, n_steps: int) -> Floats:
+        """Return the highest evidence on the grid of another force that begins within so many samples, (n,)."""
+        out, steps = np.zeros(len(samples)), np.arange(-TOUCH, n_steps, _STRIDE)
+        for each, rows in _groups(self._fainter(weight)):
+            out[rows] = self._evidence_of(samples[rows], weight[rows], steps, each).max(axis=1)
+        return out
 
     def _evidence_of(self, samples: Singles, weight: Singles, steps: NDArray[np.intp], fainter: list[int]) -> Floats:
         """Return the evidence that a force begins some samples later, (n, n_steps), for sensors of equal noise."""

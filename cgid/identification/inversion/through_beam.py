@@ -113,6 +113,7 @@ class ThroughBeam:
             "beam_unexplained": 100 * estimate.unexplained,
             "beam_surely_unexplained": 100 * surely,
             "beam_misshapen": 100 * contact.outside,
+            "beam_overlap": 100 * estimate.overlap,
         }
 
     def _loudest(self, values: Floats) -> Floats:
@@ -169,7 +170,7 @@ class ThroughBeam:
             if better.size:
                 estimate = estimate.replaced(rows[better], other.rows(better))
                 contact = contact.replaced(rows[better], self.fit.fit(other.rows(better)))
-        return estimate, contact
+        return self.inversion.with_overlap(observations, estimate), contact
 
     def _before(self, observations: Observations, first: NDArray[np.intp], last: NDArray[np.intp]) -> Floats:
         """Return the energy outside a window that begins at the last sample, in units of the total misfit, (n,)."""

@@ -441,7 +441,7 @@ BEAM_PULSE = (
 _BEAM = (
     *BEAM_PULSE,
     *("beam_impact_x", "beam_impact_y", "beam_place_deviation"),
-    *("beam_misfit", "beam_unexplained", "beam_surely_unexplained", "beam_misshapen"),
+    *("beam_misfit", "beam_unexplained", "beam_surely_unexplained", "beam_misshapen", "beam_overlap"),
 )
 
 
