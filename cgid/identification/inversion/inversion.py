@@ -34,7 +34,7 @@ _SAME = 3e-4
 #: Singular values of the clipped samples, relative to the largest, below which they are outside the band.
 _IN_BAND = 1e-3
 #: A second impact begins within this time [s]; it is searched where more than so many standard deviations are left.
-_SECOND, _MUCH_LEFT = 3.2e-3, 6.0
+_SECOND, _MUCH_LEFT = 3.2e-3, 3.0
 #: With more than this fraction of clipped samples, as of a square wave, nothing is explained: few samples remain, and
 #: leaving so many out costs a hundred times as much as an impact.
 _MOST_CLIPPED = 0.3

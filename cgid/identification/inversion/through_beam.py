@@ -27,6 +27,8 @@ _EDGE, _BESIDE = 0.35, 4
 #: With more than this fraction of the energy unexplained, and a misfit above this, the onset is searched this much
 #: later [samples].
 _MUCH, _LATER = (0.01, 1.3), (4, 8, 12, -6, 20)
+#: With more than this fraction of the energy unexplained, a second impact soon after is searched.
+_MORE_THAN_ONE = 0.0005
 #: In a stream: median unexplained fraction of energy on a foreign beam, and number of impacts for it; number of impacts
 #: that settle the filter; number that test it again, and ratio of noise that triggers this.
 _FOREIGN, _RECENT, _SETTLED, _TESTS, _LOUDER = 0.05, 200, 60, 8, 4.0
@@ -170,7 +172,11 @@ class ThroughBeam:
             if better.size:
                 estimate = estimate.replaced(rows[better], other.rows(better))
                 contact = contact.replaced(rows[better], self.fit.fit(other.rows(better)))
-        return self.inversion.with_overlap(observations, estimate), contact
+        rows = np.flatnonzero(again & (estimate.unexplained > _MORE_THAN_ONE))
+        if rows.size:
+            both = self.inversion.with_overlap(observations.rows(rows), estimate.rows(rows))
+            estimate = estimate.replaced(rows, both)
+        return estimate, contact
 
     def _before(self, observations: Observations, first: NDArray[np.intp], last: NDArray[np.intp]) -> Floats:
         """Return the energy outside a window that begins at the last sample, in units of the total misfit, (n,)."""

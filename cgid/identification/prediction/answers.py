@@ -29,6 +29,10 @@ from cgid.units import ELECTRICAL, UNITS, Column, flags, numbers, quantity_of, t
 if TYPE_CHECKING:
     from cgid.identification.inversion.through_beam import BeamStream
 
+#: From this share of what the beam leaves unexplained on [%] a second impact explains it.
+_OVERLAP = 30.0
+_DOUBLE = "another impact begins within 3 ms of it"
+
 __all__ = ["Answer", "identify", "identify_frames", "suited"]
 
 
@@ -312,7 +316,7 @@ def _placed(answer: Answer, event: Event, channels: Sequence[str]) -> Answer:
         time=event.time,
         end=event.end / event.sampling_rate,
         channel=channels[event.channel],
-        overlapping=event.overlapping,
+        overlapping=event.overlapping or answer.overlapping,
         clipped=event.clipped,
         cut=event.cut,
     )
@@ -393,7 +397,7 @@ def _identified(
         text = f"a frame must contain at least {MINIMUM_FRAME} samples, got {frames.shape[-1]}"
         short = Problem(ProblemKind.TOO_SHORT, text)
         return [unmeasured(short)] * len(frames), np.full((len(frames), len(model.measured)), np.nan)
-    more = ("beam_misshapen",) if "beam_unexplained" in model.guards else ()
+    more = ("beam_misshapen", "beam_overlap") if "beam_unexplained" in model.guards else ()
     values, problems = measured(
         frames.reshape(-1, frames.shape[-1]),
         sampling_rate,
@@ -404,14 +408,14 @@ def _identified(
         beam=beam or model.beam,
         channel=channel,
     )
-    misshapen = values[:, -1] if more else np.full(len(values), np.nan)
+    misshapen, overlap = values[:, -2:].T if more else np.full((2, len(values)), np.nan)
     values = values[:, : len(model.measured)]
     sound = np.asarray(np.isfinite(values).all(axis=1))
     time = 0.0 if pre_trigger is None else pre_trigger / sampling_rate
     features, guards = np.split(values[sound], [len(model.features)], axis=1)
     answers = answers_from(np.hstack([features, known[sound]]), guards, model, settings, sampling_rate)
     identified = [
-        replace(next(answers), time=time, misshapen=float(misshapen[row]))
+        _with_beam(next(answers), time, float(misshapen[row]), beam is not None and overlap[row] > _OVERLAP)
         if sound[row]
         else unmeasured(problems.get(row, "a feature has no finite value"), time)
         for row in range(len(frames))
@@ -421,6 +425,14 @@ def _identified(
         return identified, values
     estimates = settings.impactors(frames, sampling_rate, model, pre_trigger, detection_limit)
     return [replace(answer, impactor=one) for answer, one in zip(identified, estimates, strict=True)], values
+
+
+def _with_beam(answer: Answer, time: float, misshapen: float, is_double: bool) -> Answer:
+    """Return an answer with its time and what only a beam shows; two impacts at once have no label."""
+    answer = replace(answer, time=time, misshapen=misshapen)
+    if not is_double:
+        return answer
+    return replace(answer, label=UNKNOWN, overlapping=True, problem=answer.problem or _DOUBLE)
 
 
 def answers_from(
