@@ -602,6 +602,17 @@ _COMMANDS = r"""
 65 | plot pair.csv --same-beam 1+9 -o new.png | channel '9' is none of them
 65 | monitor - --same-beam 1+1 | once, got 1 twice
 65 | events - -o e.csv | stdin
+65 | events good.csv twice.csv --audacity a.txt -o e.csv | --audacity
+65 | events good.csv --audacity pair.csv -o e.csv | pair.csv
+65 | label - | stdin
+66 | label gone.csv | gone.csv
+73 | label good.csv -o l.xlsx | l.xlsx
+65 | label good.csv -o pair.csv | pair.csv
+65 | label good.csv --labels coal,<b> | --labels
+73 | label good.csv --save m.txt | m.txt
+66 | label good.csv --model gone.npz | gone.npz
+2 | label good.csv --port 0 | --port
+65 | label constant.csv motion.csv | motion.csv
 66 | events gone.csv -o e.csv | gone.csv
 65 | events void -o e.csv | void
 73 | events good.csv -o m_same.csv | m_same.csv

@@ -27,7 +27,7 @@ import pytest
 from cgid.cli.main import run
 from cgid.errors import BadData, CannotCreate, InvalidValue, NoInput
 from cgid.pages.server import MAX_CLIENTS
-from cgid.plant import PlantOutputs, command, mqtt
+from cgid.plant import PlantOutputs, commands, mqtt
 from cgid.plant.modbus import HEAD, MAX_SUPPORTS, WIDTH, registers
 from cgid.plant.output import Output
 from cgid.plant.state import BIN_TIME, Waveform
@@ -829,7 +829,7 @@ def test_command_gets_the_turn(outputs, said, tmp_path) -> None:
 
 
 def test_command_that_fails_or_hangs_is_one_line(outputs, said, monkeypatch) -> None:
-    monkeypatch.setattr(command, "MAX_RUN_TIME", 0.3)
+    monkeypatch.setattr(commands, "MAX_RUN_TIME", 0.3)
     own = outputs(on_shut=f'"{sys.executable}" -c "raise SystemExit(3)"', on_open="sleep 60")
     own(turn("shut", 1.0))
     own(turn("open", 2.0, channel="2"))

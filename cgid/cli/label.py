@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 _PORT = 8062
 
 
-@click.command(cls=Command, short_help="Label impacts on a page in the browser.", example="cgid label monday.wav")
+@click.command(cls=Command, short_help="Label impacts on a page in the browser.", example="cgid label datasets/sample.csv -o labels.csv")
 @click.argument("files", type=PATH, nargs=-1, required=True, metavar="RECORDING...")
 @click.option(
     "-o",
@@ -75,6 +75,8 @@ def label(
         check_new(model_path, "a model", (".npz",), overwrite=False)
     names = [validation.label("--labels", name.strip()) for name in labels.split(",")]
     every = recordings_of(files)
+    if "-" in every:
+        raise InvalidValue("stdin: a table of labels must name files, a stream has no name; save it first")
     require_no_input_written(every)
     reading.require_files(every)
     rates = require_trainable(every, reading, ())

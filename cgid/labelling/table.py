@@ -61,7 +61,7 @@ class LabelTable:
         self._columns, self._head, self._separator, self._comma, self._mark = list(_COLUMNS), "", ",", False, False
         self._seen, self._stat = b"", (0, 0)  # the table as last read or written
         self._before: dict[tuple[str, str, str, str], set[str]] = {}  # labels that a row had in this session
-        self._is_new = self._dirty = False
+        self._dirty = False
         self._stream = self._opened_journal()
         try:
             self._read()
@@ -278,5 +278,7 @@ class LabelTable:
                 return
             if self._dirty:
                 self.flush()
+            if not os.fstat(self._stream).st_size:
+                self.journal.unlink(missing_ok=True)
             os.close(self._stream)
             self._stream = -1
