@@ -106,6 +106,11 @@ VERBS = (
 LAW = tuple(map(numba.types.FunctionType, VERBS))
 
 
+def constants(*values: int) -> tuple[int, ...]:
+    """Return integers of numpy: numba compiles a function anew for each integer of Python that it is given."""
+    return tuple(np.array(values))
+
+
 def by_address(type_: Any) -> Callable[[Function], Function]:
     """Return the decorator of a function that kernels get as an argument: it is compiled once, not in each of them."""
 

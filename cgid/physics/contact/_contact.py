@@ -24,11 +24,10 @@ import math
 from typing import Any
 
 import numpy as np
-from numba import boolean, float64, int64
-from numba.types import UniTuple
+from numba import boolean, float64, int64, types
 from numpy.typing import NDArray
 
-from cgid._lib.compiled import FLOATS, LAW, ROWS, bare_jit, by_address, inner_jit, jit
+from cgid._lib.compiled import FLOATS, LAW, ROWS, bare_jit, by_address, constants, inner_jit, jit
 from cgid.physics.contact._dop853 import COLUMNS, HISTORY, LAST, TAU, W, Y
 from cgid.physics.contact._modes import (
     IMPULSE,
@@ -58,7 +57,7 @@ MAX_STEPS = 4096
 #: Outcomes of an impact. The last three are the fault of its law: a number that is not finite, a force that attracts
 #: where it may not, a turn that moves the sphere.
 SEPARATED, STAYS, OUT_OF_REACH, NOT_FINITE, ATTRACTS, TORN = 0, 1, 2, 3, 4, 5
-DISPLACEMENT, FORCE = np.arange(2)
+DISPLACEMENT, FORCE = constants(0, 1)
 #: Columns of `summaries`.
 RESULTS = (
     "status",
@@ -93,9 +92,8 @@ _ROUNDING = 1e-9
 _NOTHING = 1e-16
 #: Slowest rebound that can be told from rounding, of a sphere that is released by the force.
 _MIN_REBOUND = 1e-12
-#: Arguments of kernels are numbers of numpy: numba compiles a function anew for each Python integer that it is given.
-_FIRST, _NO_MODES = np.int64(0), np.int64(0)
-_NO_EVENT, _END, _RELEASE, _TURN, _CORNER = np.arange(5)
+_FIRST, _NO_MODES = constants(0, 0)
+_NO_EVENT, _END, _RELEASE, _TURN, _CORNER = constants(*range(5))
 #: Gauss-Lobatto nodes on [0, 1] and their weights.
 _INNER, _OUTER = (math.sqrt((7 - sign * 2 * math.sqrt(7)) / 21) / 2 for sign in (1, -1))
 _NODES = np.array([0.0, 0.5 - _OUTER, 0.5 - _INNER, 0.5 + _INNER, 0.5 + _OUTER, 1.0])
@@ -541,7 +539,7 @@ def _follow(
     return n if result[0] == SEPARATED else 0
 
 
-@by_address(UniTuple(float64, 2)(LAW[0], FLOATS, float64, boolean, ROWS, FLOATS))
+@by_address(types.UniTuple(float64, 2)(LAW[0], FLOATS, float64, boolean, ROWS, FLOATS))
 def find_peak(
     force: Any, p: Array, inelasticity: float, modal: bool, steps: Array, result: Array
 ) -> tuple[float, float]:

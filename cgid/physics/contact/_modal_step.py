@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cgid._lib.compiled import bare_jit, by_address
+from cgid._lib.compiled import bare_jit, by_address, constants
 from cgid.physics.contact._dop853 import DENSE, END, ERROR_3, ERROR_5, HISTORY, LAST, STAGES, TAU, W, Y
 from cgid.physics.contact._modes import IMPULSE, PLACE, RATE, STAGE, TURN_W, TURN_Y, velocity
 from cgid.physics.contact._step import STEP
@@ -23,8 +23,8 @@ _TABLE = (*STAGES, *DENSE, ERROR_5, ERROR_3)
 _BEGIN = np.cumsum([0, *map(len, _TABLE)])
 _WEIGHT = np.array([weight for weights in _TABLE for weight in weights.values()])
 _OF = np.array([STAGE + stage for weights in _TABLE for stage in weights])
-_START, _DENSE, _ERROR_5, _ERROR_3 = np.array([0, LAST, LAST + len(DENSE), LAST + len(DENSE) + 1])
-_W, _Y, _TAU = np.array([W, Y, TAU])
+_START, _DENSE, _ERROR_5, _ERROR_3 = constants(0, LAST, LAST + len(DENSE), LAST + len(DENSE) + 1)
+_W, _Y, _TAU = constants(W, Y, TAU)
 
 
 @bare_jit

@@ -16,7 +16,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from cgid._lib.compiled import bare_jit, inner_jit, jit
+from cgid._lib.compiled import bare_jit, constants, inner_jit, jit
 from cgid.physics.contact._dop853 import END, LAST, STAGES, within
 
 Array = NDArray[Any]
@@ -24,10 +24,19 @@ Array = NDArray[Any]
 _POINTS = 32  # evaluated together
 
 
+@bare_jit
+def _count(degrees: Array) -> int:
+    """Return the largest degree plus one; `max` of an array compiles three functions."""
+    count: int = 0
+    for k in range(degrees.size):
+        count = max(count, degrees[k] + 1)
+    return count
+
+
 @jit
 def sine_shapes(x: Array, y: Array, along: Array, across: Array, out: Array) -> None:
     """Fill out (points, modes) with `sin(i pi x) sin(j pi y)`, x and y within [0, 1], i = along, j = across."""
-    sines_along, sines_across = np.zeros(along.max() + 1), np.zeros(across.max() + 1)
+    sines_along, sines_across = np.zeros(_count(along)), np.zeros(_count(across))
     for point in range(x.size):
         for i in range(sines_along.size):
             sines_along[i] = math.sin(math.pi * i * x[point])
@@ -50,7 +59,7 @@ def _legendre(u: float, out: Array) -> None:
 def polynomial_shapes(x: Array, y: Array, along: Array, across: Array, coefficients: Array, out: Array) -> None:
     """Fill out (points, modes) with sums of `P_i(2x - 1) P_j(2y - 1)`, i = along, j = across (terms)."""
     # Points are taken in blocks: each row of coefficients is then fetched once for all of them.
-    legendre_along, legendre_across = np.empty(along.max() + 1), np.empty(across.max() + 1)
+    legendre_along, legendre_across = np.empty(_count(along)), np.empty(_count(across))
     weights = np.empty((_POINTS, along.size))
     for start in range(0, x.size, _POINTS):
         block = out[start : start + _POINTS]
@@ -96,7 +105,7 @@ _WEIGHTS = np.array([[weights.get(k, 0.0) for k in range(LAST)] for weights in (
 #: Further rows: the clock (its time, width of a cell, first of the next cells); impulse, its work on the structure and
 #: that of the approach; numbers in between; the displacement without any force.
 _CLOCK = STAGE + len(_WEIGHTS)
-TOTALS, SPARE, LEVEL = np.arange(_CLOCK + 1, _CLOCK + 4)
+TOTALS, SPARE, LEVEL = constants(_CLOCK + 1, _CLOCK + 2, _CLOCK + 3)
 #: From values within a step to the coefficients of their polynomial.
 THROUGH = _cardinal(WITHIN)
 #: Chebyshev times on [-1, 1], and from values there to those at all times of the grid.
@@ -113,9 +122,9 @@ SHARE, LOSS, ANGULAR, REAL, IMAGINARY, _A, _B, _C, _D, TURNS = range(10)
 _SINES = TURNS + _NODES
 #: Rows of `grids`: velocity after a unit impulse, without any more force, the impulses of the force since the clock was
 #: set, and numbers in between.
-_ANSWER, _FREE, _IMPULSES, _OWN, _AT, _PAST = np.arange(6)
-#: Such numbers as arguments: numba compiles a function anew for each Python integer that it is given.
-_BEGIN, _ONE, _NEXT, _NEXT_CELLS, _ALL_CELLS = np.array([0, 1, _NEAR, LONGEST + 2, CELLS])
+_ANSWER, _FREE, _IMPULSES, _OWN, _AT, _PAST = constants(*range(6))
+#: Rows and numbers of cells.
+_BEGIN, _ONE, _NEXT, _NEXT_CELLS, _ALL_CELLS = constants(0, 1, _NEAR, LONGEST + 2, CELLS)
 
 
 class Structure(NamedTuple):
@@ -135,7 +144,7 @@ def structure(n_modes: int) -> Structure:
 
 
 #: The type of a structure, for functions that are called by their address.
-STRUCTURE = numba.typeof(structure.py_func(1))
+STRUCTURE = numba.typeof(Structure(*3 * [np.empty((1, 1))]))
 
 
 @bare_jit

@@ -10,8 +10,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from numba import float64
-from numba.types import FunctionType, UniTuple
+from numba import float64, types
 from numpy.typing import NDArray
 
 from cgid._lib.compiled import FLOATS, LAW, ROWS, by_address
@@ -20,7 +19,9 @@ Array = NDArray[Any]
 
 
 #: The type of a step.
-STEP = FunctionType(UniTuple(float64, 8)(LAW[0], FLOATS, FLOATS, float64, float64, ROWS, *9 * [float64], FLOATS))
+STEP = types.FunctionType(
+    types.UniTuple(float64, 8)(LAW[0], FLOATS, FLOATS, float64, float64, ROWS, *9 * [float64], FLOATS)
+)
 
 
 @by_address(STEP)

@@ -13,7 +13,7 @@ import numpy as np
 from numba import float64, int64
 from numpy.typing import NDArray
 
-from cgid._lib.compiled import FLOATS, LAW, bare_jit, by_address, inner_jit, jit
+from cgid._lib.compiled import FLOATS, LAW, bare_jit, by_address, constants, inner_jit, jit
 from cgid.physics.contact import _contact, _dop853
 from cgid.physics.contact._contact import OUT_OF_REACH, SEPARATED, find_peak, integrate
 from cgid.physics.contact._modal_step import modal_step
@@ -44,7 +44,7 @@ COLUMNS = _dop853.COLUMNS
 #: Columns of the results, in units of L, T0, v, m and K L^(3/2); the contact time is that of the first contact.
 RESULTS = (*_contact.RESULTS, "contacts", "end", "impulse", "material_loss", "modal_energy", "end_level")
 #: What ends a flight: nothing, an onset, or the material catches up with a sphere that was released.
-_NEVER, _TOUCH, _CAUGHT_UP, _CREST = np.arange(4)
+_NEVER, _TOUCH, _CAUGHT_UP, _CREST = constants(*range(4))
 
 
 @bare_jit
@@ -150,7 +150,8 @@ def _follow(
     """Fill the steps and the results of one impact; return the number of steps."""
     result[:] = 0.0
     history, state = np.zeros(4), np.zeros(3)
-    state[1], n, contacts, lasts = 1.0, 0, 1, 0.0
+    n: int = 0
+    state[1], contacts, lasts = 1.0, 1, 0.0
     while contacts <= MAX_CONTACTS:
         first = n
         n = parts[1](
