@@ -2,7 +2,10 @@
 
 import ast
 import hashlib
+import io
+import itertools
 import json
+import logging
 import os
 import random
 import re
@@ -20,6 +23,7 @@ import pytest
 from packaging.requirements import Requirement
 
 from cgid._lib import compiled
+from cgid.cli import output
 from cgid.store._packing import fletcher32
 
 PACKAGE = Path(compiled.__file__).parents[1]
@@ -154,6 +158,23 @@ def test_what_numba_was_told_to_make_otherwise_is_another_kernel(folder: Path, m
         patched.setattr(numba.config, "BOUNDSCHECK", 1)
         assert [from_disk(folder), from_disk(folder)] == [False, True]
     assert from_disk(folder)
+
+
+@pytest.mark.parametrize("is_terminal", [True, False])
+def test_a_terminal_shows_how_many_kernels_are_compiled(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, is_terminal: bool
+):
+    shown = io.StringIO()
+    monkeypatch.setattr(shown, "isatty", lambda: is_terminal)
+    monkeypatch.setattr(sys, "stderr", shown)
+    monkeypatch.setattr(logging.getLogger("cgid.kernels"), "handlers", [])
+    monkeypatch.setattr(compiled, "_COUNT", itertools.count(1))
+    output.show_compilation()
+    assert [from_disk(folder), from_disk(folder), from_disk(folder, add_two)] == [False, True, False]
+    expected = [f"cgid: compiling kernels, once: {number}" for number in (1, 2)]
+    assert shown.getvalue().split("\r") == ["", *expected] if is_terminal else not shown.getvalue()
+    output.say("done", err=True)
+    assert shown.getvalue().endswith("\rdone\n" if is_terminal else "done\n")
 
 
 # Where the folder lies

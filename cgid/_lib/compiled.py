@@ -12,6 +12,8 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
+import itertools
+import logging
 import os
 import pickle
 import shutil
@@ -68,6 +70,8 @@ _SETTINGS = (
     "USING_SVML",
 )
 _CHECKSUM = 32  # bytes
+#: What is compiled is told here; a command shows it on a terminal.
+_LOG, _COUNT = logging.getLogger("cgid.kernels"), itertools.count(1)
 _OPTIONS = {"nogil": True, "error_model": "numpy"}
 
 
@@ -154,13 +158,14 @@ class KernelCache(NullCache):
         return None if folder is None else str(folder)
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
-        """Return the function compiled for these types of arguments, None if it is not in the cache."""
+        """Return the function compiled for these types of arguments, None if it is not in the cache: it is compiled."""
         target_context.refresh()
         # Whatever is wrong with the file or the disk, the kernel is compiled.
         with contextlib.suppress(Exception):
             payload = read_payload(self._file(sig, target_context.codegen()))
             if payload is not None:
                 return CompileResult._rebuild(target_context, *pickle.loads(payload))
+        _LOG.info("compiling kernels, once: %d", next(_COUNT))
         return None
 
     def save_overload(self, sig: Any, data: Any) -> None:

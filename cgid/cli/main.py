@@ -33,6 +33,7 @@ from cgid.cli.output import (
     open_missing,
     say,
     say_error,
+    show_compilation,
     warn,
 )
 from cgid.cli.plot import plot
@@ -92,6 +93,7 @@ def run(arguments: list[str] | None = None) -> int:
     """Run the command line and return its exit code."""
     warnings.showwarning = _one_line_warning
     open_missing()
+    show_compilation()
     try:
         with interruptions_noted():
             code = cli.main(args=arguments, prog_name="cgid", standalone_mode=False)

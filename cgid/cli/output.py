@@ -33,6 +33,8 @@ _noted: list[int] = []
 flags: dict[str, str] = {}
 #: Progress bars on the terminal, the last of which is drawn.
 _bars: list[Any] = []
+#: The text that stands on the terminal until the next line.
+_passing: list[str] = []
 
 
 def open_missing() -> None:
@@ -74,6 +76,8 @@ def drop(stream: TextIO | None) -> None:
 
 def say(text: str, *, err: bool = False) -> None:
     """Print one line on stdout or stderr, with control characters escaped; a full stderr is ignored."""
+    if _passing and (err or sys.stdout.isatty()):
+        sys.stderr.write("\r" + " " * len(_passing.pop()) + "\r")
     if _bars and (err or sys.stdout.isatty()):
         _bars[-1].clear()  # the next step draws it again, below this line
     try:
@@ -84,6 +88,24 @@ def say(text: str, *, err: bool = False) -> None:
         if not err:
             raise
         drop(sys.stderr)
+
+
+def show_compilation() -> None:
+    """Show on a terminal how many kernels are compiled: the first use takes half a minute."""
+    if sys.stderr is None or not sys.stderr.isatty():
+        return
+    import logging
+
+    class Line(logging.Handler):
+        def emit(self, record: logging.LogRecord) -> None:
+            _passing[:] = [f"cgid: {record.getMessage()}"]
+            with contextlib.suppress(OSError, ValueError):
+                sys.stderr.write(f"\r{_passing[0]}")
+                sys.stderr.flush()
+
+    told = logging.getLogger("cgid.kernels")
+    told.handlers, told.propagate = [Line()], False
+    told.setLevel(logging.INFO)
 
 
 def warn(warning: object) -> None:
