@@ -15,7 +15,8 @@ standard deviations include changes of the beam from tap to tap.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,6 +47,8 @@ _AT_FIRST = 0.25
 _BEYOND = 3.0
 #: A band's energy has decayed when it is below this multiple of its final value.
 _DECAYED = 1.5
+#: Ratio of the least to the largest diagonal element of a triangular matrix below which it is singular.
+_SINGULAR = 1e-9
 #: Two poles are one mode if their frequencies are closer than this fraction of the wider's distance from the axis, and
 #: these distances differ by this factor; or if the poles are within this fraction of it.
 _ONE, _UNLIKE, _SAME = 0.6, 1.5, 0.3
@@ -74,6 +77,26 @@ class Poles:
         """Fractions of critical damping."""
         return np.asarray(-self.pole.real / np.abs(self.pole))
 
+    def taken(self, modes: NDArray[np.intp]) -> Poles:
+        """Return some of the modes, with the chart of all."""
+        return Poles(
+            pole=self.pole[modes],
+            deviation=self.deviation[:, modes],
+            amplitude=self.amplitude[:, modes],
+            amplitude_deviation=self.amplitude_deviation[..., modes],
+            orders=self.orders[modes],
+            chart=self.chart,
+        )
+
+    def without_window(self, tau: float) -> Poles:
+        """Return the modes without the damping that an exponential window of this time constant [s] adds."""
+        pole = self.pole + 1 / tau
+        damped = np.flatnonzero(pole.real < -MIN_DAMPING * np.abs(pole))
+        found = self.taken(damped)
+        ratio = found.pole.real / pole[damped].real
+        deviation = np.stack([found.deviation[0], found.deviation[1] * ratio])
+        return replace(found, pole=pole[damped], deviation=deviation)
+
 
 def poles_of(
     decays: Floats,
@@ -86,9 +109,10 @@ def poles_of(
     # `band` [Hz] is the lowest and highest natural frequency, `max_order` the maximum number of modes in one of the
     # bands. `progress` receives the percentage of work done since the last call.
     decays = decays - decays.mean(axis=1, keepdims=True)
+    whole = np.fft.rfft(decays, axis=1)
     fits, cores = [], list(_cores(band, decays.shape[1] / sampling_rate))
     for k, core in enumerate(cores):
-        fits.append(_Band(decays, sampling_rate, core).best(max_order))
+        fits.append(_Band(decays, whole, sampling_rate, core).best(max_order))
         if progress is not None:
             progress(100 * (k + 1) // len(cores) - 100 * k // len(cores))
     known = np.concatenate([fit.pole[fit.band.in_core(fit.pole)] for fit in fits])
@@ -124,11 +148,12 @@ class _Band:
 
     # `line` (n_bins,): frequencies [rad/s]; `bins` (n_bins, n_decays): transform over the square root of the length.
 
-    def __init__(self, decays: Floats, sampling_rate: float, core: tuple[float, float]) -> None:
+    def __init__(self, decays: Floats, whole: Complexes, sampling_rate: float, core: tuple[float, float]) -> None:
+        # `whole` is the transform of the decays.
         self.core, self.step = core, 1 / sampling_rate
         margin = _MARGIN * (core[1] - core[0])
         low, high = max(core[0] - margin, 0.3 * core[0]), min(core[1] + margin, 0.497 * sampling_rate)
-        self.n_samples = _decay_length(decays, sampling_rate, (low, high))
+        self.n_samples = _decay_length(whole, decays.shape[1], sampling_rate, (low, high))
         spectrum = np.fft.rfft(decays[:, : self.n_samples], axis=1).T / np.sqrt(self.n_samples)
         frequency = np.fft.rfftfreq(self.n_samples, self.step)
         selected = np.flatnonzero((frequency >= low) & (frequency <= high))
@@ -262,19 +287,19 @@ class _Band:
         )
 
 
-def _decay_length(decays: Floats, sampling_rate: float, band: tuple[float, float]) -> int:
-    """Return the number of samples after which a band has decayed into noise."""
-    n = decays.shape[1]
-    spectrum = np.fft.fft(decays, axis=1)
-    frequency = np.fft.fftfreq(n, 1 / sampling_rate)
-    spectrum[:, (frequency < band[0]) | (frequency > band[1])] = 0
-    power = np.square(np.abs(np.fft.ifft(spectrum, axis=1))).sum(axis=0)
-    count = max(n // 50, 1)
-    level = power[: n // count * count].reshape(-1, count).mean(axis=1)
+def _decay_length(spectrum: Complexes, n: int, sampling_rate: float, band: tuple[float, float]) -> int:
+    """Return after how many of n samples a band has decayed into noise, from their transform (n_decays, n_bins)."""
+    frequency = np.fft.rfftfreq(n, 1 / sampling_rate)
+    # The envelope of a band, at a lower rate.
+    inside = spectrum[:, np.searchsorted(frequency, band[0]) : np.searchsorted(frequency, band[1], side="right")]
+    n_envelope = min(n, max(1 << (2 * inside.shape[1]).bit_length(), 512))
+    power = np.square(np.abs(np.fft.ifft(inside, n_envelope, axis=1))).sum(axis=0)
+    count = max(n_envelope // 50, 1)
+    level = power[: n_envelope // count * count].reshape(-1, count).mean(axis=1)
     over = np.flatnonzero(level > _DECAYED * np.median(level[-max(level.size // 8, 1) :]))
     width = band[1] - band[0]
     min_samples, max_samples = (int(np.ceil(bins * sampling_rate / width)) for bins in (_MIN_BINS, _MAX_BINS))
-    needed = int(1.2 * count * (over[-1] + 1)) if over.size else 0
+    needed = int(1.2 * count * n / n_envelope * (over[-1] + 1)) if over.size else 0
     return int(min(max(needed, min_samples), max(max_samples, min_samples), n))
 
 
@@ -292,10 +317,18 @@ class _Fit:
         self.scale = 1 / np.maximum(np.linalg.norm(inverse, axis=0), 1e-300)
         self.basis = np.concatenate([inverse * self.scale, band.background], axis=1)
         self.q, self.r = np.linalg.qr(self.basis)
-        self.inverse = np.linalg.pinv(self.r, rcond=1e-13)
-        self.coefficients = self.inverse @ (self.q.conj().T @ band.bins)
+        size = np.abs(np.diag(self.r))
+        target = self.q.conj().T @ band.bins
+        # The pseudo-inverse is the costly part, and most fits are steps that need no more than their residual.
+        sound = size.min() > _SINGULAR * size.max()
+        self.coefficients = np.linalg.solve(self.r, target) if sound else self.inverse @ target
         self.left = band.bins - self.basis @ self.coefficients
         self.power = float(np.sum(np.square(np.abs(self.left))))
+
+    @cached_property
+    def inverse(self) -> Complexes:
+        """Pseudo-inverse of `r`."""
+        return np.asarray(np.linalg.pinv(self.r, rcond=1e-13))
 
     def without(self, k: int) -> _Fit:
         """Return the fit without one pole, the others unchanged."""

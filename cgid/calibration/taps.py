@@ -1,8 +1,8 @@
 """A tap test: hammer taps on a beam, recorded by an accelerometer on it, and the modes in the decay after them.
 
 From the end of an impact to the next tap the recording is a free decay; `poles` finds the modes in all decays together.
-With an instrumented hammer, the participation of a mode, `shape(tap) shape(sensor) / modal mass`, is its amplitude over
-the Laplace transform of the force at its pole: the estimate H1 at the pole, without windows or leakage.
+With an instrumented hammer the participations of all modes, `shape(tap) shape(sensor) / modal mass`, follow together
+from the force and the vibration after it (`joint`), without windows or leakage.
 """
 
 from __future__ import annotations
@@ -14,15 +14,28 @@ from enum import StrEnum
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
 
 from cgid._lib import validation
 from cgid._lib.files import check_new, read_cells, write_whole
 from cgid._lib.terminal import counted
 from cgid._lib.validation import Floats
+from cgid.calibration.agreement import (
+    LATEST,
+    are_alike,
+    disagreeing,
+    disagreeing_at_first,
+    fine_delay,
+    shifted,
+    starts_late,
+)
+from cgid.calibration.joint import LINE_DAMPING, Blow, Participations, fitted, gram_of, lines_of
 from cgid.calibration.poles import Complexes, Poles, poles_of
 from cgid.errors import BadData, InvalidValue
 from cgid.identification.detection.detector import ImpactDetector
 from cgid.identification.detection.events import Event
+from cgid.measure.modal.finite import Stretch
 from cgid.measure.modal.modes import Modes, residues, text_of_table
 from cgid.physics.structure.response import DERIVATIVES
 from cgid.units import UNITS, quantity_of
@@ -49,6 +62,14 @@ _NEAR = 0.1
 _PERIODS, _HIGHEST = 5.0, 0.4
 #: Minimum participation, so that masses are finite.
 _LEAST = 1e-12
+#: An earlier tap is heard for this many times the slowest mode's time constant.
+_RINGS = 30.0
+#: A second force within a tap test is a tap above this fraction of the largest; below it the hammer's channel vibrates.
+_FLOOR = 0.05
+#: A windowed decay is used for this many time constants of the window: later it is rounding, not noise.
+_WINDOWS = 3.0
+#: Delays of taps within this time are one [s]; so is none. Phases of fewer modes show none.
+_SAME_DELAY, _MIN_PHASES = 1.5e-3, 3
 #: Largest table of taps [bytes].
 _MAX_FILE_SIZE = 1 << 20
 
@@ -62,6 +83,7 @@ class Flaw(StrEnum):
     BEFORE_NEXT = "too close to the next tap"
     BEFORE_END = "too close to the end of the recording"
     NOT_LISTED = "not in the table of taps"
+    UNEXPLAINED = "not explained by the other taps"
 
 
 #: What to do where no tap is usable, by flaw.
@@ -120,6 +142,13 @@ class TapTest:
     band : tuple of float [Hz]
         Range of the natural frequencies.
     poles : Poles
+    delay : float [s]
+        By how much the hammer was recorded later than the sensor; it is corrected.
+    lines : Modes, optional
+        The mass line and the stiffness lines, as modes far below and above the band: what modes outside of the band add
+        to a response in it, where that is seen. None without a hammer channel.
+    unexplained : ndarray, (n_used,), optional
+        Fraction of the amplitude of each used tap, in the band, that the modes fitted to the other taps leave.
     """
 
     modes: Modes
@@ -127,6 +156,9 @@ class TapTest:
     duration: float
     band: tuple[float, float]
     poles: Poles
+    delay: float = 0.0
+    lines: Modes | None = None
+    unexplained: Floats | None = None
 
     @property
     def used(self) -> list[Tap]:
@@ -137,35 +169,39 @@ class TapTest:
         """Write the modes as a table for `tail_beam.modes` of a scene, and `tail_beam.learned` next to it.
 
         Only the participation is known. The shapes are 1 and 1 or -1, and the modal mass is the inverse of its size:
-        correct for taps next to the sensor, elsewhere a guess of the beam's compliance.
+        correct for taps next to the sensor, elsewhere a guess of the beam's compliance. The mass line and the stiffness
+        line are the first and the last row, with a damping ratio of 0.5.
         """
-        participation = self.modes.participation()
-        learned = self.modes.columns | {"participation": np.ones_like(participation)}
+        every = self.modes if self.lines is None else self.modes.beside(self.lines)
+        participation = every.participation()
         columns = {
-            "frequency": self.modes.frequency,
-            "damping_ratio": self.modes.damping_ratio,
+            "frequency": every.frequency,
+            "damping_ratio": every.damping_ratio,
             "modal_mass": 1 / np.maximum(np.abs(participation), _LEAST),
             "shape_impact": np.ones_like(participation),
             "shape_sensor": np.copysign(1.0, participation),
-            **learned,
+            **every.columns,
         }
-        scale = "in 1/kg" if self.modes.scaled else "without a hammer over the largest: masses have no scale"
-        return _save(path, columns, f"shape_impact shape_sensor / modal_mass is the participation, {scale}", overwrite)
+        note = "participations are shape_impact shape_sensor / modal_mass, "
+        note += "in 1/kg" if every.scaled else "without a hammer over the largest: masses have no scale"
+        if self.lines is not None:
+            note += f"; rows with a damping ratio of {LINE_DAMPING:g} are modes outside of the band"
+        return _save(path, text_of_table(columns, "1/kg" if every.scaled else "1"), note, overwrite)
 
 
 def save_learned(modes: Modes, path: str | Path, *, overwrite: bool = False) -> Path:
     """Write the modes of a scene, corrected by taps, as a table for `tail_beam.learned`."""
-    return _save(path, modes.columns, "a line for each mode of the scene, in its order", overwrite)
+    return _save(path, text_of_table(modes.columns), "a line for each mode of the scene, in its order", overwrite)
 
 
-def _save(path: str | Path, columns: dict[str, Floats], note: str, overwrite: bool) -> Path:
+def _save(path: str | Path, table: str, note: str, overwrite: bool) -> Path:
     path = check_new(Path(path), "a table of modes", (".csv",), overwrite=overwrite)
-    text = f"# Written by cgid tap: {note}; deviations are standard deviations of logarithms\n{text_of_table(columns)}"
+    text = f"# Written by cgid tap: {note}; deviations are standard deviations of logarithms\n{table}"
     write_whole(path, text.encode(), overwrite=overwrite)
     return path
 
 
-def tap_test(
+def tap_test(  # noqa: PLR0913
     response: Floats,
     sampling_rate: float,
     *,
@@ -175,6 +211,7 @@ def tap_test(
     max_order: int = 24,
     contact: float = CONTACT,
     times: Sequence[float] | None = None,
+    window_tau: float | None = None,
     source: str = "signal",
     progress: Callable[[int], object] | None = None,
 ) -> TapTest:
@@ -197,6 +234,8 @@ def tap_test(
         Contact time of the hammer, if there is no hammer channel.
     times : sequence of float, optional [s]
         Use only the taps at these times.
+    window_tau : float, optional [s]
+        Time constant of an exponential window that the recorder has put on each tap.
     source : str
         Name of the recording in errors.
     progress : callable, optional
@@ -216,39 +255,106 @@ def tap_test(
     quantity = validation.choice("quantity", quantity, tuple(DERIVATIVES))
     max_order = validation.count("max_order", max_order)
     contact = validation.number("contact", contact, "s", validation.not_negative)
-    force, hits = None, None
+    if window_tau is not None:
+        window_tau = validation.number("window_tau", window_tau, "s", validation.positive)
+    force, hits, delay = None, None, 0.0
     if hammer is not None:
-        force, hits = _force(hammer, sampling_rate, source)
-    events = hits if hits is not None else _events(response, sampling_rate, times is None, source)
+        force, hits = hammer_force(hammer, sampling_rate, source)
+        force, hits, delay = _aligned(response, force, hits, sampling_rate, source)
+    events = hits if hits is not None else events_in(response, sampling_rate, source, apart=times is None)
     taps = _judged(response, sampling_rate, events, contact, times, source)
-    used = [tap for tap in taps if not tap.flaw]
-    if not used:
-        raise BadData(f"{source}: at least one tap must be usable, of {_listed(taps)}; {_cures(taps)}")
-    length = min(min(tap.stop - tap.start for tap in used), _LONGEST)
-    low, high = _band(band, length / sampling_rate, sampling_rate, source)
-    decays = np.stack([row[tap.start : tap.start + length] for row in response for tap in used])
-    poles = poles_of(decays, sampling_rate, (low, high), max_order, progress)
-    if not poles.pole.size:
-        raise BadData(
-            f"{source}: the decays must contain a mode, none is found between {low:.4g} and {high:.4g} Hz in "
-            f"{counted(len(used), 'decay')} of {length / sampling_rate:.3g} s; tap harder, put the sensor where it "
-            "moves, or change --band"
-        )
-    participation, participation_std = _participation(poles, used, force, hits, sampling_rate, DERIVATIVES[quantity])
-    root = np.sqrt(np.abs(participation))
+    while True:
+        used = _used(taps, source)
+        length = min(min(tap.stop - tap.start for tap in used), _LONGEST)
+        if window_tau is not None:
+            length = min(length, round(_WINDOWS * window_tau * sampling_rate))
+        low, high = _band(band, length / sampling_rate, sampling_rate, source)
+        if force is not None and hits is not None:
+            blows = _blows(response[0], force, hits, used, sampling_rate, 0.0)
+            if bad := disagreeing_at_first(*_arrays(blows), sampling_rate, (low, high)):
+                taps = _without(taps, {used[k].time: one for k, one in bad.items()})
+                continue
+        decays = np.stack([row[tap.start : tap.start + length] for row in response for tap in used])
+        with threadpool_limits(1, "blas"):  # the matrices are small: threads would wait for each other
+            poles = poles_of(decays, sampling_rate, (low, high), max_order, progress)
+        progress = None
+        poles = poles if window_tau is None else poles.without_window(window_tau)
+        if not poles.pole.size:
+            raise BadData(
+                f"{source}: the decays must contain a mode, none is found between {low:.4g} and {high:.4g} Hz in "
+                f"{counted(len(used), 'decay')} of {length / sampling_rate:.3g} s; tap harder, put the sensor where it "
+                "moves, or change --band"
+            )
+        if force is None or hits is None:
+            participation, relative = _relative_participation(poles, len(used), DERIVATIVES[quantity])
+            lines, unexplained = None, None
+            break
+        pole = np.concatenate([poles.pole, lines_of((low, high))])
+        reach = _RINGS / np.abs(pole.real).min() if window_tau is None else 0.0
+        blows = _blows(response[0], force, hits, used, sampling_rate, reach)
+        if window_tau is not None:
+            blows = [blow.without_window(window_tau * sampling_rate) for blow in blows]
+        rest, alike = _remaining_delay(poles, blows, used, sampling_rate, DERIVATIVES[quantity])
+        gram = gram_of(blows, pole, sampling_rate, DERIVATIVES[quantity], (low, high), rest)
+        if bad := disagreeing(gram):
+            taps = _without(taps, {used[k].time: one for k, one in bad.items()})
+            continue
+        if not alike.all():
+            raise BadData(
+                f"{source}: the hammer's delay must be constant, the modes of {counted(int((~alike).sum()), 'tap')} "
+                "show another one than the rest; record both on one device"
+            )
+        delay += rest
+        fit = fitted(gram)
+        every = _relative_deviation(fit, poles, len(used))
+        own = fit.kept < poles.pole.size
+        zeros = np.zeros(int((~own).sum()))
+        lines = _modes(pole[fit.kept[~own]], fit.value[~own], np.stack([zeros, zeros, every[~own]]), scaled=True)
+        poles, participation, relative = poles.taken(fit.kept[own]), fit.value[own], every[own]
+        unexplained = fit.unexplained
+        break
     return TapTest(
-        modes=Modes(
-            frequency=poles.frequency,
-            damping_ratio=poles.damping_ratio,
-            at_impact=root,
-            at_sensor=np.copysign(root, participation),
-            deviation=np.stack([*poles.deviation, participation_std]),
-            scaled=force is not None,
-        ),
+        modes=_modes(poles.pole, participation, np.stack([*poles.deviation, relative]), scaled=force is not None),
         taps=tuple(taps),
         duration=length / sampling_rate,
         band=(low, high),
         poles=poles,
+        delay=delay,
+        lines=lines,
+        unexplained=unexplained,
+    )
+
+
+def _arrays(blows: Sequence[Blow]) -> tuple[Floats, Floats]:
+    """Return responses and forces of taps, each (n_taps, n)."""
+    responses = np.stack([blow.response for blow in blows])
+    forces = np.zeros_like(responses)
+    for row, blow in zip(forces, blows, strict=True):
+        row[: blow.force.size] = blow.force[: row.size]
+    return responses, forces
+
+
+def _without(taps: Sequence[Tap], bad: dict[float, tuple[float, float, float]]) -> list[Tap]:
+    """Return the taps, those with a time in `bad` with a flaw, from what `disagreeing` says of them."""
+    out = []
+    for tap in taps:
+        if tap.time in bad and not tap.flaw:
+            left, others, factor = bad[tap.time]
+            detail = f"{100 * left:.0f} % unexplained ({100 * others:.0f} % of others), {factor:.2g} times as large"
+            tap = replace(tap, flaw=Flaw.UNEXPLAINED, detail=detail)
+        out.append(tap)
+    return out
+
+
+def _modes(pole: Complexes, participation: Floats, deviation: Floats, *, scaled: bool) -> Modes:
+    root = np.sqrt(np.abs(participation))
+    return Modes(
+        frequency=np.abs(pole) / (2 * np.pi),
+        damping_ratio=-pole.real / np.abs(pole),
+        at_impact=root,
+        at_sensor=np.copysign(root, participation),
+        deviation=deviation,
+        scaled=scaled,
     )
 
 
@@ -271,13 +377,13 @@ def read_times(path: str | Path) -> list[float]:
 # -- taps -------------------------------------------------------------------------------------------------
 
 
-def _events(response: Floats, sampling_rate: float, every: bool, source: str) -> list[Event]:
-    """Return the impacts detected by the sensors."""
+def events_in(response: Floats, sampling_rate: float, source: str, *, apart: bool = True) -> list[Event]:
+    """Return the impacts detected by the sensors; those of taps must lie `apart`."""
     detector = ImpactDetector(sampling_rate, len(response), kind="vibration", joint=True)
     first = round(_LOOK * sampling_rate)
     events = detector.feed(response[:, :first])
     separation = np.median(np.diff([event.onset for event in events])) / sampling_rate if len(events) > 1 else np.inf
-    if every and separation < DOUBLE:
+    if apart and separation < DOUBLE:
         raise BadData(
             f"{source}: taps must be at least {DOUBLE:g} s apart, better a second, got a median of {separation:.2g} s "
             f"between {counted(len(events), 'impact')}; record hammer taps with silence between them, or list the taps "
@@ -299,7 +405,55 @@ def _jump(response: Floats, onset: int, sampling_rate: float) -> float:
     return float(np.max(np.sqrt(np.mean(after**2, axis=1) / np.maximum(np.mean(before**2, axis=1), 1e-300))))
 
 
-def _force(hammer: Floats, sampling_rate: float, source: str) -> tuple[Floats, list[Event]]:
+def _aligned(
+    response: Floats, force: Floats, hits: list[Event], sampling_rate: float, source: str
+) -> tuple[Floats, list[Event], float]:
+    """Return the force and its impacts as the sensors' clock has them, to a millisecond, and how late they were [s]."""
+    reach = round(LATEST * sampling_rate)
+    late = []
+    for hit in hits:
+        first = max(hit.onset - reach, 0)
+        late.append(starts_late(response[:, first : hit.onset + 2 * reach], hit.onset - first, sampling_rate))
+    middle = float(np.median(late))
+    if np.mean(np.abs(np.array(late) - middle) < _SAME_DELAY) < 0.5:
+        raise BadData(
+            f"{source}: the hammer's delay must be constant, the sensor begins {1e3 * min(late):.3g} to "
+            f"{1e3 * max(late):.3g} ms after it; record both on one device"
+        )
+    count = round(middle * sampling_rate)
+    if abs(middle) < _SAME_DELAY or (len(hits) == 1 and hits[0].onset < reach):
+        return force, hits, 0.0
+    moved = [replace(hit, onset=hit.onset + count, end=hit.end + count) for hit in hits if hit.onset + count >= 0]
+    return shifted(force, count), moved, -count / sampling_rate
+
+
+def _remaining_delay(
+    poles: Poles, blows: Sequence[Blow], taps: Sequence[Tap], sampling_rate: float, derivatives: int
+) -> tuple[float, NDArray[np.bool_]]:
+    """Return by how much the forces are late [s], from the phases of the modes, and which taps say so."""
+    if poles.pole.size < _MIN_PHASES:
+        return 0.0, np.ones(len(taps), bool)
+    stretch = Stretch(
+        pole=poles.pole,
+        line=np.empty(0),
+        n_samples=blows[0].response.size,
+        sampling_rate=sampling_rate,
+        derivatives=derivatives,
+    )
+    lead = max(round(_AFTER * sampling_rate), 2)
+    ratio = []
+    for amplitude, blow, tap in zip(poles.amplitude, blows, taps, strict=False):
+        first = max(round(tap.time * sampling_rate) - lead, 0)
+        state = stretch.states(blow.force, tap.start - first)
+        for ago, force in blow.earlier:
+            state = state + stretch.states(force, tap.start - first + ago)
+        ratio.append(amplitude / residues(poles.pole, derivatives) / state)
+    weight = np.abs(poles.amplitude[: len(taps)]) / np.sqrt(-poles.pole.real)
+    delay, each, deviation = fine_delay(np.array(ratio), weight, poles.pole)
+    return delay, are_alike(each, deviation, sampling_rate)
+
+
+def hammer_force(hammer: Floats, sampling_rate: float, source: str) -> tuple[Floats, list[Event]]:
     """Return the force during impacts, 0 between them, and the impacts; raises `BadData` if there is none."""
     for sign in (1.0, -1.0):
         detector = ImpactDetector(sampling_rate, kind="pulse")
@@ -308,6 +462,8 @@ def _force(hammer: Floats, sampling_rate: float, source: str) -> tuple[Floats, l
             break
     else:
         raise BadData(f"{source}: the hammer channel must contain a tap, {detector.why_silent(unit='N')}")
+    peaks = np.array([np.max(sign * hammer[hit.onset : hit.end + 1], initial=0.0) for hit in hits])
+    hits = [hit for hit, peak in zip(hits, peaks, strict=True) if peak >= _FLOOR * peaks.max()]
     baseline = np.median(hammer)
     force = np.zeros(hammer.size)
     lead = max(round(_AFTER * sampling_rate), 2)
@@ -396,6 +552,14 @@ def _long_enough(taps: list[Tap], sampling_rate: float, n: int) -> list[Tap]:
     return out
 
 
+def _used(taps: Sequence[Tap], source: str) -> list[Tap]:
+    """Return the taps without a flaw; raises `BadData` if there is none."""
+    used = [tap for tap in taps if not tap.flaw]
+    if not used:
+        raise BadData(f"{source}: at least one tap must be usable, of {_listed(taps)}; {_cures(taps)}")
+    return used
+
+
 def _listed(taps: Sequence[Tap]) -> str:
     """Return the number of taps, none of them usable, and of each flaw."""
     reasons = ", ".join(f"{number} {flaw}" for flaw, number in Counter(tap.flaw for tap in taps).items())
@@ -426,25 +590,49 @@ def _band(band: tuple[float, float] | None, duration: float, sampling_rate: floa
 # -- participation ----------------------------------------------------------------------------------------
 
 
-def _participation(
-    poles: Poles,
-    taps: Sequence[Tap],
-    force: Floats | None,
-    hits: Sequence[Event] | None,
-    sampling_rate: float,
-    derivatives: int,
-) -> tuple[Floats, Floats]:
-    """Return the participations at the first sensor and the standard deviations of their logarithms, (n_modes,)."""
-    n_taps, pole = len(taps), poles.pole
+def _relative_participation(poles: Poles, n_taps: int, derivatives: int) -> tuple[Floats, Floats]:
+    """Return the relative sizes of modes from taps of unknown strength, and their relative deviations, (n_modes,)."""
     # Of q'' + 2 z w q' + w^2 q = p f: the decay is p Re(s^d F(s) exp(s t) / (j Im s)).
-    unit = residues(pole, derivatives)
-    amplitude = poles.amplitude[:n_taps] / unit
+    unit = residues(poles.pole, derivatives)
+    amplitude = np.abs(poles.amplitude[:n_taps] / unit)
     noise, shared = poles.amplitude_deviation[:, :n_taps] / np.abs(unit)
-    if force is None or hits is None:
-        return _relative(np.abs(amplitude), noise, shared)
-    transform = np.stack([_transform(force, hits, pole, tap, sampling_rate) for tap in taps])
-    # Noise has any phase, and half of its power is along the amplitude.
-    return _averaged((amplitude / transform).real, np.abs(transform), noise / np.sqrt(2), shared / np.sqrt(2))
+    strength = amplitude[:, int(np.argmax(amplitude.sum(axis=0)))][:, None]
+    return _averaged(amplitude / strength, np.broadcast_to(strength, amplitude.shape), noise, shared)
+
+
+def _blows(
+    response: Floats,
+    force: Floats,
+    hits: Sequence[Event],
+    taps: Sequence[Tap],
+    sampling_rate: float,
+    reach: float,
+) -> list[Blow]:
+    """Return the force of each tap, those up to `reach` [s] before it, and the vibration from its begin on."""
+    lead = max(round(_AFTER * sampling_rate), 2)
+    parts = {round(hit.onset): slice(max(hit.onset - lead, 0), min(hit.end + lead, force.size)) for hit in hits}
+    own = [parts[round(tap.time * sampling_rate)] for tap in taps]
+    length = min(min(tap.stop - part.start for tap, part in zip(taps, own, strict=True)), _LONGEST)
+    return [
+        Blow(
+            response=response[part.start : part.start + length],
+            force=force[part],
+            earlier=[
+                (part.start - other.start, force[other])
+                for other in parts.values()
+                if 0 < part.start - other.start < reach * sampling_rate
+            ],
+        )
+        for part in own
+    ]
+
+
+def _relative_deviation(fit: Participations, poles: Poles, n_taps: int) -> Floats:
+    """Return the relative standard deviations of participations, including what the poles' errors add, (n_kept,)."""
+    relative = fit.deviation / np.maximum(np.abs(fit.value), 1e-300)
+    of_poles = poles.amplitude_deviation[1, :n_taps] / np.maximum(np.abs(poles.amplitude[:n_taps]), 1e-300)
+    shared = np.append(np.median(of_poles, axis=0), np.zeros(fit.kept.max() + 1))
+    return np.minimum(np.hypot(relative, shared[fit.kept]), 1.0)
 
 
 def _averaged(each: Floats, strength: Floats, noise: Floats, shared: Floats) -> tuple[Floats, Floats]:
@@ -458,24 +646,6 @@ def _averaged(each: Floats, strength: Floats, noise: Floats, shared: Floats) -> 
         std = np.maximum(std, np.sqrt(n_taps / (n_taps - 1) * off) / total)
     std = np.hypot(std, np.sum(shared * strength, axis=0) / total)
     return mean, np.minimum(std / np.maximum(np.abs(mean), 1e-300), 1.0)
-
-
-def _transform(force: Floats, hits: Sequence[Event], pole: Complexes, tap: Tap, sampling_rate: float) -> Complexes:
-    """Return the Laplace transforms at the poles of the force before a decay, from its first sample on, (n_modes,)."""
-    out, lead = np.zeros(pole.size, complex), max(round(_AFTER * sampling_rate), 2)
-    for hit in hits:
-        part = np.arange(max(hit.onset - lead, 0), min(hit.end + lead, force.size))
-        ago = (tap.start - part[-1]) / sampling_rate
-        if hit.onset < tap.start and ago * np.abs(pole.real).min(initial=0.0) < 50:
-            ago_each = (tap.start - part) / sampling_rate
-            out += np.exp(ago_each[:, None] * pole).T @ force[part] / sampling_rate
-    return out
-
-
-def _relative(amplitude: Floats, noise: Floats, shared: Floats) -> tuple[Floats, Floats]:
-    """Return the relative sizes of modes from taps of unknown strength, and their standard deviations."""
-    strength = amplitude[:, int(np.argmax(amplitude.sum(axis=0)))][:, None]
-    return _averaged(amplitude / strength, np.broadcast_to(strength, amplitude.shape), noise, shared)
 
 
 def factor_of(unit: str, source: str) -> tuple[str, float]:

@@ -27,6 +27,9 @@ if TYPE_CHECKING:
     from cgid._lib.validation import Floats
     from cgid.calibration import TapTest
 
+#: A delay of the hammer is told from here on [s].
+_TOLD = 5e-6
+
 
 @click.command(
     cls=Command,
@@ -54,6 +57,7 @@ if TYPE_CHECKING:
 @click.option(
     "--taps", "table", type=PATH, help="Use only the taps listed in this table (.csv) in the column 'time_s'."
 )
+@click.option("--window-tau", type=float, metavar="MS", help="Undo an exponential window of this time constant [ms].")
 @click.option("--scene", "scene_name", type=SCENE, help="Write the modes of this scene's beam, corrected by the taps.")
 @click.option(
     "--start-error",
@@ -74,6 +78,7 @@ def tap(
     max_order: int,
     contact: float,
     table: str | None,
+    window_tau: float | None,
     scene_name: str | None,
     start_error: str,
     picture: str | None,
@@ -101,7 +106,7 @@ def tap(
     if not 0 < error <= 0.1:
         raise InvalidValue(f"--start-error must be above 0 and at most 10 %, got {error:g}")
     times = None if table is None else read_times(table)
-    response, force, rate, quantity = _read(recording, hammer, reading)
+    response, force, rate, quantity = read_with_hammer(recording, hammer, reading)
     with progress_bar(100, "%", "finding modes") as progress:
         test = tap_test(
             response,
@@ -112,6 +117,7 @@ def tap(
             max_order=max_order,
             contact=contact * 1e-3,
             times=times,
+            window_tau=None if window_tau is None else window_tau * 1e-3,
             source=recording,
             progress=progress,
         )
@@ -151,7 +157,9 @@ def _modes_of(name: str) -> tuple[Floats, Floats]:
     return modes.frequency, modes.damping_ratio
 
 
-def _read(path: str, hammer: str | None, reading: ReadingOptions) -> tuple[Floats, Floats | None, float, str]:
+def read_with_hammer(
+    path: str, hammer: str | None, reading: ReadingOptions
+) -> tuple[Floats, Floats | None, float, str]:
     """Return the response (n_channels, n), the hammer's force or None, their rate and the response's quantity."""
     import numpy as np
 
@@ -214,6 +222,13 @@ def _say(test: TapTest, path: Path, scene: str | None, known: Any, as_json: bool
     for one in content["taps"]:
         if one["flaw"]:
             say(f"tap at {one['time']:.4g} s not used: {one['flaw']}")
+    if abs(test.delay) >= _TOLD:
+        say(f"hammer recorded {1e3 * abs(test.delay):.3g} ms {'late' if test.delay > 0 else 'early'}, corrected")
+    if test.unexplained is not None and len(test.used) > 1:
+        left = sorted(test.unexplained.tolist())[len(test.used) // 2]
+        say(f"{100 * left:.2g} % of a tap is not explained by the modes from the others (median)")
+    if test.lines is not None and test.lines.frequency.size:
+        say(f"{counted(test.lines.frequency.size, 'more row')} of the table for modes outside of the band")
     say(f"{'frequency [Hz]':>20}{'damping ratio [%]':>22}{f'participation [{unit}]':>32}")
     for mode in content["modes"]:
         deviations = [mode[f"{name}_deviation"] for name in ("frequency", "damping_ratio", "participation")]
@@ -245,6 +260,8 @@ def _content(test: TapTest, path: Path, known: Any) -> dict[str, Any]:
         "duration": test.duration,
         "band": list(test.band),
         "absolute": test.modes.scaled,
+        "delay": test.delay,
+        "unexplained": None if test.unexplained is None else test.unexplained.tolist(),
         "n_matched": None if known is None else int(known.sum()),
         "taps": [{"time": one.time, "used": not one.flaw, "flaw": one.reason} for one in test.taps],
         "modes": [dict(zip(columns, row, strict=True)) for row in rows],

@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -167,6 +167,23 @@ class Modes:
             deviation=None if self.deviation is None else self.deviation[:, modes],
         )
 
+    def beside(self, others: Modes) -> Modes:
+        """Return the modes with others, by ascending frequency; shapes are numbers, and all have deviations or none."""
+        order = np.argsort(np.append(self.frequency, others.frequency), kind="stable")
+
+        def joined(name: str) -> Any:
+            first, second = getattr(self, name), getattr(others, name)
+            return None if first is None else np.concatenate([first, second], axis=-1)[..., order]
+
+        return replace(
+            self,
+            frequency=joined("frequency"),
+            damping_ratio=joined("damping_ratio"),
+            at_impact=joined("at_impact"),
+            at_sensor=joined("at_sensor"),
+            deviation=joined("deviation"),
+        )
+
     def corrected(self, correction: Floats) -> Modes:
         """Return the modes with corrections (3, n_modes) of ln frequency, ln damping ratio and ln participation."""
         return replace(
@@ -317,11 +334,14 @@ def read_modes(path: str | Path, columns: Mapping[str, str] = COLUMNS) -> Modes:
 
 def rows_of_table(path: str | Path, columns: Mapping[str, str]) -> list[dict[str, float]]:
     """Return the numbers of each mode of a table by column; raises as `read_modes`."""
+    # A table of measured modes states their own participations, which as corrections are factors of 1.
     lines = read_cells(path, "the table of modes", _MAX_FILE_SIZE)
     if len(lines) < 2:
         raise BadData(f"{path}: a table of modes must have a line of column names and a line a mode, got {len(lines)}")
-    indices = _column_indices(path, lines[0][1], columns)
-    rows = [(number, _row(f"{path}, line {number}", cells, indices)) for number, cells in lines[1:]]
+    measured = columns is LEARNED_COLUMNS and f"modal_mass [{COLUMNS['modal_mass']}]" in lines[0][1]
+    factors = {"participation": 1.0} if measured else {}
+    indices = _column_indices(path, lines[0][1], {name: columns[name] for name in columns.keys() - factors.keys()})
+    rows = [(number, _row(f"{path}, line {number}", cells, indices) | factors) for number, cells in lines[1:]]
     for (number, row), (_, before) in zip(rows[1:], rows[:-1], strict=True):
         if columns is COLUMNS and row["frequency"] < before["frequency"]:
             raise BadData(
@@ -331,9 +351,9 @@ def rows_of_table(path: str | Path, columns: Mapping[str, str]) -> list[dict[str
     return [row for _, row in rows]
 
 
-def text_of_table(columns: Mapping[str, Floats]) -> str:
+def text_of_table(columns: Mapping[str, Floats], scale: str = "1") -> str:
     """Return columns of `COLUMNS` or `LEARNED_COLUMNS`, each (n_modes,), as the text of a table of modes."""
-    units = COLUMNS | LEARNED_COLUMNS
+    units = COLUMNS | LEARNED_COLUMNS | {"participation": scale}
     titles = ",".join(f"{name} [{units[name]}]" for name in columns)
     rows = (",".join(f"{float(value)!r}" for value in row) for row in zip(*columns.values(), strict=True))
     return "\n".join((titles, *rows)) + "\n"

@@ -1,0 +1,173 @@
+"""All participations of a beam's modes together, from recorded forces: least squares on the found poles.
+
+A band also contains the tails of modes outside of it. Below their frequencies these respond to a force like a spring,
+above like a free mass (residuals of modal analysis). Each is a mode here, far from the band and strongly damped, so
+that a table of modes contains them, and scenes and inversions need to know nothing of them.
+
+Modes that do not help to predict a tap that was left out are dropped one by one, the least useful first. This needs
+only products of columns: the Gram matrix of each tap.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cgid._lib.validation import Complex, Floats
+from cgid.measure.modal.finite import Stretch, bins_in
+from cgid.measure.modal.modes import resonator_poles
+
+#: The mass line is a mode at this fraction of the lowest frequency of the band, the stiffness lines are at these
+#: multiples of the highest: modes near the band bend the response more than those far away. Their damping ratio.
+_BELOW, _ABOVE, LINE_DAMPING = 0.1, (1.5, 4.0), 0.5
+#: A windowed vibration is used for this many time constants of the window.
+_WINDOWS = 2.0
+#: Bins of a tap processed at once.
+_BINS = 4096
+#: Relative size of what is added to the diagonal of a Gram matrix of normed columns.
+_RIDGE = 1e-12
+
+Indices = NDArray[np.intp]
+
+
+def lines_of(band: tuple[float, float]) -> Complex:
+    """Return the poles of the mass line and the stiffness lines of a band [Hz] [1/s]."""
+    return resonator_poles([_BELOW * band[0], *(above * band[1] for above in _ABOVE)], LINE_DAMPING)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Blow:
+    """The force of a tap and the vibration from its begin on."""
+
+    response: Floats  # (n_samples,), of one sensor
+    force: Floats  # (n,) [N], at the first samples; 0 afterwards
+    earlier: Sequence[tuple[int, Floats]] = ()  # forces before, and how many samples earlier they begin
+
+    def without_window(self, samples: float) -> Blow:
+        """Return the same without an exponential window of this time constant, as far as it leaves a signal."""
+        at = np.arange(min(self.response.size, round(_WINDOWS * samples)))
+        return replace(self, response=self.response[: at.size] * np.exp(at / samples))
+
+
+@dataclass(frozen=True, eq=False)
+class Gram:
+    """Products of the responses to the forces of taps, mode by mode, and of the measured responses."""
+
+    matrix: Floats  # (n_taps, n_modes, n_modes)
+    vector: Floats  # (n_taps, n_modes)
+    power: Floats  # (n_taps,)
+    n_bins: int  # of all taps
+
+    def of(self, taps: Indices) -> Gram:
+        """Return the same of some taps."""
+        return Gram(self.matrix[taps], self.vector[taps], self.power[taps], self.n_bins * len(taps) // len(self.power))
+
+    def solved(self, modes: Indices) -> tuple[Floats, Floats]:
+        """Return participations (n_modes,) from all taps, 0 but for some modes, and the inverse of the Gram matrix."""
+        matrix, vector = self.matrix.sum(axis=0)[np.ix_(modes, modes)], self.vector.sum(axis=0)[modes]
+        norm = 1 / np.sqrt(np.maximum(np.diag(matrix), 1e-300))
+        inverse = np.linalg.inv(matrix * np.outer(norm, norm) + _RIDGE * np.eye(modes.size)) * np.outer(norm, norm)
+        out = np.zeros(self.matrix.shape[1])
+        out[modes] = inverse @ vector
+        return out, inverse
+
+    def unexplained(self, participation: Floats) -> Floats:
+        """Return the fraction of the energy of each tap that participations do not explain, (n_taps,)."""
+        explained = 2 * self.vector @ participation - np.einsum(
+            "i,tij,j->t", participation, self.matrix, participation, optimize=True
+        )
+        return np.asarray(np.maximum(1 - explained / self.power, 0.0))
+
+    def eliminated(self) -> Iterator[tuple[Indices, Floats]]:
+        """Yield the modes left and their participations, from all modes to one; the least useful goes next."""
+        left = np.arange(self.matrix.shape[1])
+        while left.size:
+            participation, inverse = self.solved(left)
+            yield left, participation
+            cost = np.square(participation[left]) / np.maximum(np.diag(inverse), 1e-300)
+            left = np.delete(left, int(np.argmin(cost)))
+
+
+def gram_of(
+    blows: Sequence[Blow],
+    pole: Complex,
+    sampling_rate: float,
+    derivatives: int,
+    band: tuple[float, float],
+    delay: float = 0.0,
+) -> Gram:
+    """Return the products in a band [Hz] for forces recorded `delay` [s] too late."""
+    n, n_bins = len(blows), 0
+    matrix, vector, power = np.zeros((n, pole.size, pole.size)), np.zeros((n, pole.size)), np.zeros(n)
+    for k, blow in enumerate(blows):
+        n_samples = blow.response.size
+        spectrum = np.fft.rfft(blow.response) / sampling_rate
+        inside = bins_in(n_samples, sampling_rate, band)
+        n_bins += inside.size
+        power[k] = np.sum(np.square(np.abs(spectrum[inside])))
+        for first in range(0, inside.size, _BINS):
+            part = inside[first : first + _BINS]
+            stretch = Stretch(
+                pole=pole,
+                line=2 * np.pi * part * sampling_rate / n_samples,
+                n_samples=n_samples,
+                sampling_rate=sampling_rate,
+                derivatives=derivatives,
+            )
+            before = np.zeros(pole.size, complex)
+            for ago, force in blow.earlier:
+                before += stretch.states(force, ago, delay)
+            columns = stretch.by_mode(blow.force, before, delay)
+            matrix[k] += (columns.conj().T @ columns).real
+            vector[k] += (columns.conj().T @ spectrum[part]).real
+    return Gram(matrix, vector, np.maximum(power, 1e-300), n_bins)
+
+
+@dataclass(frozen=True, eq=False)
+class Participations:
+    """Participations fitted together."""
+
+    kept: Indices  # numbers of the modes that help to predict other taps, ascending
+    value: Floats  # (n_kept,)
+    deviation: Floats  # (n_kept,), standard deviations
+    unexplained: Floats  # (n_taps,), fraction of the amplitude of each tap that the others' participations leave
+
+
+def fitted(gram: Gram) -> Participations:
+    """Return the participations of the modes that help to predict taps left out; of a single tap all."""
+    n_taps, n_modes = gram.vector.shape
+    everything = np.arange(n_taps)
+    if n_taps == 1:
+        kept = np.arange(n_modes)
+    else:
+        lost = np.zeros((n_taps, n_modes + 1))  # by the number of modes left
+        for tap in everything:
+            held_out, others = gram.of(everything[[tap]]), gram.of(np.delete(everything, tap))
+            lost[tap, 0] = 1.0
+            for left, participation in others.eliminated():
+                lost[tap, left.size] = held_out.unexplained(participation)[0]
+        n_kept = _fewest(lost)
+        kept = next(left for left, _ in gram.eliminated() if left.size == max(n_kept, 1))
+    value, inverse = gram.solved(kept)
+    noise = float(np.sum(gram.unexplained(value) * gram.power)) / max(gram.n_bins - kept.size / 2, 1)
+    # A bin has two real parts.
+    variance = np.diag(inverse) * noise / 2
+    unexplained = gram.unexplained(value)
+    if n_taps > 1:
+        each = np.stack([gram.of(np.delete(everything, tap)).solved(kept)[0][kept] for tap in everything])
+        variance = np.maximum(variance, (n_taps - 1) / n_taps * np.square(each - each.mean(axis=0)).sum(axis=0))
+        for tap in everything:
+            other = gram.of(np.delete(everything, tap)).solved(kept)[0]
+            unexplained[tap] = gram.of(everything[[tap]]).unexplained(other)[0]
+    return Participations(kept, value[kept], np.sqrt(variance), np.sqrt(unexplained))
+
+
+def _fewest(lost: Floats) -> int:
+    """Return the fewest modes that predict taps left out (n_taps, n_modes + 1) as well as the best number."""
+    best = int(np.argmin(lost.mean(axis=0)))
+    worse = lost - lost[:, [best]]
+    error = worse.std(axis=0, ddof=1) / np.sqrt(len(lost))
+    return int(np.flatnonzero(worse.mean(axis=0) <= error)[0])

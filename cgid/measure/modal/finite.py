@@ -1,0 +1,78 @@
+"""Transforms of the vibrations of modes over a finite stretch of a recording, exact at its own frequencies.
+
+A stretch of n samples cuts a vibration off. With its states at the two ends, its discrete Fourier transform at
+multiples of the sampling rate over n is known in closed form, so that windows are not needed and nothing leaks.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cgid._lib.validation import Complex, Floats
+from cgid.measure.modal.modes import residues
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Stretch:
+    """Some frequencies of a stretch of a recording, and the modes that vibrate in it."""
+
+    pole: Complex  # (n_modes,) [1/s]
+    line: Floats  # (n_bins,) [rad/s], multiples of `2 pi sampling_rate / n_samples`
+    n_samples: int
+    sampling_rate: float
+    derivatives: int  # of the displacement
+
+    def transform(self, force: Floats, delay: float = 0.0) -> Complex:
+        """Return the transform (n_bins, ...) of forces (n, ...) at the first samples, recorded `delay` [s] too late."""
+        step = 1 / self.sampling_rate
+        return np.asarray(np.exp(-1j * np.outer(self.line, np.arange(len(force)) * step - delay)) @ force * step)
+
+    def states(self, force: Floats, samples: float, delay: float = 0.0) -> Complex:
+        """Return the state of each mode (n_modes, ...) some samples after the first sample of forces (n, ...)."""
+        step = 1 / self.sampling_rate
+        ago = (samples - np.arange(len(force))) * step + delay
+        return np.asarray(np.exp(np.outer(self.pole, ago)) @ force * step)
+
+    def steady(self) -> Complex:
+        """Return the response of each mode to a unit force that never ends, (n_bins, n_modes)."""
+        s, unit = 1j * self.line[:, None], residues(self.pole, self.derivatives)
+        both = 0.5 * (unit / (s - self.pole) + unit.conj() / (s - self.pole.conj()))
+        return np.asarray(both + 1.0 if self.derivatives == 2 else both)
+
+    def ends(self) -> tuple[Complex, Complex]:
+        """Return what a state and its conjugate at the begin add, and take away at the end, each (n_bins, n_modes)."""
+        step, unit = 1 / self.sampling_rate, 0.5 * residues(self.pole, self.derivatives)
+        turn = np.exp(-1j * self.line * step)[:, None]
+        own = unit * step / (1 - np.exp(self.pole * step) * turn)
+        mirrored = unit.conj() * step / (1 - np.exp(self.pole.conj() * step) * turn)
+        return own, mirrored
+
+    def by_mode(self, force: Floats, before: Complex, delay: float = 0.0) -> Complex:
+        """Return the transform of each mode's vibration for a force (n,) and states before it, (n_bins, n_modes)."""
+        after = np.exp(self.pole * self.n_samples / self.sampling_rate) * before
+        change = before - after - self.states(force, self.n_samples, delay)
+        own, mirrored = self.ends()
+        return self.steady() * self.transform(force, delay)[:, None] + own * change + mirrored * change.conj()
+
+    def by_force(self, participation: Floats, forces: Floats) -> Complex:
+        """Return the transform of the vibration of all modes for forces (n, n_forces), (n_bins, n_forces)."""
+        own, mirrored = self.ends()
+        after = self.states(forces, self.n_samples)
+        out = (self.steady() @ participation)[:, None] * self.transform(forces)
+        return np.asarray(out - (own * participation) @ after - (mirrored * participation) @ after.conj())
+
+    def free(self, participation: Floats, before: Complex) -> Complex:
+        """Return the transform of the vibration that remains from states before, (n_bins,)."""
+        change = (1 - np.exp(self.pole * self.n_samples / self.sampling_rate)) * before * participation
+        own, mirrored = self.ends()
+        return np.asarray(own @ change + mirrored @ change.conj())
+
+
+def bins_in(n_samples: int, sampling_rate: float, band: Sequence[float]) -> NDArray[np.intp]:
+    """Return the numbers of the frequencies of a stretch in a band [Hz]."""
+    frequency = np.fft.rfftfreq(n_samples, 1 / sampling_rate)
+    return np.flatnonzero((frequency >= band[0]) & (frequency <= band[1]))
