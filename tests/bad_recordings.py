@@ -183,7 +183,12 @@ RECORDING_CASES: tuple[tuple[str, tuple[str, ...], int, tuple[str, ...]], ...] =
     ("recordings that are gone", ("train", "lost.csv", *_MODEL_FREE), 65, ("lost.csv", "gone.wav")),
     ("one group only", ("train", "day.csv", "--rate", "25600", "--unit", "FS", *_MODEL_FREE), 65, ("2 groups",)),
     ("unknown column", ("train", "colour.csv", *_MODEL_FREE), 65, ("'colour'", "path, label")),
-    ("recording without a label", ("train", "label.csv", *_MODEL_FREE), 65, ("label.csv", "some row must have a label")),
+    (
+        "recording without a label",
+        ("train", "label.csv", *_MODEL_FREE),
+        65,
+        ("label.csv", "some row must have a label"),
+    ),
     ("label of a page in a manifest", ("train", "script.csv", *_MODEL_FREE), 65, ("row 2", "letters", "'<script>'")),
     ("label reserved", ("train", "stranger.csv", *_MODEL_FREE), 65, ("row 2", "must not be 'unknown'")),
     ("interval that ends first", ("train", "interval.csv", *_MODEL_FREE), 65, ("row 2", "3 and 2 s")),

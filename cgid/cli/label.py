@@ -32,7 +32,11 @@ if TYPE_CHECKING:
 _PORT = 8062
 
 
-@click.command(cls=Command, short_help="Label impacts on a page in the browser.", example="cgid label datasets/sample.csv -o labels.csv")
+@click.command(
+    cls=Command,
+    short_help="Label impacts on a page in the browser.",
+    example="cgid label datasets/sample.csv -o labels.csv",
+)
 @click.argument("files", type=PATH, nargs=-1, required=True, metavar="RECORDING...")
 @click.option(
     "-o",
