@@ -415,11 +415,17 @@ def _identified(
     features, guards = np.split(values[sound], [len(model.features)], axis=1)
     answers = answers_from(np.hstack([features, known[sound]]), guards, model, settings, sampling_rate)
     identified = [
-        _with_beam(next(answers), time, float(misshapen[row]), beam is not None and overlap[row] > _OVERLAP)
+        replace(next(answers), time=time)
         if sound[row]
         else unmeasured(problems.get(row, "a feature has no finite value"), time)
         for row in range(len(frames))
     ]
+    if beam is not None:
+        doubles = sound & (overlap > _OVERLAP)
+        identified = [
+            _with_beam(answer, float(misshapen[row]), bool(doubles[row])) if sound[row] else answer
+            for row, answer in enumerate(identified)
+        ]
     identified = with_frames(identified, frames, sampling_rate, model, pre_trigger)
     if settings.impactors is None:
         return identified, values
@@ -427,9 +433,9 @@ def _identified(
     return [replace(answer, impactor=one) for answer, one in zip(identified, estimates, strict=True)], values
 
 
-def _with_beam(answer: Answer, time: float, misshapen: float, is_double: bool) -> Answer:
-    """Return an answer with its time and what only a beam shows; two impacts at once have no label."""
-    answer = replace(answer, time=time, misshapen=misshapen)
+def _with_beam(answer: Answer, misshapen: float, is_double: bool) -> Answer:
+    """Return an answer with what only a beam shows; two impacts at once have no label."""
+    answer = replace(answer, misshapen=misshapen)
     if not is_double:
         return answer
     return replace(answer, label=UNKNOWN, overlapping=True, problem=answer.problem or _DOUBLE)
