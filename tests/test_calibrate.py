@@ -473,3 +473,47 @@ def test_a_recording_calibrates_the_scene_of_a_stream(known, tmp_path):
     heard = beam_modes(site).frequency < 2000
     left = np.log(found.tail_beam.learned_modes.frequency / beam_modes(site).frequency)
     assert np.median(np.abs(left[heard])) < 0.3 * np.median(np.abs(error[0][heard]))
+
+
+# -- the sensor and its recorder ----------------------------------------------------------------------------
+
+
+def recorded_otherwise(scene, **sensor):
+    content = json.loads(scene.text)
+    for part, changes in sensor.items():
+        content["sensor"][part] = (content["sensor"].get(part) or {}) | changes
+    return parse_scene(content)
+
+
+def test_a_wrong_filter_is_corrected(known):
+    """A filter at 1500 Hz in place of 2000 leaves nothing unexplained, but forces that no contact has."""
+    scene = known[0]
+    truth, _ = modes_off(recorded_otherwise(scene, anti_alias={"frequency": 1500.0, "order": 6}), 0.01, 0.1, seed=3)
+    found = calibrate(scene, frames(truth, 60, seed=12), RATE, BEFORE)
+    assert found.scene.sensor.anti_alias.frequency == pytest.approx(1500, rel=0.03)
+    assert found.scene.sensor.anti_alias.order in (5, 6, 7)
+    assert found.chain["anti_alias.frequency"][0] == pytest.approx(2000)
+    assert found.outside < 0.02
+    # As stated it is refused, or explains less.
+    with pytest.raises(BadData, match="shape of contacts|must explain"):
+        calibrate(scene, frames(truth, 60, seed=12), RATE, BEFORE, exact=("filter", "mounting"))
+
+
+def test_a_sensor_elsewhere_is_found_beside_the_modes(known):
+    truth, _ = modes_off(panel(sensor_point={"x": 0.29, "y": 0.235}), 0.01, 0.1, seed=4)
+    found = calibrate(known[0], frames(truth, 60, seed=8), RATE, BEFORE)
+    point = found.scene.tail_beam.sensor_point
+    assert np.hypot(point.x - 0.29, point.y - 0.235) < 1e-3
+    assert {one.name for one in found.dimensions} == {"sensor_point.x", "sensor_point.y"}
+
+
+def test_what_is_as_stated_stays(known, found):
+    """No sound scene gets another sensor or recorder."""
+    assert found.scene.sensor == known[0].sensor and not found.chain and not found.dimensions
+    assert found.scene.tail_beam.sensor_point == known[0].tail_beam.sensor_point
+    assert found.outside < 0.02
+
+
+def test_parts_that_are_exact_are_named(known):
+    with pytest.raises(InvalidValue, match="exact"):
+        calibrate(known[0], known[3], RATE, BEFORE, exact=("filters",))

@@ -196,6 +196,7 @@ def calibrate(  # noqa: PLR0913
         first, with the damping ratio, and `start_error` is the remaining error.
     exact : collection of str
         What of the scene is not to be corrected: "sensor" (its location), "filter" (its edge and order), "mounting".
+        In a scene that was calibrated before, none of them.
     max_impacts : int
         Maximum number of impacts, 20 or more.
     progress : callable, optional
@@ -217,6 +218,8 @@ def calibrate(  # noqa: PLR0913
     check_numbers(start_error, drift, participation_error, max_impacts)
     for part in exact:
         validation.choice("exact", part, PARTS)
+    if scene.tail_beam is not None and scene.tail_beam.learned is not None:
+        exact = PARTS  # calibrated before
     check_scene(scene, sampling_rate)
     uncertain_dimensions = dimension_errors(scene, dimension_error)
     # The two highest samples of an unclipped impact may be equal by chance if a recorder has few steps.

@@ -28,7 +28,7 @@ _EDGE, _BESIDE = 0.35, 4
 #: later [samples].
 _MUCH, _LATER = (0.01, 1.3), (4, 8, 12, -6, 20)
 #: With more than this fraction of the energy unexplained, a second impact soon after is searched.
-_MORE_THAN_ONE = 0.0005
+_MORE_THAN_ONE = 0.001
 #: In a stream: median unexplained fraction of energy on a foreign beam, and number of impacts for it; number of impacts
 #: that settle the filter; number that test it again, and ratio of noise that triggers this.
 _FOREIGN, _RECENT, _SETTLED, _TESTS, _LOUDER = 0.05, 200, 60, 8, 4.0
