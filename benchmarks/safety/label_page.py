@@ -85,6 +85,7 @@ def crashes(n_labels: int) -> None:
     """Label by two people while the page is killed at random moments."""
     generator, n_impacts = np.random.default_rng(62), 100
     answered: dict[int, list[str]] = {}
+    every: list[str] = []
     counts = {"answered": 0, "kills": 0}
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
@@ -98,6 +99,7 @@ def crashes(n_labels: int) -> None:
                     if page.ask("label", {"r": 0, "k": k, "label": word, "by": who, "chosen": "random"})[0] == 200:
                         answered[k] = [word]  # what came before is overwritten
                         counts["answered"] += 1
+                        every.append(word)
                 except (OSError, http.client.HTTPException):
                     return
 
@@ -117,9 +119,11 @@ def crashes(n_labels: int) -> None:
         page.wait()
         found = {one[0]: one[5] for one in page.ask("impacts?r=0")[1]["impacts"]}
         page.end(signal.SIGINT)
+        journal = (folder / "labels.csv.journal").read_text(encoding="utf-8")
+    gone = sum(f'"label":"{word}"' not in journal for word in every)
     lost = sum(found[k] not in words for k, words in answered.items())
-    print(f"{counts['answered']} labels answered, {counts['kills']} kills")
-    print(f"{lost} of {len(answered)} impacts have an older label")
+    print(f"{counts['answered']} labels answered, {counts['kills']} kills: {gone} not in the journal")
+    print(f"{lost} of {len(answered)} impacts have another label than the last that was answered")
 
 
 def hour(minutes: float) -> None:
