@@ -89,18 +89,20 @@ def require_no_input_written(inputs: Iterable[str | Path] = ()) -> None:
     from cgid._lib.files import require_not_input
 
     context = click.get_current_context()
-    inputs = list(inputs)
-    written: list[Path] = []
-    for parameter in context.command.params:
-        value, kind = context.params.get(parameter.name or ""), parameter.type
-        names = [value] if isinstance(value, str) else value or ()
+    written, read = [], list(inputs)
+    given = [(context.params.get(parameter.name or ""), parameter.type) for parameter in context.command.params]
+    named = [([value] if isinstance(value, str) else value or (), kind) for value, kind in given]
+    for names, kind in named:
         if isinstance(kind, OutputName):
             paths = [Path(name) for name in names if name != "-"]
             written += [*paths, *(other for path in paths for other in kind.beside(path))]
-        elif isinstance(kind, PathName):
-            inputs += [part for name in names for part in (name, *_named_by(name))]
+    if not written:
+        return  # what inputs name takes a tenth of the start of predict to find out
+    for names, kind in named:
+        if isinstance(kind, PathName) and not isinstance(kind, OutputName):
+            read += [part for name in names for part in (name, *_named_by(name))]
     for path in written:
-        require_not_input(path, inputs)
+        require_not_input(path, read)
 
 
 def _named_by(name: str) -> Iterator[Path]:
