@@ -632,7 +632,7 @@ def _relative_deviation(fit: Participations, poles: Poles, n_taps: int) -> Float
     relative = fit.deviation / np.maximum(np.abs(fit.value), 1e-300)
     of_poles = poles.amplitude_deviation[1, :n_taps] / np.maximum(np.abs(poles.amplitude[:n_taps]), 1e-300)
     shared = np.append(np.median(of_poles, axis=0), np.zeros(fit.kept.max() + 1))
-    return np.minimum(np.hypot(relative, shared[fit.kept]), 1.0)
+    return np.asarray(np.minimum(np.hypot(relative, shared[fit.kept]), 1.0))
 
 
 def _averaged(each: Floats, strength: Floats, noise: Floats, shared: Floats) -> tuple[Floats, Floats]:

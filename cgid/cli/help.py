@@ -26,7 +26,7 @@ _OPTIONS = {
     "What struck": "--impactor --masses",
     "Signals": "--signals --seed --laws --dtype --quantities --shuffle-labels --test-share --calibration-share",
     "Calibration": "--start-error --drift --participation-error --dimension-error --exact --impacts",
-    "Tap test": "--hammer --band --max-order --contact --taps",
+    "Tap test": "--hammer --modes --band --max-order --contact --taps --window-tau",
     "Output": "--output --summary --save --port --audacity --mirror --report --plot --plots --overwrite --resume "
     "--compression --shard-signals --json --clock --strict",
     _PLANT: "--mqtt --modbus --prometheus --live --on-shut --on-open --on-blind",
@@ -63,7 +63,7 @@ _TEXTS = {
 _COMMANDS = {
     "Recordings": "predict monitor events label features info plot",
     "Models": "train export-model models",
-    "Datasets and scenes": "generate check tap calibrate verify export fetch",
+    "Datasets and scenes": "generate check tap invert calibrate verify export fetch",
 }
 #: One line for the startup file of each shell.
 _COMPLETION = (

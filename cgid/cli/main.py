@@ -22,6 +22,7 @@ from cgid.cli.fetch import fetch
 from cgid.cli.generate import generate
 from cgid.cli.help import Group
 from cgid.cli.info import info
+from cgid.cli.invert import invert
 from cgid.cli.label import label
 from cgid.cli.models import models
 from cgid.cli.monitor import monitor
@@ -72,6 +73,7 @@ for command in (
     check,
     calibrate,
     tap,
+    invert,
     events,
     label,
     train,

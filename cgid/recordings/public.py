@@ -106,6 +106,22 @@ _ALL = (
         "4 drop-tower shocks: acceleration of the table and of a board on it, 50 kHz",
         "clean half-sine pulses for the fit, and the ringing that they excite",
     ),
+    PublicData(
+        "taps-pyfrf",
+        "ladisk/pyFRF",
+        "55431fd3c328ddc719232cc34b891291c9982a2e",
+        "LGPL-3.0",
+        "5 hammer taps at one place: measured force and one accelerometer, 25.6 kHz, 1 s each",
+        "cgid tap and cgid invert beside a measured force (benchmarks/beam/real_taps.py)",
+    ),
+    PublicData(
+        "taps-dagnn",
+        "Mulllky/DAGNN-impact-force-identification",
+        "91247f7a677137a471fa5e6ce2dbaeb755720173",
+        "Apache-2.0",
+        "2 hammer taps on a metal plate: measured force and four sensors, 10 kHz, 2 s each",
+        "cgid invert through the modes of several sensors (benchmarks/beam/real_taps.py)",
+    ),
 )
 #: Name -> dataset.
 PUBLIC = {one.name: one for one in _ALL}

@@ -1,0 +1,112 @@
+"""Forces recovered through a table of modes, beside the forces of recordings that cgid has not made."""
+
+import csv
+import json
+
+import numpy as np
+import pytest
+
+from cgid.cli.main import run
+from cgid.errors import BadData, InvalidValue
+from cgid.identification.inversion.recovered import errors_of, recover_force
+from cgid.measure.modal.modes import Modes
+from tests.tapped import DAMPING, FREQUENCY, PARTICIPATION, taps
+
+RATE = 25_600.0
+
+
+def modes_of(participation=PARTICIPATION):
+    return Modes(
+        frequency=FREQUENCY,
+        damping_ratio=DAMPING,
+        at_impact=np.ones_like(participation),
+        at_sensor=participation,
+        deviation=np.full((3, FREQUENCY.size), 0.01),
+    )
+
+
+@pytest.fixture(scope="module")
+def recorded():
+    return taps(3, gap=0.6, seed=1)
+
+
+def test_force_and_its_deviations(recorded):
+    """Half sines of .6 ms, through ten modes up to 1.7 kHz."""
+    response, force, times = recorded
+    found = recover_force(response[None], RATE, modes_of(), times)
+    assert len(found) == 3
+    for one in found:
+        errors = errors_of(one, force, RATE)
+        assert errors["force"] < 0.08
+        assert abs(errors["peak"]) < 0.05
+        assert abs(errors["impulse"]) < 0.03
+        assert abs(errors["duration"]) < 0.1
+        assert one.unexplained < 0.02
+        assert abs(errors["peak"]) < 3 * one.peak[1] / one.peak[0]
+        assert one.peak[1] < 0.2 * one.peak[0]
+        assert abs(errors["impulse"]) < 3 * one.impulse[1] / one.impulse[0]
+
+
+def test_an_onset_a_millisecond_late_gives_the_same_force(recorded):
+    response, _, times = recorded
+    found = recover_force(response[None], RATE, modes_of(), times)
+    for first, other in zip(found, recover_force(response[None], RATE, modes_of(), times + 0.8e-3), strict=True):
+        assert other.peak[0] == pytest.approx(first.peak[0], rel=0.03)
+        assert other.time[np.argmax(other.force)] == pytest.approx(first.time[np.argmax(first.force)], abs=1 / RATE)
+
+
+def test_two_sensors_are_inverted_together():
+    other = PARTICIPATION * np.cos(np.arange(FREQUENCY.size))
+    first, force, times = taps(1, seed=2)
+    second = taps(1, seed=2, modes=(FREQUENCY, DAMPING, other))[0]
+    found = recover_force(np.stack([first, second]), RATE, [modes_of(), modes_of(other)], times)[0]
+    assert errors_of(found, force, RATE)["force"] < 0.08
+    with pytest.raises(InvalidValue, match="one table for each channel"):
+        recover_force(np.stack([first, second]), RATE, modes_of(), times)
+
+
+def test_a_hammer_on_another_clock_is_compared_where_it_fits(recorded):
+    response, force, times = recorded
+    found = recover_force(response[None], RATE, modes_of(), times)[0]
+    here, later = errors_of(found, force, RATE), errors_of(found, np.roll(force, 10), RATE)
+    assert later["delay"] - here["delay"] == pytest.approx(10 / RATE, abs=0.1 / RATE)
+    assert later["force"] == pytest.approx(here["force"], abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"band": (900.0, 100.0)}, "band must be two ascending"),
+        ({"band": (100.0, 20_000.0)}, "0.49 of the sampling rate"),
+        ({"band": (2_000.0, 5_000.0)}, "band must contain a mode"),
+        ({"contact": -1.0}, "contact"),
+        ({"onsets": [0.4, 0.42]}, "leave more time between impacts"),
+    ],
+)
+def test_what_cannot_be_inverted_is_refused(recorded, options, message):
+    response, _, times = recorded
+    onsets = options.pop("onsets", times)
+    with pytest.raises((BadData, InvalidValue), match=message):
+        recover_force(response[None], RATE, modes_of(), onsets, **options)
+
+
+def test_command(recorded, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    response, force, _ = recorded
+    rows = np.stack([response, force], axis=1)
+    head = f"# sampling_rate: {RATE:g} Hz\nacceleration [m/s^2],force [N]"
+    np.savetxt("taps.csv", rows, "%.7g", ",", header=head, comments="")
+    assert run(["tap", "taps.csv", "--hammer", "2", "-o", "modes.csv", "--band", "60", "2000"]) == 0
+    given = ["invert", "taps.csv", "--modes", "modes.csv", "-o", "forces.csv"]
+    capsys.readouterr()
+    assert run([*given, "--hammer", "2"]) == 0
+    assert capsys.readouterr().out.count("beside the measured force") == 3
+    table = list(csv.DictReader((tmp_path / "forces.csv").read_text().splitlines()))
+    measured, found = (np.array([float(row[name]) for row in table]) for name in ("measured [N]", "force [N]"))
+    assert np.linalg.norm(found - measured) < 0.1 * np.linalg.norm(measured)
+    assert {row["impact"] for row in table} == {"1", "2", "3"}
+    assert run([*given, "--channel", "1", "--json", "--overwrite"]) == 0
+    content = json.loads(capsys.readouterr().out)
+    assert len(content["impacts"]) == 3
+    for one in content["impacts"]:
+        assert one["peak"] == pytest.approx(force[round(one["time"] * RATE) :][:200].max(), rel=0.05)
