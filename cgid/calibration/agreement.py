@@ -43,9 +43,10 @@ def starts_late(responses: Floats, before: int, sampling_rate: float) -> float:
     earlier = (total[places] - total[places - lead]) / lead
     later = (total[np.minimum(places + n, power.size)] - total[places]) / n
     # Not a ratio to silence: a floor that is below any response.
-    jump = np.where(later > 0.05 * later.max(), later / (earlier + 1e-6 * later.max() + 1e-300), 0.0)
-    near = np.abs(places - before) <= 2 * n
-    if jump.max() < _RISES * max(float(jump[near].max()), 1.0):
+    jump = later / (earlier + 1e-6 * later.max() + 1e-300)
+    none = float(jump[np.abs(places - before) <= 2 * n].max())  # also where a soft blow begins slowly
+    jump[later < 0.05 * later.max()] = 0.0
+    if jump.max() < _RISES * max(none, 1.0):
         return 0.0
     return float(places[np.argmax(jump)] - before) / sampling_rate
 
