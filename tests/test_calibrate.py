@@ -495,7 +495,7 @@ def test_a_wrong_filter_is_corrected(known):
     assert found.chain["anti_alias.frequency"][0] == pytest.approx(2000)
     assert found.outside < 0.02
     # As stated it is refused, or explains less.
-    with pytest.raises(BadData, match="shape of contacts|must explain"):
+    with pytest.raises(BadData, match=r"shape of contacts|must explain"):
         calibrate(scene, frames(truth, 60, seed=12), RATE, BEFORE, exact=("filter", "mounting"))
 
 
