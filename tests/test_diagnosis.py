@@ -304,6 +304,23 @@ def test_the_median_lies_above_what_is_said() -> None:
     assert np.isnan(ChannelAnswers().median_unexplained()[0])
 
 
+def test_forces_that_no_contact_has_are_told_with_the_way_to_find_out() -> None:
+    """From a hundred impacts on, while the beam explains them; long pulses tell nothing."""
+    answers = [replace(answer, label="coal", unexplained=0.0) for answer in answers_of(0.0, None)[:50]] * 4
+    for share, told in ((2.5, False), (6.0, True)):
+        hints = Hints(BEAM, BEAM_RATE, "my file.csv", ("--unit", "g"), live=True)
+        found: list[tuple[int, Condition, bool]] = []
+        for number, answer in enumerate(answers):
+            hints.add([replace(answer, time=float(number), misshapen=share if number % 2 else float("nan"))])
+            found += [(number, one.condition, one.begins) for one in hints.changes(float(number))]
+        assert found == ([(199, Condition.CHAIN, True)] if told else [])
+        lines = [line for hint in hints.hints() for line in hint.lines]
+        assert bool(lines) == told
+        if told:
+            assert lines[0].startswith("the force has a shape that no contact has (6 % of it, median of the last 100")
+            assert lines[1].endswith("cgid calibrate 'my file.csv' --unit g --scene tail_beam -o site.toml")
+
+
 @pytest.mark.long
 def test_a_changed_beam_in_a_stream(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path, model = tmp_path / "stream.raw", tmp_path / "off.npz"

@@ -393,6 +393,33 @@ def test_noise_leaves_nothing_that_surely_is_unexplained() -> None:
         assert np.mean(wrong > 2.0) >= seen
 
 
+def test_a_wrong_filter_makes_forces_that_no_contact_has() -> None:
+    """The same blows behind an edge at 8 kHz in place of 10: nothing is unexplained, but short forces are bent."""
+    scene = load_scene("tail_beam")
+    content = json.loads(scene.text)
+    content["sensor"]["anti_alias"]["frequency"] = 8000.0
+    for recorded, low, high in ((scene, 0.0, 1.0), (parse_scene(content), 4.0, 12.0)):
+        seen = tail_beam().measured(vibrations(next(iter(synthesise(recorded, 96, 6)))))
+        assert low <= np.nanmedian(seen["beam_misshapen"]) < high
+        assert np.median(seen["beam_unexplained"]) < 0.2
+        # Long pulses have echoes of the beam, and tell nothing.
+        assert (np.isnan(seen["beam_misshapen"]) == (seen["beam_pulse_width"] > 5 / 25_600)).all()
+
+
+def test_a_second_blow_explains_what_the_first_leaves() -> None:
+    batch = next(iter(synthesise(load_scene("tail_beam"), 96, 21)))
+    single = tail_beam().measured(vibrations(batch))["beam_overlap"]
+    assert np.mean(single > 30) < 0.03
+    first, second = np.split(batch.signals, 2)
+    for after in (10, 30, 70):
+        both = first.copy()
+        both[:, after:] += second[:, :-after]
+        found = tail_beam().measured(VibrationBatch(both, batch.sampling_rate, batch.pre_trigger))["beam_overlap"]
+        ratio = np.square(second).sum(axis=1) / np.square(first).sum(axis=1)
+        audible = (ratio > 0.03) & (ratio < 30)
+        assert np.mean(found[audible] > 30) > 0.75
+
+
 def test_stated_deviations_are_true() -> None:
     """Errors of peak and place over their deviations have a spread of 1, for faint and for strong blows."""
     batch, inverted, contact = blows()
