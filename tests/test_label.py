@@ -354,7 +354,7 @@ def test_ten_minutes_of_a_new_user(site: Any, tmp_path: Path) -> None:
     assert page.post("make-report", r=0)[0] == 200 and page.post("make-report", r=0)[0] == 409
     assert page.wait(lambda state: state["report"]["state"] != "running", 120)["report"] == {"state": "ready"}
     report = page.ask("/api/report")[1]
-    assert report.startswith(b"<!doctype html>") and b"labels.npz" in report
+    assert report.startswith(b"<!DOCTYPE html>") and b"labels.npz" in report
     page.end()
     rows = rows_of(tmp_path / "labels.csv")
     assert sum(row["chosen"] == "random" and row["by"] == "Anna" for row in rows) in (29, 30)

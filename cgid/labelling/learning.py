@@ -6,25 +6,19 @@ import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from cgid._lib.validation import UNKNOWN, Floats
-from cgid._lib.workers import Workers
 from cgid.errors import BadData, CgidError, InvalidValue, Stopped
-from cgid.identification.model.model import Model
-from cgid.identification.prediction.answers import Answer
-from cgid.identification.prediction.settings import PredictionSettings
-from cgid.identification.prediction.support import CavingWatch
-from cgid.identification.training.card import correction_section, write_model
-from cgid.identification.training.correction import correct
-from cgid.identification.training.manifest import Manifest
-from cgid.identification.training.metrics import drawn_text
-from cgid.identification.training.recordings import labelled
 from cgid.identification.training.rows import SAME_IMPACT, Rows
-from cgid.identification.training.training import Training, train_on_groups
 from cgid.labelling.recording import LabelledRecording, rows_of_all
+
+if TYPE_CHECKING:
+    from cgid.identification.model.model import Model
+    from cgid.identification.training.manifest import Manifest
+    from cgid.identification.training.training import Training
 
 #: Names of the sets of features: those of the model that is corrected, and those of a new one.
 BASE, NEW = "corrected", "new"
@@ -46,6 +40,8 @@ class Learning:
 
     def learn(self, recordings: Sequence[LabelledRecording], manifest: Manifest | None) -> None:
         """Train and correct with the labels of a table; raises `Stopped`."""
+        from cgid.identification.training.recordings import labelled
+
         notes = list[str]()
         for name, learn in ((NEW, self._trained), (BASE, self._corrected)):
             rows = rows_of_all(recordings, name)
@@ -68,6 +64,9 @@ class Learning:
         self.version += 1
 
     def _trained(self, rows: Rows) -> Training:
+        from cgid._lib.workers import Workers
+        from cgid.identification.training.training import train_on_groups
+
         rocks = np.unique(rows.rock, return_index=True)[1]
         self.n_labelled = len(rocks)
         names, counts = np.unique(rows.labels[rocks], return_counts=True)
@@ -77,6 +76,9 @@ class Learning:
         return train_on_groups(rows, workers=Workers(stopped=self.stopped))
 
     def _corrected(self, rows: Rows) -> Training:
+        from cgid.identification.training.correction import correct
+        from cgid.identification.training.training import Training
+
         if self.base is None:
             raise BadData("there is no model to correct; give --model")
         made = correct(self.base, rows)
@@ -95,6 +97,8 @@ class Learning:
 
     def content(self) -> dict[str, Any]:
         """Return the results for the page."""
+        from cgid.identification.training.metrics import drawn_text
+
         results = {}
         for name, training in self.trainings.items():
             metrics = training.metrics
@@ -118,6 +122,8 @@ class Learning:
 
     def save(self, name: str, path: Path, *, overwrite: bool) -> list[Path]:
         """Write a model and its card."""
+        from cgid.identification.training.card import correction_section, write_model
+
         training = self.trainings.get(name)
         if training is None:
             raise InvalidValue(f"there is no {name} model yet: {self.why.get(name, 'label impacts first')}")
@@ -147,6 +153,10 @@ def predictions(recording: LabelledRecording, model: Model, name: str) -> tuple[
 
 def fraction(recording: LabelledRecording, model: Model, name: str) -> dict[str, Any]:
     """Return the gangue fraction over time and the decisions, of all channels together."""
+    from cgid.identification.prediction.answers import Answer
+    from cgid.identification.prediction.settings import PredictionSettings
+    from cgid.identification.prediction.support import CavingWatch
+
     found, novelty = predictions(recording, model, name)
     settings = PredictionSettings()
     try:

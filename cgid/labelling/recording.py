@@ -5,7 +5,7 @@ from __future__ import annotations
 from bisect import bisect_left
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,18 +14,12 @@ from cgid._lib.validation import Floats
 from cgid.errors import BadData, CgidError, NoInput, Stopped
 from cgid.identification.detection.detector import ImpactDetector
 from cgid.identification.detection.events import Event
-from cgid.identification.training.impact_table import interval_rows
-from cgid.identification.training.recordings import (
-    AnnotatedFile,
-    AnnotatedRows,
-    Cutting,
-    digest_of,
-    measured_events,
-    rows_of,
-)
 from cgid.identification.training.rows import SAME_IMPACT, Rows
 from cgid.labelling.table import Cells
 from cgid.measure.features.table import ImpactKind
+
+if TYPE_CHECKING:
+    from cgid.identification.training.recordings import AnnotatedFile, AnnotatedRows, Cutting
 
 #: Samples of a column of the stored waveform, and most columns of a view.
 BIN, MAX_COLUMNS = 256, 2000
@@ -102,6 +96,8 @@ class LabelledRecording:
 
     def read(self, name: str, stopped: Callable[[], bool]) -> None:
         """Measure the impacts for one set of features, the first time with the waveform; may raise `Stopped`."""
+        from cgid.identification.training.recordings import digest_of
+
         recording, is_first = self.file.recording, not self.ended
         detector = ImpactDetector(
             self.rate, len(recording.channels), kind=self.kind, dead_time=self.dead_time, gaps=True
@@ -144,6 +140,9 @@ class LabelledRecording:
         self, events: list[Event], known_until: float, name: str, stopped: Callable[[], bool], *, shown: bool
     ) -> list[Event]:
         """Take the impacts that are whole, each of any channels at one time, and return the others."""
+        from cgid.identification.training.impact_table import interval_rows
+        from cgid.identification.training.recordings import AnnotatedRows, measured_events
+
         events.sort(key=lambda one: one.onset)
         times = [one.time for one in events]
         n = bisect_left(times, known_until / self.rate - 2 * SAME_IMPACT)
@@ -261,6 +260,8 @@ def read_all(recordings: Sequence[LabelledRecording], name: str, stopped: Callab
 
 def rows_of_all(recordings: Sequence[LabelledRecording], name: str) -> Rows | None:
     """Return what was measured so far for one set of features in recordings; None without a row."""
+    from cgid.identification.training.recordings import rows_of
+
     measured = [(one.file, pieces) for one in recordings if (pieces := one.pieces(name))]
     if not any(np.isfinite(piece.features).all(axis=1).any() for _, pieces in measured for piece in pieces):
         return None

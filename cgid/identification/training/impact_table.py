@@ -15,8 +15,6 @@ from cgid.errors import BadData
 from cgid.identification.detection.detector import ImpactDetector
 from cgid.identification.detection.events import Event
 from cgid.identification.model.model import Model
-from cgid.identification.prediction.pipeline import identify_recording
-from cgid.identification.prediction.prediction import load_model
 from cgid.identification.training.recordings import measurable, unit_of
 from cgid.identification.training.rows import SAME_IMPACT
 from cgid.measure.features.extraction import kind_for
@@ -88,6 +86,9 @@ def impact_table(
     table = table.rename(columns={"start": "start_s", "end": "end_s"})
     if model is None:
         return table
+    from cgid.identification.prediction.pipeline import identify_recording
+    from cgid.identification.prediction.prediction import load_model
+
     loaded = model if isinstance(model, Model) else load_model(model)
     with warnings.catch_warnings():  # here the channels are taken together
         warnings.filterwarnings("ignore", message=".*hear the same rocks")
