@@ -13,7 +13,7 @@ const say = word => (words[language] || {})[word] || word;
 // -- what the page knows ------------------------------------------------------------------------------------
 const page = {
   state: null, r: 0, impacts: [], stretches: [], names: [], version: -1, from: 0, to: 1, selected: -1, drawn: false, order: "random", queue: [], undo: [],
-  begin: null, end: null, view: null, detail: null, opinion: false, away: "", outbox: JSON.parse(kept("outbox") || "[]"), error: "", learned: -1, fraction: null, drag: null,
+  begin: null, end: null, view: null, detail: null, opinion: false, away: "", outbox: JSON.parse(kept("outbox") || "[]"), error: "", learned: -1, fraction: null, drag: null, touched: {},
 };
 const recording = () => page.state && page.state.recordings[page.r];
 const labelOf = one => one[5] || coveredBy(one);
@@ -80,7 +80,7 @@ function label(name, chosen) {
   if (!one) return;
   const how = chosen || (name === "" ? "" : one[7] === "random" || one[7] === "unsure" || page.drawn ? "random" : "picked");
   page.undo.push({ r: page.r, k: one[0], label: one[5], chosen: one[7] });
-  one[5] = name; one[7] = how;
+  one[5] = name; one[7] = how; page.touched[one[0]] = performance.now();
   post({ r: page.r, k: one[0], label: name, chosen: how });
   if (page.order === "random" && page.drawn) draw(); else show();
 }
@@ -99,7 +99,7 @@ function undo() {
   const last = page.undo.pop();
   if (!last) return;
   if ("from" in last) page.stretches = page.stretches.filter(one => one[0] !== last.from || one[1] !== last.to);
-  else if (last.r === page.r) { const one = page.impacts[last.k]; one[5] = last.label; one[7] = last.chosen; select(last.k, true); }
+  else if (last.r === page.r) { const one = page.impacts[last.k]; one[5] = last.label; one[7] = last.chosen; page.touched[last.k] = performance.now(); select(last.k, true); }
   post(last);
   show();
 }
@@ -393,8 +393,13 @@ async function refresh() {
   if (first) zoomTo(0, one.duration);
   const news = [page.r, state.version, one.n, state.learning.version].join();
   if (news !== seen) {
-    const found = await get(`impacts?r=${page.r}&since=${page.version}`), waiting = new Set(page.outbox.filter(each => each.r === page.r).map(each => each.k));
-    for (const each of found.impacts) if (!waiting.has(each[0]) || !page.impacts[each[0]]) page.impacts[each[0]] = each;
+    const asked = performance.now(), r = page.r, found = await get(`impacts?r=${r}&since=${page.version}`);
+    if (r !== page.r) return;
+    const waiting = new Set(page.outbox.filter(each => each.r === page.r).map(each => each.k));
+    for (const each of found.impacts) {  // what was labelled since is newer here, and comes once more
+      const k = each[0], isOlder = waiting.has(k) || page.touched[k] > asked;
+      if (!isOlder || !page.impacts[k]) page.impacts[k] = each;
+    }
     page.version = found.version; page.names = found.labels; seen = news;
     if (!page.outbox.length) page.stretches = found.stretches;
     if (page.selected < 0 && page.impacts.length && one.ended) draw();
@@ -418,7 +423,7 @@ function begin() {
   $("by").value = kept("by") || "";
   $("by").onchange = () => kept("by", $("by").value);
   $("language").onclick = () => { language = language === "en" ? "zh" : "en"; kept("language", language); buttons(); show(); if (page.state) showLearning(); };
-  $("recording").onchange = () => { Object.assign(page, { r: Number($("recording").value), impacts: [], stretches: [], version: -1, selected: -1, queue: [], view: null, learned: -1 }); seen = ""; $("recording").blur(); zoomTo(0, recording().duration); };
+  $("recording").onchange = () => { Object.assign(page, { r: Number($("recording").value), impacts: [], stretches: [], version: -1, selected: -1, queue: [], view: null, learned: -1, touched: {} }); seen = ""; $("recording").blur(); zoomTo(0, recording().duration); };
   $("save").onclick = async () => { const learning = page.state.learning, answer = await ask("save", { which: learning.results[learning.best] ? learning.best : "new" }); page.error = answer.ok ? "" : await reason(answer); refresh().catch(fail); };
   $("report").onclick = async () => { $("download").textContent = ""; const answer = await ask("make-report", { r: page.r }); page.error = answer.ok ? "" : await reason(answer); showStatus(); };
   let size = 0;
