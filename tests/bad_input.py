@@ -684,7 +684,20 @@ _COMMANDS = r"""
 65 | tap two_taps.csv -o new.csv --taps tap_table.csv | tap_table.csv
 65 | tap two_taps.csv -o new.csv --scene reference | reference
 65 | tap two_taps.csv -o new.csv --start-error 0 | --start-error
+65 | tap two_taps.csv -o new.csv --window-tau 0 | --window-tau
 73 | tap two_taps.csv -o modes.csv | modes.csv
+65 | invert two_taps.csv --modes modes.csv --band 900 100 | band
+65 | invert two_taps.csv --modes modes.csv --band 6000 7000 | --band
+65 | invert two_taps.csv --modes modes.csv --contact 0 | contact
+65 | invert two_taps.csv --modes modes.csv --hammer 1 | --hammer
+65 | invert two_taps.csv --modes modes.csv --modes modes.csv | one table for each
+65 | invert two_taps.csv --modes tap_times.csv | tap_times.csv
+66 | invert two_taps.csv --modes gone.csv | gone.csv
+65 | invert silent_taps.csv --modes modes.csv | silent_taps.csv
+66 | invert gone.wav --modes modes.csv | gone.wav
+65 | invert - --modes modes.csv | stdin
+65 | invert two.h5 --modes modes.csv | two.h5
+73 | invert two_taps.csv --modes modes.csv -o modes.csv | modes.csv
 73 | tap two_taps.csv -o modes.toml | modes.toml
 65 | check both.toml | modes or a panel
 2 | generate caving.toml --features-only -o new.h5 | --...-only

@@ -11,8 +11,11 @@ from cgid._lib.lazy import on_first_use
 
 if TYPE_CHECKING:
     from cgid.identification import detection as detection
+    from cgid.identification import inversion as inversion
     from cgid.identification import model as model
     from cgid.identification import prediction as prediction
     from cgid.identification import training as training
 else:  # a name that does not exist would have a type
-    __all__, __getattr__, __dir__ = on_first_use(__name__, {}, modules=("detection", "model", "prediction", "training"))
+    __all__, __getattr__, __dir__ = on_first_use(
+        __name__, {}, modules=("detection", "inversion", "model", "prediction", "training")
+    )

@@ -40,6 +40,7 @@ PAGES: dict[str, tuple[str, tuple[str, ...]]] = {
         "Identifying and training: cgid.identification",
         (
             "cgid.identification.detection",
+            "cgid.identification.inversion",
             "cgid.identification.model",
             "cgid.identification.prediction",
             "cgid.identification.training",
