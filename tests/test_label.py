@@ -13,7 +13,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import pytest
@@ -203,6 +203,8 @@ def test_a_hundred_thousand_rows_are_labelled_in_time(tmp_path: Path) -> None:
 class Page:
     """A page that runs in a process of its own."""
 
+    opened: ClassVar[list[subprocess.Popen[str]]] = []
+
     def __init__(self, folder: Path, *options: str) -> None:
         command = [sys.executable, "-m", "cgid", "label", "a.npy", "--rate", str(RATE), "--unit", "g", *options]
         self.process = subprocess.Popen(
@@ -213,6 +215,7 @@ class Page:
             text=True,
             env={**os.environ, "PYTHONPATH": str(ROOT)},
         )
+        self.opened.append(self.process)
         assert self.process.stdout is not None
         line = self.process.stdout.readline().strip()
         assert line.startswith("http://127.0.0.1:"), (line, self.process.stderr and self.process.stderr.read())
@@ -255,6 +258,16 @@ class Page:
         self.process.send_signal(how)
         _, err = self.process.communicate(timeout=20)
         return err
+
+
+@pytest.fixture(scope="module", autouse=True)
+def no_page_is_left() -> Iterator[None]:
+    """End the pages of tests that failed."""
+    yield
+    for process in Page.opened:
+        if process.poll() is None:
+            process.kill()
+            process.communicate()
 
 
 def ended(state: Any) -> bool:
