@@ -182,7 +182,6 @@ RECORDING_CASES: tuple[tuple[str, tuple[str, ...], int, tuple[str, ...]], ...] =
     ("manifest of nothing", ("train", "bare.csv", *_MODEL_FREE), 65, ("bare.csv", "there is none")),
     ("recordings that are gone", ("train", "lost.csv", *_MODEL_FREE), 65, ("lost.csv", "gone.wav")),
     ("one group only", ("train", "day.csv", "--rate", "25600", "--unit", "FS", *_MODEL_FREE), 65, ("2 groups",)),
-    ("unknown column", ("train", "colour.csv", *_MODEL_FREE), 65, ("'colour'", "path, label")),
     (
         "recording without a label",
         ("train", "label.csv", *_MODEL_FREE),

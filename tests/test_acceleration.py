@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,7 +16,7 @@ from cgid.cli.main import run
 from cgid.errors import BadData, InvalidValue
 from cgid.identification.detection import find_impacts
 from cgid.identification.model import Model
-from cgid.identification.prediction import identify, identify_frames
+from cgid.identification.prediction import identify, identify_frames, prediction
 from cgid.identification.training import Training, train_on_specimens
 from cgid.identification.training.rows import (
     DEFAULT_FEATURES,
@@ -47,12 +48,14 @@ def model_file(training: Training, tmp_path_factory: pytest.TempPathFactory) -> 
 
 
 @pytest.fixture
-def default_model(model_file: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def default_model(model_file: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     ship = shipped.path_of
     monkeypatch.setattr(
         shipped, "path_of", lambda kind, name: model_file if name == shipped.ACCELERATION_MODEL else ship(kind, name)
     )
-    return model_file
+    prediction._shipped.cache_clear()  # a shipped model is read once in a process
+    yield model_file
+    prediction._shipped.cache_clear()
 
 
 def accuracy(answers, labels) -> float:
