@@ -672,7 +672,7 @@ def misfit_text(misfit: Misfit, model: Model) -> str:
         Part.SCALE: f"all forces are about {size:.2g} times as {'large' if more else 'small'}",
         Part.SIZES: f"impulses are about {size:.2g} times as {'large' if more else 'small'}, of other sizes or falls",
         Part.SEAM: f"the rocks are about {size:.2g} times as {'hard' if more else 'soft'}",
-        Part.BEAM: "more of the signal is unexplained, as on another beam, or with a sensor at another place",
+        Part.BEAM: "more is unexplained, as on another beam, with a sensor at another place, or of large rocks",
         Part.NOISE: "the noise is another",
     }[misfit.part]
     sure = f" (said of at most {model.world.rate:.2g} of those that are)" if model.world is not None else ""
