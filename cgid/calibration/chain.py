@@ -33,8 +33,9 @@ _COMPARED, _FEWEST = 128, 10
 _CHAINS = tuple(
     zip(np.geomspace(0.2, 0.49, 12).tolist(), np.geomspace(1.6, 0.35, 12).tolist(), 3 * (4, 8, 2, 6), strict=True)
 )
-#: Lowest and highest edge and mounting (in sampling rates) and damping ratio, and deviations of their logarithms.
-_LIMITS, _PRIOR = np.log([[0.12, 0.22, 0.01], [0.495, 3.2, 0.5]]), np.array([0.3, 0.3, 0.3])
+#: Lowest and highest edge and mounting (in sampling rates) and damping ratio, and deviations of their logarithms. A
+#: damped mounting would stand for any filter.
+_LIMITS, _PRIOR = np.log([[0.12, 0.22, 0.01], [0.495, 3.2, 0.15]]), np.array([0.3, 0.3, 0.3])
 #: A mounting that nobody stated, and one near the band (in sampling rates); damping of the former.
 _STIFF, _SOFT, _DAMPING = 1.6, 0.43, 0.05
 #: Orders that are tried first, and the range of others.
@@ -105,7 +106,9 @@ def learn_chain(scene: Scene, beam: Beam, impacts: ImpactFrames, exact: Collecti
     soft = stated.logs.copy()
     soft[1] = np.log(_SOFT * rate)
     starts = [stated.logs, soft] if free[1] else [stated.logs]
-    search = _Search(inversion, estimate, stated.logs, free, _LIMITS + np.log([rate, rate, 1.0]))
+    low, high = _LIMITS + np.log([rate, rate, 1.0])
+    limits = np.array([np.minimum(low, stated.logs), np.maximum(high, stated.logs)])
+    search = _Search(inversion, estimate, stated.logs, free, limits)
     orders = {stated.order, *_ORDERS} if free[0] else {stated.order}
     tried = [search.descended(Chain(order, logs), pulses, _TRIED) for logs in starts for order in orders]
     best = min(tried, key=lambda one: one.cost)
