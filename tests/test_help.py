@@ -85,7 +85,7 @@ def test_every_example_runs(name: str, tmp_path: Path, monkeypatch: pytest.Monke
     for folder in ("datasets", "models"):
         (tmp_path / folder).symlink_to(ROOT / folder)
     monkeypatch.chdir(tmp_path)
-    if name == "tap":
+    if name in ("tap", "invert"):
         response, force, _ = taps(4, gap=0.7)
         rows = np.column_stack([np.arange(response.size) / 25_600, response, force])
         np.savetxt("taps.csv", rows, "%.7g", ",", header="time [s],acceleration [m/s^2],force [N]", comments="")

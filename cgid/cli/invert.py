@@ -24,7 +24,8 @@ _NEAR = 5e-3
 @click.command(
     cls=Command,
     short_help="Recover the force of impacts from the motion of a beam.",
-    example="cgid invert taps.csv --channel 1 --hammer 2 --modes modes.csv -o forces.csv",
+    example="cgid tap taps.csv --channel 1 --hammer 2 --band 60 2000 -o modes.csv\n"
+    "cgid invert taps.csv --channel 1 --hammer 2 --modes modes.csv -o forces.csv",
 )
 @click.argument("recording", type=PATH)
 @click.option(
