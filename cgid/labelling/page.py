@@ -26,7 +26,7 @@ from cgid.identification.training.manifest import Manifest, read_manifest
 from cgid.labelling.learning import BASE, NEW, Learning, fraction, predictions
 from cgid.labelling.recording import Impact, LabelledRecording, read_all
 from cgid.labelling.table import Cells, LabelTable, key_of, number_of
-from cgid.pages.http import COMMON, Answer, HttpServer, Request, Route, of_file, of_json
+from cgid.pages.http import COMMON, HttpServer, PageAnswer, Request, Route, of_file, of_json
 from cgid.pages.server import Address
 
 _FOLDER = Path(__file__).parent
@@ -162,7 +162,7 @@ class Workbench:
                 found.append([start, self.recordings[number].duration if end is None else end, row.get("label", "")])
         return found
 
-    def impacts(self, request: Request) -> Answer:
+    def impacts(self, request: Request) -> PageAnswer:
         """Return the impacts of a recording that have changed since a version."""
         number = _whole(request.query, "r", len(self.recordings))
         since, name = _int(request.query, "since", -1), self.learning.best
@@ -194,7 +194,7 @@ class Workbench:
         model = self.learning.model(name)
         return ([], []) if model is None else _predictions(self.recordings[number], model, name, version, size)
 
-    def state(self, _: Request) -> Answer:
+    def state(self, _: Request) -> PageAnswer:
         """Return what the page shows beside the impacts."""
         with self.table.lock:
             labelled = [row for row in self.table.rows.values() if row.get("label")]
@@ -231,7 +231,7 @@ class Workbench:
             }
         )
 
-    def view(self, request: Request) -> Answer:
+    def view(self, request: Request) -> PageAnswer:
         """Return the waveform of a recording between two times."""
         query = request.query
         number = _whole(query, "r", len(self.recordings))
@@ -240,17 +240,17 @@ class Workbench:
             raise InvalidValue(f"from and to must rise from 0 s, got {start:g} and {end:g} s")
         return of_json(self.recordings[number].view(start, end, _int(query, "n", 1000)))
 
-    def detail(self, request: Request) -> Answer:
+    def detail(self, request: Request) -> PageAnswer:
         """Return one impact."""
         number, _, impact = self._impact(request.query)
         return of_json(self.recordings[number].detail(impact))
 
-    def sound(self, request: Request) -> Answer:
+    def sound(self, request: Request) -> PageAnswer:
         """Return the sound of one impact."""
         number, _, impact = self._impact(request.query)
-        return Answer(self.recordings[number].sound(impact), "application/octet-stream")
+        return PageAnswer(self.recordings[number].sound(impact), "application/octet-stream")
 
-    def fraction(self, request: Request) -> Answer:
+    def fraction(self, request: Request) -> PageAnswer:
         """Return the gangue fraction of a recording over time."""
         number, name = _whole(request.query, "r", len(self.recordings)), self.learning.best
         model = self.learning.model(name)
@@ -260,7 +260,7 @@ class Workbench:
 
     # -- what the page changes ----------------------------------------------------------------------------
 
-    def label(self, request: Request) -> Answer:
+    def label(self, request: Request) -> PageAnswer:
         """Label an impact, or a stretch between two times; on the disk when this returns."""
         body = request.body
         label, by, chosen = (_word(body, name) for name in ("label", "by", "chosen"))
@@ -281,7 +281,7 @@ class Workbench:
         self.table.label(row, label, by, chosen)
         return of_json({"version": self.table.version})
 
-    def save(self, request: Request) -> Answer:
+    def save(self, request: Request) -> PageAnswer:
         """Write a model under the name that the command line gave."""
         name = _word(request.body, "which")
         written = self.learning.save(
@@ -290,7 +290,7 @@ class Workbench:
         self._saved = [one.name for one in written]
         return of_json({"saved": self._saved})
 
-    def make_report(self, request: Request) -> Answer:
+    def make_report(self, request: Request) -> PageAnswer:
         """Begin to make the report of a recording by the saved model, or by the one that is corrected."""
         number = _whole(request.body, "r", len(self.recordings))
         if self._report["state"] == "running":
@@ -312,11 +312,11 @@ class Workbench:
                 lines = printable(done.stderr).strip().splitlines() or ["it failed"]
                 self._report = {"state": "failed", "error": lines[-1][:500]}
 
-    def report(self, _: Request) -> Answer:
+    def report(self, _: Request) -> PageAnswer:
         """Return the report that was made."""
         if self._report["state"] != "ready":
             raise InvalidValue("there is no report yet; make it first")
-        return Answer(self._report["content"], "application/octet-stream")
+        return PageAnswer(self._report["content"], "application/octet-stream")
 
     def routes(self) -> dict[str, Route]:
         """Return the routes of the page."""

@@ -31,7 +31,7 @@ POLICY = (
 KEY = "X-Cgid-Key"
 
 
-class Answer(NamedTuple):
+class PageAnswer(NamedTuple):
     """What is sent back."""
 
     content: bytes
@@ -49,7 +49,7 @@ class Request(NamedTuple):
 class Route(NamedTuple):
     """The answer of one path; with `secret` only to who has the key, with `posts` only to a POST."""
 
-    answer: Callable[[Request], Answer]
+    answer: Callable[[Request], PageAnswer]
     secret: bool = False
     posts: bool = False
 
@@ -64,7 +64,7 @@ class Refused(Exception):
 
 def of_bytes(make: Callable[[], bytes], kind: str) -> Route:
     """Return the route of a content that everybody may have."""
-    return Route(lambda _: Answer(make(), kind))
+    return Route(lambda _: PageAnswer(make(), kind))
 
 
 def of_file(path: Path) -> Route:
@@ -77,9 +77,9 @@ def _content(path: Path) -> bytes:
     return path.read_bytes()
 
 
-def of_json(content: Any, status: int = 200) -> Answer:
+def of_json(content: Any, status: int = 200) -> PageAnswer:
     """Return an object as an answer; numbers that are not finite are null."""
-    return Answer(json.dumps(content, allow_nan=False, separators=(",", ":")).encode(), JSON, status)
+    return PageAnswer(json.dumps(content, allow_nan=False, separators=(",", ":")).encode(), JSON, status)
 
 
 #: Files that pages share: colours, and what they draw.
@@ -108,21 +108,21 @@ class HttpServer(Server):
                 try:
                     self._require_known()
                 except Refused as error:
-                    self._send(Answer(f"{error}\n".encode(), TEXT, error.status))
+                    self._send(PageAnswer(f"{error}\n".encode(), TEXT, error.status))
                     return False
                 return True
 
             def _answer(self) -> None:
-                """Answer one request."""
+                """PageAnswer one request."""
                 try:
                     found = self._found()
                 except Refused as error:
-                    found = Answer(f"{error}\n".encode(), TEXT, error.status)
+                    found = PageAnswer(f"{error}\n".encode(), TEXT, error.status)
                 except CgidError as error:
                     found = of_json({"error": str(error)}, 507 if isinstance(error, WriteFailed) else 409)
                 self._send(found)
 
-            def _send(self, found: Answer) -> None:
+            def _send(self, found: PageAnswer) -> None:
                 self.send_response(found.status)
                 self.send_header("Content-Type", found.kind)
                 self.send_header("Content-Length", str(len(found.content)))
@@ -130,7 +130,7 @@ class HttpServer(Server):
                 if self.command != "HEAD":
                     self.wfile.write(found.content)
 
-            def _found(self) -> Answer:
+            def _found(self) -> PageAnswer:
                 path, _, query = self.path.partition("?")
                 route = routes.get(path)
                 if route is None:
