@@ -24,7 +24,7 @@ from cgid.errors import CgidError, InvalidValue, Stopped
 from cgid.identification.model.model import Model
 from cgid.identification.training.manifest import Manifest, read_manifest
 from cgid.labelling.learning import BASE, NEW, Learning, fraction, predictions
-from cgid.labelling.recording import Impact, LabelledRecording, read_all
+from cgid.labelling.recording import LabelledRecording, ListedImpact, read_all
 from cgid.labelling.table import Cells, LabelTable, key_of, number_of
 from cgid.pages.http import COMMON, HttpServer, PageAnswer, Request, Route, of_file, of_json
 from cgid.pages.server import Address
@@ -148,7 +148,7 @@ class Workbench:
                 rows[k] = mine[near][1] if same else impact.cells
         return rows
 
-    def _impact(self, request: dict[str, Any]) -> tuple[int, int, Impact]:
+    def _impact(self, request: dict[str, Any]) -> tuple[int, int, ListedImpact]:
         number = _whole(request, "r", len(self.recordings))
         k = _whole(request, "k", len(self.recordings[number].impacts))
         return number, k, self.recordings[number].impacts[k]

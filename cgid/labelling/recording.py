@@ -34,7 +34,7 @@ _STEPS = 32000
 
 
 @dataclass(eq=False)
-class Impact:
+class ListedImpact:
     """An impact of one or several channels."""
 
     cells: Cells
@@ -53,7 +53,7 @@ class LabelledRecording:
     kind: ImpactKind
     cuttings: dict[str, Cutting]
     dead_time: float | None = None
-    impacts: list[Impact] = field(default_factory=list)
+    impacts: list[ListedImpact] = field(default_factory=list)
     n_read: int = 0
     ended: bool = False
     fault: str = ""
@@ -169,7 +169,9 @@ class LabelledRecording:
             cells = {"start_s": row["start"], "end_s": row["end"], "label": "", "time_s": row["time_s"]}
             cells |= {"peak": row["peak"], "peak_unit": row["peak_unit"], "flags": row["flags"]}
             loudest = max(rock, key=lambda one: float(np.ptp(one.samples)))
-            impact = Impact({**self.cells, **cells}, rock[0].time, loudest.channel, float(row["peak"]), row["flags"])
+            impact = ListedImpact(
+                {**self.cells, **cells}, rock[0].time, loudest.channel, float(row["peak"]), row["flags"]
+            )
             self.impacts.append(impact)
         return left
 
@@ -212,7 +214,7 @@ class LabelledRecording:
     def _samples(self, first: int, last: int) -> Floats:
         return np.nan_to_num(self.file.recording.samples(first, last).astype(np.float64))
 
-    def detail(self, impact: Impact) -> dict[str, Any]:
+    def detail(self, impact: ListedImpact) -> dict[str, Any]:
         """Return the waveform and the spectrum of an impact in the channel that hears it loudest."""
         self.require_unchanged()
         first = max(round((impact.time - BEFORE) * self.rate), 0)
@@ -234,7 +236,7 @@ class LabelledRecording:
             "level": np.round(levels - levels.max(), 2).tolist(),
         }
 
-    def sound(self, impact: Impact) -> bytes:
+    def sound(self, impact: ListedImpact) -> bytes:
         """Return the sound of an impact as float32 between -1 and 1."""
         self.require_unchanged()
         first = max(round((impact.time - 0.05) * self.rate), 0)
