@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from cgid import load_model
 from cgid.errors import BadData
 from cgid.identification.model.model import Model
-from cgid.identification.model.world import CHECKS, Misfit, Part, World, WorldTest, trait_names
+from cgid.identification.model.world import CHECKS, Misfit, MisfitPart, World, WorldTest, trait_names
 from cgid.learning.world import with_world
 
 Floats = NDArray[np.float64]
@@ -70,13 +70,13 @@ def of_seam(traits: Floats) -> Floats:
 
 
 CHANGES = {
-    "five times the gain": (lambda one: one * np.array([5.0, 1, 1, 1, 1]), Part.SCALE, 5.0),
-    "g for m/s^2": (lambda one: one / np.array([9.81, 1, 1, 1, 1]), Part.SCALE, 1 / 9.81),
-    "a harder seam": (of_seam, Part.SEAM, 8.0),
+    "five times the gain": (lambda one: one * np.array([5.0, 1, 1, 1, 1]), MisfitPart.SCALE, 5.0),
+    "g for m/s^2": (lambda one: one / np.array([9.81, 1, 1, 1, 1]), MisfitPart.SCALE, 1 / 9.81),
+    "a harder seam": (of_seam, MisfitPart.SEAM, 8.0),
     # Peaks grow as the square of a radius, and widths as the radius.
-    "rocks twice as large": (lambda one: one * np.array([4.0, 2.0, 1, 1 / 4, 1]), Part.SIZES, 8.0),
-    "another beam": (scaled(4, 30.0), Part.BEAM, np.nan),
-    "louder noise": (scaled(3, 8.0), Part.NOISE, np.nan),
+    "rocks twice as large": (lambda one: one * np.array([4.0, 2.0, 1, 1 / 4, 1]), MisfitPart.SIZES, 8.0),
+    "another beam": (scaled(4, 30.0), MisfitPart.BEAM, np.nan),
+    "louder noise": (scaled(3, 8.0), MisfitPart.NOISE, np.nan),
 }
 
 

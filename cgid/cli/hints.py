@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cgid.identification.model.world import Misfit, Part
+from cgid.identification.model.world import Misfit, MisfitPart
 from cgid.identification.prediction.diagnosis import CauseKind, Diagnosis, Hint, InWords, misfit_text, scale_warning
 from cgid.units import UNITS
 
@@ -64,18 +64,18 @@ class Hints(Diagnosis):
         stated, steps = "--coal-until" in self._answering, self._training()
         advice = "label impacts and train on them"
         match misfit.part:
-            case Part.SCALE:
+            case MisfitPart.SCALE:
                 advice = (
                     "check unit, sensitivity, gain and full scale; if they are right, label impacts and train on them"
                 )
-            case Part.BEAM if self._is_of_beam and self._calibration():
+            case MisfitPart.BEAM if self._is_of_beam and self._calibration():
                 advice, steps = "learn the modes of this beam", self._calibration()
-            case Part.NOISE if self._is_of_beam and "--lines" not in self._answering:
+            case MisfitPart.NOISE if self._is_of_beam and "--lines" not in self._answering:
                 advice, steps = "if it is of tones, take them out", (self._predict("--lines"),)
-            case Part.SIZES | Part.SEAM if self.model.seams is not None and not stated:
+            case MisfitPart.SIZES | MisfitPart.SEAM if self.model.seams is not None and not stated:
                 advice = "state how long coal alone falls at the begin, and the gangue fraction is that of this seam"
                 steps = (self._predict("--coal-until", "30s"),)
-            case Part.SIZES | Part.SEAM if self.model.seams is not None:
+            case MisfitPart.SIZES | MisfitPart.SEAM if self.model.seams is not None:
                 advice = "the gangue fraction is that of this seam; for single impacts, label some and train on them"
         return f"{misfit_text(misfit, self.model)}; {advice}" + (f": {steps[0]}" if steps else "")
 

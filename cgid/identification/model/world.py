@@ -49,7 +49,7 @@ _OF_MODULUS = 1.2
 _MAX_RECORDINGS = 10_000
 
 
-class Part(StrEnum):
+class MisfitPart(StrEnum):
     """What of a recording is not as in the training."""
 
     SCALE = "scale"  # all forces are larger or smaller
@@ -65,7 +65,7 @@ class Misfit(NamedTuple):
     The factor is that of forces, impulses or moduli over those of the training; nan of a beam and of noise.
     """
 
-    part: Part
+    part: MisfitPart
     n_impacts: int
     factor: float
 
@@ -153,14 +153,14 @@ class World:
         """Return what of a foreign recording does not fit."""
         group = int(np.argmax(self.distances(check, summary)))
         if group:
-            return Misfit((Part.BEAM, Part.NOISE)[group == _OF_NOISE], CHECKS[check], float("nan"))
+            return Misfit((MisfitPart.BEAM, MisfitPart.NOISE)[group == _OF_NOISE], CHECKS[check], float("nan"))
         pulses = GROUPS[0]
         differences = self._differences(check, summary)[:, pulses]
         found = []
         for part, columns, power in (
-            (Part.SCALE, (_IMPULSE, _HARDNESS), 1.0),
-            (Part.SIZES, (_IMPULSE,), 1.0),
-            (Part.SEAM, (_HARDNESS,), _OF_MODULUS),
+            (MisfitPart.SCALE, (_IMPULSE, _HARDNESS), 1.0),
+            (MisfitPart.SIZES, (_IMPULSE,), 1.0),
+            (MisfitPart.SEAM, (_HARDNESS,), _OF_MODULUS),
         ):
             shift = np.zeros(N_SUMMARY)
             for column in columns:

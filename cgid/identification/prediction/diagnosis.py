@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from cgid._lib.validation import UNKNOWN, Floats
 from cgid.errors import CgidError
 from cgid.identification.detection.events import EVENT_TIME
-from cgid.identification.model.world import CHECKS, Misfit, Part, WorldTest
+from cgid.identification.model.world import CHECKS, Misfit, MisfitPart, WorldTest
 from cgid.measure.features.extraction import FEATURES, extract_array
 from cgid.measure.frames import ProblemKind
 
@@ -669,11 +669,11 @@ def misfit_text(misfit: Misfit, model: Model) -> str:
     size = max(misfit.factor, 1 / misfit.factor) if misfit.factor > 0 else float("nan")
     more = misfit.factor > 1
     what = {
-        Part.SCALE: f"all forces are about {size:.2g} times as {'large' if more else 'small'}",
-        Part.SIZES: f"impulses are about {size:.2g} times as {'large' if more else 'small'}, of other sizes or falls",
-        Part.SEAM: f"the rocks are about {size:.2g} times as {'hard' if more else 'soft'}",
-        Part.BEAM: "more is unexplained, as on another beam, with a sensor at another place, or of large rocks",
-        Part.NOISE: "the noise is another",
+        MisfitPart.SCALE: f"all forces are about {size:.2g} times as {'large' if more else 'small'}",
+        MisfitPart.SIZES: f"impulses are about {size:.2g} times as {'large' if more else 'small'}, of other sizes or falls",
+        MisfitPart.SEAM: f"the rocks are about {size:.2g} times as {'hard' if more else 'soft'}",
+        MisfitPart.BEAM: "more is unexplained, as on another beam, with a sensor at another place, or of large rocks",
+        MisfitPart.NOISE: "the noise is another",
     }[misfit.part]
     sure = f" (said of at most {model.world.rate:.2g} of those that are)" if model.world is not None else ""
     return f"its first {misfit.n_impacts} impacts are not like those of a recording of the training: {what}{sure}"
