@@ -236,7 +236,7 @@ def pooled(answers: Sequence[Answer], model: Model, settings: PredictionSettings
 
 
 @dataclass(frozen=True, eq=False)
-class Part:
+class ChannelMeasurement:
     """What one channel measures of a rock."""
 
     channel: int
@@ -255,7 +255,7 @@ class SameBeam:
         self._source = source
         groups = rows_of(model, channels, settings.same_beam)
         self._rows = {row: rows for rows in groups for row in rows}
-        self._rocks: RockAssigner[Part] = RockAssigner(groups, sampling_rate)
+        self._rocks: RockAssigner[ChannelMeasurement] = RockAssigner(groups, sampling_rate)
         self._together = Together(sampling_rate, groups)
         self._standing = {rows: _Standing(has_order=model.together > 1) for rows in groups if len(rows) > 1}
         # Of recent impacts of each channel: the largest guard over its limit, and the level.
@@ -287,7 +287,9 @@ class SameBeam:
                 lines += self._standing[rows].see(self._outcomes(rows, rock, parts), name, self._channels, time)
         return answers, min(known_until, self._rocks.begin), [f"{self._source}: {line}" for line in lines]
 
-    def _outcomes(self, rows: tuple[int, ...], rock: list[Part], used: list[Part]) -> dict[int, str]:
+    def _outcomes(
+        self, rows: tuple[int, ...], rock: list[ChannelMeasurement], used: list[ChannelMeasurement]
+    ) -> dict[int, str]:
         """Return why each channel of a group does not count for a rock, "" if it does."""
         outcomes, is_strange = dict.fromkeys(rows, "missing"), all(self._misfit(part) > 1 for part in used)
         for part in rock:
@@ -297,18 +299,18 @@ class SameBeam:
                 outcomes[part.channel] = "disagrees" if self._columns and self._misfit(part) <= 1 else "unlike"
         return outcomes
 
-    def _parts(self, events: Sequence[Event]) -> list[Part]:
+    def _parts(self, events: Sequence[Event]) -> list[ChannelMeasurement]:
         """Return what each channel measures, in the order of the events."""
-        parts: dict[int, Part] = {}
+        parts: dict[int, ChannelMeasurement] = {}
         for k, (look, stream) in enumerate(self._looks):
             own = [number for number, event in enumerate(events) if self._sensor[event.channel] == k]
             some = [events[number] for number in own]
             answers, values = measured_events(some, look, self._settings, self._channels, stream)
             for number, event, answer, row in zip(own, some, answers, values, strict=True):
-                parts[number] = Part(event.channel, event.onset, answer, row)
+                parts[number] = ChannelMeasurement(event.channel, event.onset, answer, row)
         return [parts[number] for number in range(len(events))]
 
-    def _used(self, rows: tuple[int, ...], rock: list[Part]) -> list[Part]:
+    def _used(self, rows: tuple[int, ...], rock: list[ChannelMeasurement]) -> list[ChannelMeasurement]:
         """Return the parts of a rock that count, in the order of the group."""
         measured = [part for row in rows for part in rock if part.channel == row and part.answer.probabilities]
         if not self._columns or len(rows) == 1:
@@ -319,7 +321,7 @@ class SameBeam:
         pulses = np.array([part.values[self._columns] for part in fits]).reshape(len(fits), len(self._columns))
         return [fits[k] for k in agreeing(pulses, [self._doubt(part.channel) for part in fits])]
 
-    def _misfit(self, part: Part) -> float:
+    def _misfit(self, part: ChannelMeasurement) -> float:
         """Return the largest guard over its limit: how badly a channel fits the beam; 0 without a beam."""
         guards = part.values[len(self._model.features) :] / np.array(self._model.guard_limits)
         return float(guards.max(initial=0.0)) if self._columns else 0.0
@@ -330,7 +332,7 @@ class SameBeam:
         deviation = self._model.level_deviation
         return float(misfit + (abs(level) / deviation if deviation else 0.0))
 
-    def _answered(self, used: list[list[Part]]) -> Iterator[tuple[Answer, list[Part]]]:
+    def _answered(self, used: list[list[ChannelMeasurement]]) -> Iterator[tuple[Answer, list[ChannelMeasurement]]]:
         """Yield one answer for each list of parts, by what they measure together, and the parts that count."""
         values = np.array([joined(np.stack([part.values for part in parts]), self._model.measured) for parts in used])
         values = values.reshape(len(used), len(self._model.measured))
