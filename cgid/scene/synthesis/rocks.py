@@ -44,7 +44,7 @@ MAX_STRETCH = 16.0
 
 
 @dataclass(frozen=True)
-class Stretch:
+class ArrivalStretch:
     """A part of the time axis and the rocks that arrive in it."""
 
     start: float  # [s]
@@ -91,7 +91,7 @@ class PoissonTimes:
         """Length of a stretch [s], independent of the duration, so a longer recording begins like a shorter one."""
         return min(EXPECTED_ROCKS / max(self.table.values), MAX_STRETCH)
 
-    def stretches(self, duration: float, seed: int, recording: int) -> Iterator[Stretch]:
+    def stretches(self, duration: float, seed: int, recording: int) -> Iterator[ArrivalStretch]:
         """Yield the stretches of a recording in order."""
         for block in range(int(np.ceil(duration / self.length))):
             start, stop = block * self.length, (block + 1) * self.length
@@ -100,7 +100,7 @@ class PoissonTimes:
             number = int(np.searchsorted(_poisson_shares(float(last - first)), counting[0]))
             # Given their number, Poisson arrivals are independent.
             times = np.clip(self.time_of(first + (last - first) * np.sort(placing[:number])), start, stop)
-            yield Stretch(start, stop, times, block, np.arange(number))
+            yield ArrivalStretch(start, stop, times, block, np.arange(number))
 
 
 def _poisson_shares(expected: float) -> Floats:
@@ -119,7 +119,7 @@ class GivenTimes:
         """Return the number of arrivals before these times [s]."""
         return np.asarray(np.searchsorted(self.times, times, side="left"), np.float64)
 
-    def stretches(self, duration: float, seed: int, recording: int) -> Iterator[Stretch]:
+    def stretches(self, duration: float, seed: int, recording: int) -> Iterator[ArrivalStretch]:
         """Yield the stretches of a recording in order: at most a block of arrivals, and at most `MAX_STRETCH`."""
         listed = np.array(self.times)
         start, next_row = 0.0, 0
@@ -129,7 +129,7 @@ class GivenTimes:
             end = min(int(np.searchsorted(listed, stop)), (block + 1) * BLOCK)
             if end < listed.size:
                 stop = min(stop, float(listed[end]))
-            yield Stretch(start, stop, listed[next_row:end], block, np.arange(next_row, end) - block * BLOCK)
+            yield ArrivalStretch(start, stop, listed[next_row:end], block, np.arange(next_row, end) - block * BLOCK)
             start, next_row = stop, end
 
 
@@ -229,7 +229,7 @@ class Rocks:
         )
 
 
-def arriving(scene: Scene, stretch: Stretch, first: int, seed: int, recording: int) -> Rocks:
+def arriving(scene: Scene, stretch: ArrivalStretch, first: int, seed: int, recording: int) -> Rocks:
     """Return the rocks that arrive in a stretch, before their first impact; `first` is the number of the first one."""
     assert scene.stream is not None
     rows, n = stretch.rows, len(stretch.rows)
