@@ -19,6 +19,7 @@ from cgid.identification.model import Model
 from cgid.identification.model.model_file import signed
 from cgid.identification.prediction import identify_frames
 from cgid.identification.prediction.diagnosis import causes_of
+from cgid.measure.features import FEATURES
 from tests import few
 from tests.hostile_models import (
     CANARY,
@@ -78,7 +79,8 @@ class Audit:
 
 @pytest.fixture(scope="module")
 def audit():
-    # What is imported late, and by what suggests a name in an error, is imported before.
+    # What is imported late, and by what suggests a name in an error, is imported before; so are features of packages.
+    list(FEATURES)
     for path in golden_files():
         Model.load(path)
     for name in ("no JSON", "feature that does not exist", "family of another world"):
