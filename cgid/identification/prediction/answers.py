@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from cgid.identification.inversion.through_beam import BeamStream
 
 #: From this share of what the beam leaves unexplained on [%] a second impact explains it.
-_OVERLAP = 30.0
+_OVERLAP = 40.0
 _DOUBLE = "another impact begins within 3 ms of it"
 
 __all__ = ["Answer", "identify", "identify_frames", "suited"]
@@ -434,11 +434,11 @@ def _identified(
 
 
 def _with_beam(answer: Answer, misshapen: float, is_double: bool) -> Answer:
-    """Return an answer with what only a beam shows; two impacts at once have no label."""
+    """Return an answer with what only a beam shows; two impacts at once are doubtful."""
     answer = replace(answer, misshapen=misshapen)
     if not is_double:
         return answer
-    return replace(answer, label=UNKNOWN, overlapping=True, problem=answer.problem or _DOUBLE)
+    return replace(answer, overlapping=True, problem=answer.problem or _DOUBLE)
 
 
 def answers_from(
