@@ -113,7 +113,7 @@ class HttpServer(Server):
                 return True
 
             def _answer(self) -> None:
-                """PageAnswer one request."""
+                """Answer one request."""
                 try:
                     found = self._found()
                 except Refused as error:
