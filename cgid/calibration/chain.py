@@ -53,14 +53,14 @@ SOUND, _FALLS_TO = 0.01, 0.5
 
 
 @dataclass(frozen=True)
-class Chain:
+class SensorChain:
     """A recorder's filter and a sensor's mounting."""
 
     order: int | None  # of the anti-alias filter; None without one
     logs: Floats  # (3,), of the edge and of the mounting [Hz], and of its damping ratio
 
     @classmethod
-    def of(cls, scene: Scene) -> Chain:
+    def of(cls, scene: Scene) -> SensorChain:
         """Return the chain of a scene; a mounting that it does not state is stiff."""
         sensor, rate = scene.sensor, scene.sampling.sampling_rate
         edge = rate if sensor.anti_alias is None else sensor.anti_alias.frequency
@@ -76,7 +76,7 @@ class Chain:
         poles = [Resonance(frequency=mounting, damping_ratio=damping).poles]
         return np.concatenate(poles + ([] if self.order is None else [LowPass(frequency=edge, order=self.order).poles]))
 
-    def moved(self, step: Floats) -> Chain:
+    def moved(self, step: Floats) -> SensorChain:
         """Return the chain with other logarithms."""
         return replace(self, logs=self.logs + step)
 
@@ -89,9 +89,9 @@ class Chain:
         return parse_scene(content, source=f"another recorder of {scene.name}", folder=scene.folder)
 
 
-def learn_chain(scene: Scene, beam: Beam, impacts: ImpactFrames, exact: Collection[str]) -> Chain | None:
+def learn_chain(scene: Scene, beam: Beam, impacts: ImpactFrames, exact: Collection[str]) -> SensorChain | None:
     """Return the chain that makes the forces of impacts those of contacts; None if that of the scene does."""
-    stated, rate = Chain.of(scene), scene.sampling.sampling_rate
+    stated, rate = SensorChain.of(scene), scene.sampling.sampling_rate
     free = np.array(["filter" not in exact and stated.order is not None, *2 * ["mounting" not in exact]])
     if not free.any():
         return None
@@ -110,7 +110,7 @@ def learn_chain(scene: Scene, beam: Beam, impacts: ImpactFrames, exact: Collecti
     limits = np.array([np.minimum(low, stated.logs), np.maximum(high, stated.logs)])
     search = _Search(inversion, estimate, stated.logs, free, limits)
     orders = {stated.order, *_ORDERS} if free[0] else {stated.order}
-    tried = [search.descended(Chain(order, logs), pulses, _TRIED) for logs in starts for order in orders]
+    tried = [search.descended(SensorChain(order, logs), pulses, _TRIED) for logs in starts for order in orders]
     best = min(tried, key=lambda one: one.cost)
     known = {one.chain.order for one in tried}
     while True:
@@ -141,7 +141,7 @@ def _median(contact: Contact) -> float:
 def _with_every_filter(scene: Scene, beam: Beam) -> Beam:
     """Return a beam without filters, whose shapes hold those of contact forces behind any filter."""
     forces, rate = contact_forces(scene)[::_EVERY], beam.sampling_rate
-    chains = (Chain(order, np.log([edge * rate, mounting * rate, _DAMPING])) for edge, mounting, order in _CHAINS)
+    chains = (SensorChain(order, np.log([edge * rate, mounting * rate, _DAMPING])) for edge, mounting, order in _CHAINS)
     behind = np.concatenate([filtered(replace(beam, filters=chain.filters), forces) for chain in chains])
     n_points = behind.shape[1]
     power, shapes = eigh(behind.T @ behind, subset_by_index=(n_points - _SHAPES, n_points - 1))
@@ -153,7 +153,7 @@ def _with_every_filter(scene: Scene, beam: Beam) -> Beam:
 class _Fitted:
     """Pulses fitted through a chain: `ways` are those of peak 1 and their slopes, `left` (n,) the chi-square."""
 
-    chain: Chain
+    chain: SensorChain
     pulses: Floats  # (n, 3), ln width, shape and onset [samples]
     peak: Floats
     ways: Floats  # (n, 4, n_shapes), times the peak
@@ -170,7 +170,7 @@ class _Search:
         self._inversion, self._estimate, self._stated, self._limits = inversion, estimate, stated, limits
         self._free, self._n_free = np.flatnonzero(free), max(estimate.vector.shape[1] - 4, 1)
 
-    def descended(self, chain: Chain, pulses: Floats, n_steps: int) -> _Fitted:
+    def descended(self, chain: SensorChain, pulses: Floats, n_steps: int) -> _Fitted:
         """Return the best chain near one, of the same order."""
         now, caution = self._fitted(chain, pulses, 3), 1e-3
         for _ in range(n_steps):
@@ -191,7 +191,7 @@ class _Search:
                 break
         return now
 
-    def _fitted(self, chain: Chain, pulses: Floats, n_steps: int) -> _Fitted:
+    def _fitted(self, chain: SensorChain, pulses: Floats, n_steps: int) -> _Fitted:
         """Return the pulses that fit best through a chain, near some."""
         fit = ContactFit(self._inversion, chain.filters)
         peak, ways, left = self._through(fit, pulses)

@@ -15,7 +15,7 @@ from threadpoolctl import threadpool_limits
 from cgid._lib import validation
 from cgid._lib.files import check_new, write_together
 from cgid._lib.validation import Floats
-from cgid.calibration.chain import PARTS, Chain, learn_chain, outside
+from cgid.calibration.chain import PARTS, SensorChain, learn_chain, outside
 from cgid.calibration.dimensions import (
     SENSOR,
     Dimension,
@@ -339,9 +339,9 @@ def _moved(stated: Scene, found: Scene) -> tuple[Dimension, ...]:
     )
 
 
-def _changes(stated: Scene, chain: Chain) -> dict[str, tuple[float, float]]:
+def _changes(stated: Scene, chain: SensorChain) -> dict[str, tuple[float, float]]:
     """Return the keys of the sensor that a chain changes, before and after."""
-    before, (edge, mounting, damping) = Chain.of(stated), np.exp(chain.logs).tolist()
+    before, (edge, mounting, damping) = SensorChain.of(stated), np.exp(chain.logs).tolist()
     old = dict(zip(_KEYS, (*np.exp(before.logs).tolist(), float(before.order or 0)), strict=True))
     new = dict(zip(_KEYS, (edge, mounting, damping, float(chain.order or 0)), strict=True))
     return {name: (old[name], new[name]) for name in _KEYS if old[name] != new[name]}
