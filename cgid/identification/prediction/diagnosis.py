@@ -670,7 +670,8 @@ def misfit_text(misfit: Misfit, model: Model) -> str:
     more = misfit.factor > 1
     what = {
         MisfitPart.SCALE: f"all forces are about {size:.2g} times as {'large' if more else 'small'}",
-        MisfitPart.SIZES: f"impulses are about {size:.2g} times as {'large' if more else 'small'}, of other sizes or falls",
+        MisfitPart.SIZES: f"impulses are about {size:.2g} times as {'large' if more else 'small'}, of other sizes or "
+        "falls",
         MisfitPart.SEAM: f"the rocks are about {size:.2g} times as {'hard' if more else 'soft'}",
         MisfitPart.BEAM: "more is unexplained, as on another beam, with a sensor at another place, or of large rocks",
         MisfitPart.NOISE: "the noise is another",
