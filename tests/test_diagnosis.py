@@ -453,7 +453,7 @@ def test_every_command_of_a_hint_works(
     def run_one(arguments: list[str]) -> int:
         return run([*arguments, *["-n", "600"] * (arguments[:2] == ["train", "site.toml"])])
 
-    monkeypatch.setattr("cgid.calibration.modes.calibrate", unlearned)
+    monkeypatch.setattr("cgid.calibration.calibrate", unlearned)
     monkeypatch.chdir(tmp_path)
     cause, options = recordings_with_hints(tmp_path)[name]
     assert run(["predict", name, *options, "--json"]) == 0

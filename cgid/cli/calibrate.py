@@ -215,7 +215,7 @@ def _found(recording: Any, scene: Scene, reading: ReadingOptions) -> list[Event]
         )
     check_scene(scene, recording.sampling_rate)
     factor = UNITS[quantity][unit] * (-1 if reading.invert else 1)
-    return found_impacts(recording, "vibration", factor, dead_time=reading.dead_time)
+    return found_impacts(recording, "vibration", factor, dead_time=reading.dead_time, told=warn)
 
 
 def _of_dataset(path: str, scene: Scene) -> tuple[NDArray[np.floating], float, int]:

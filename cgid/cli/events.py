@@ -195,7 +195,9 @@ def _rows(
     named = recording.named(beams, "--same-beam")
     kind = kind_for(quantity_of(unit))
     sign = -1.0 if reading.invert else 1.0
-    events = measured_impacts(recording, kind, sorted(rates), sign, dead_time=reading.dead_time, joint=not beams)
+    events = measured_impacts(
+        recording, kind, sorted(rates), sign, dead_time=reading.dead_time, joint=not beams, told=warn
+    )
     names = [channel.name for channel in recording.channels]
     given = cells_of(file, folder, reading)
     if not beams:

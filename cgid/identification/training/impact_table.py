@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from itertools import compress
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -114,15 +114,18 @@ def measured_impacts(
     *,
     dead_time: float | None = None,
     joint: bool = True,
+    told: Callable[[str], object] = warnings.warn,
 ) -> list[Event]:
-    """Return the impacts on which a model of recordings of these rates [Hz] can be trained; raises `BadData`."""
-    found = found_impacts(recording, kind, factor, dead_time=dead_time, joint=joint)
+    """Return the impacts on which a model of recordings of these rates [Hz] can be trained; raises `BadData`.
+
+    `told` gets what is left out, one text at a time.
+    """
+    found = found_impacts(recording, kind, factor, dead_time=dead_time, joint=joint, told=told)
     events = list(compress(found, measurable(found, kind, sorted(rates))))
     if not events and len(recording.channels) > 1:  # one bad channel is enough, and train can leave it out
-        warnings.warn(
+        told(
             f"{recording.source}: no impact can be measured on all channels together; name a sound one by --channel, "
-            "or in the column channel",
-            stacklevel=2,
+            "or in the column channel"
         )
         events = found
     if not events:
@@ -132,7 +135,7 @@ def measured_impacts(
         )
     if lost := len(found) - len(events):
         lines = f"{lost} of {counted(len(found), 'impact')} cannot be measured and are left out"
-        warnings.warn(f"{recording.source}: {lines}", stacklevel=2)
+        told(f"{recording.source}: {lines}")
     return events
 
 
@@ -165,6 +168,7 @@ def found_impacts(
     *,
     dead_time: float | None = None,
     joint: bool = False,
+    told: Callable[[str], object] = warnings.warn,
 ) -> list[Event]:
     """Return the impacts of a recording, whose samples are multiplied first; raises `BadData` if there is none."""
     rows = list(range(len(recording.channels)))
@@ -180,12 +184,12 @@ def found_impacts(
             break
         # A lost channel would end or cut the impacts of all others.
         names = ", ".join(recording.channels[row].name for row in compress(rows, lacking))
-        warnings.warn(f"{recording.source}: channel {names} is left out, it lacks too many samples", stacklevel=2)
+        told(f"{recording.source}: channel {names} is left out, it lacks too many samples")
         rows = list(compress(rows, ~lacking))
     gaps.require(recording.source)
     events += detector.finish()
     for warning in recording.warnings:
-        warnings.warn(warning, stacklevel=2)
+        told(warning)
     if not events:
         raise BadData(f"{recording.source}: {detector.why_silent(unit=recording.channels[0].unit)}")
     return events
