@@ -393,7 +393,7 @@ def _decided(
 ) -> tuple[Slicing, tuple[str, ...], tuple[str, ...]]:
     """Return the slicing by impact or by window, a note with the reason if it was chosen here, and warnings."""
     rate = min(file.recording.sampling_rate for file in files)
-    if slicing.window_time == WINDOW_TIME and rate < 2 * MIN_BANDWIDTH:
+    if slicing.window_time == WINDOW_TIME and rate <= 2 * MIN_BANDWIDTH:
         time = max(LOW_WINDOW_TIME, LEAST_SAMPLES / rate)
         slicing = replace(slicing, window_time=time, hop_time=slicing.hop_time * time / WINDOW_TIME)
     if slicing.by == "impact":

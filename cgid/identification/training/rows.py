@@ -276,7 +276,7 @@ def sets_for(kind: Kind, sampling_rate: float, *, level_free: bool = False) -> S
     sets = _sets(kind)
     if kind == "window":
         # At low rates [Hz], mel and even bands are too wide.
-        is_low = sampling_rate < 2 * MIN_BANDWIDTH
+        is_low = sampling_rate <= 2 * MIN_BANDWIDTH
         sets = {name: names for name, names in sets.items() if name.startswith("third octaves") == is_low}
     return {name: names for name, names in sets.items() if name.endswith("level-free")} if level_free else sets
 

@@ -36,7 +36,7 @@ Kind = Literal[ImpactKind, "window"]
 #: or an even scale, which are too wide below it.
 LEAST_BANDWIDTH, MIN_BANDWIDTH = 125.0, 1000.0
 #: Least number of samples of a vibration or window, which rates below 1.2 kHz make longer than usual, and the length of
-#: windows by default at rates below 2 kHz [s].
+#: windows by default at rates up to 2 kHz [s].
 LEAST_SAMPLES, LOW_WINDOW_TIME = 175, 0.35
 
 
