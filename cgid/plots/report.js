@@ -45,12 +45,13 @@ for (const table of document.querySelectorAll("table.answers")) {
   });
   pages.append(turns[0], where, turns[1]);
   table.parentElement.after(pages);
+  const fits = row => selects.every(one => one.value === "" || row.cells[one.dataset.column].textContent.trim() === one.value);
   const show = () => {
     let count = 0;
     for (const row of rows) {
-      const fits = selects.every(one => one.value === "" || row.cells[one.dataset.column].textContent.trim() === one.value);
-      row.hidden = !fits || Math.floor(count / PAGE) !== page;
-      count += fits;
+      const chosen = fits(row);
+      row.hidden = !chosen || Math.floor(count / PAGE) !== page;
+      count += chosen;
     }
     const last = Math.max(Math.ceil(count / PAGE), 1) - 1;
     turns[0].disabled = page === 0;
@@ -61,7 +62,7 @@ for (const table of document.querySelectorAll("table.answers")) {
   };
   // On paper all rows that were chosen stand in one table.
   addEventListener("beforeprint", () => {
-    for (const row of rows) row.hidden = !selects.every(one => one.value === "" || row.cells[one.dataset.column].textContent.trim() === one.value);
+    for (const row of rows) row.hidden = !fits(row);
   });
   addEventListener("afterprint", show);
   selects.forEach(one => one.addEventListener("change", () => { page = 0; show(); }));
