@@ -134,15 +134,22 @@ def through(
     return np.array([left, error, own.max() / true.max() - 1, width, own.sum() / true.sum() - 1, np.nan])
 
 
-def by_measured(response: Floats, force: Floats, rate: float, left_out: int, band: tuple[float, float]) -> Floats:
-    """Return the errors of one tap through the response measured at the others."""
+def measured_response(
+    response: Floats, force: Floats, rate: float, left_out: int
+) -> tuple[Floats, NDArray[np.complex128]]:
+    """Return frequencies [Hz] and the response measured at all taps but one (H1), with the forces of contacts alone."""
     others = [k for k in range(len(response)) if k != left_out]
     true = np.zeros_like(force)
     for row, own in zip(true, force, strict=True):
         row[contact_of(own)] = own[contact_of(own)]
     out, into = np.fft.rfft(response[others]), np.fft.rfft(true[others])
-    h1 = (out * into.conj()).sum(axis=0) / np.square(np.abs(into)).sum(axis=0)
-    grid = np.fft.rfftfreq(force.shape[1], 1 / rate)
+    response_at = (out * into.conj()).sum(axis=0) / np.square(np.abs(into)).sum(axis=0)
+    return np.fft.rfftfreq(force.shape[1], 1 / rate), response_at
+
+
+def by_measured(response: Floats, force: Floats, rate: float, left_out: int, band: tuple[float, float]) -> Floats:
+    """Return the errors of one tap through the response measured at the others."""
+    grid, h1 = measured_response(response, force, rate, left_out)
 
     def at(frequency: Floats) -> NDArray[np.complex128]:
         return h1[np.searchsorted(grid, frequency)]
@@ -156,13 +163,7 @@ def by_lscf(response: Floats, force: Floats, rate: float, left_out: int, band: t
         from sdypy import EMA
     except ImportError:
         return None
-    others = [k for k in range(len(response)) if k != left_out]
-    true = np.zeros_like(force)
-    for row, own in zip(true, force, strict=True):
-        row[contact_of(own)] = own[contact_of(own)]
-    out, into = np.fft.rfft(response[others]), np.fft.rfft(true[others])
-    h1 = (out * into.conj()).sum(axis=0) / np.square(np.abs(into)).sum(axis=0)
-    grid = np.fft.rfftfreq(force.shape[1], 1 / rate)
+    grid, h1 = measured_response(response, force, rate, left_out)
     model = EMA.Model(h1[None, 1:], grid[1:], lower=band[0], upper=band[1], pol_order_high=60, frf_type="accelerance")
     model.get_poles(method="lscf", show_progress=False)
     stable = model.all_poles[-1]
