@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid._lib.lazy import picture_of
-from cgid._lib.notebook import counts_text, facts_table
+from cgid._lib.notebook import facts_table
 from cgid._lib.terminal import counted
 from cgid.errors import BadData, InvalidValue, NoInput
 from cgid.signals import Batch, Signal
@@ -156,7 +156,6 @@ class Dataset:
         header = self.header
         facts = {
             "signals": f"{len(self)} of {header.n_samples} samples at {self.sampling_rate:g} Hz [{self.unit}]",
-            "labels": counts_text(self.parameters["label"].value_counts(sort=False).to_dict()),
             "parameters": ", ".join(f"{name} [{unit}]" for name, unit in header.parameter_units.items()) or "none",
         }
         return facts_table(f"Dataset {self.path.name}", facts)
