@@ -259,7 +259,7 @@ def told(
         assert all(until <= answer.time for answer in step.answers)
         until = step.until
         answers += step.answers
-        lines += step.warnings
+        lines += (*step.warnings, *step.wrong_beams)
     assert [one.time for one in answers] == sorted(one.time for one in answers)
     return answers, lines
 

@@ -284,7 +284,7 @@ class RecordingRows:
         self._print_changes(step.changes, step.until)
         self._print_reports(step.reports)
         self._silent += step.silent
-        for warning in step.warnings:
+        for warning in (*step.warnings, *step.wrong_beams):
             self.lines.warning(self.source, warning)
 
     def stopped(self, seconds: float) -> None:

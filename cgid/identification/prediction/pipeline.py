@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from cgid.identification.model.model import Model
 from cgid.identification.prediction.answers import Answer
 from cgid.identification.prediction.diagnosis import Diagnosis, misfit_text, scale_warning, sizes_outside
-from cgid.identification.prediction.same_beam import rows_of
+from cgid.identification.prediction.same_beam import SameBeamWarning, rows_of
 from cgid.identification.prediction.settings import PredictionSettings
 from cgid.identification.prediction.stream import STRATEGIES, Step, answering_channels, factors_for, identify_blocks
 from cgid.identification.prediction.support import CavingWatch, Ground
@@ -180,14 +180,16 @@ def identify_recording(
 def answers_with_warnings(pipeline: Pipeline, blocks: Iterable[NDArray[Any]]) -> Iterator[Answer]:
     """Yield the answers of blocks in order of time; what is wrong with the channels is a `UserWarning`."""
 
-    def warned(text: str) -> None:
-        warnings.warn(text, stacklevel=4)
+    def warned(text: str, category: type[Warning] = UserWarning) -> None:
+        warnings.warn(text, category, stacklevel=4)
 
     source = pipeline.source
     for step in chain(pipeline.steps(blocks), map(Pipeline.finish, [pipeline])):
         yield from step.answers
         for text in (*step.silent, *step.warnings):
             warned(text)
+        for text in step.wrong_beams:
+            warned(text, SameBeamWarning)
         for report in step.reports:
             if report.kind == "state" and report.state.ground == Ground.BLIND:
                 warned(f"{source}: blind since {report.state.since:.6g} s: {report.state.reason}")

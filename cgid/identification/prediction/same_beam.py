@@ -48,6 +48,10 @@ _REASONS = {
 }
 
 
+class SameBeamWarning(UserWarning):
+    """Channels hear the same rocks and are not declared as of one beam, or the reverse."""
+
+
 class Timed(Protocol):
     """An impact of a channel."""
 

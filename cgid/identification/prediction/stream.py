@@ -67,6 +67,7 @@ class Step:
     until: float  # all predictions before this time have arrived [s]
     silent: tuple[str, ...] = ()  # at the end, one reason for each channel without predictions
     warnings: tuple[str, ...] = ()  # at the end, or where a channel begins or ceases to be never quiet
+    wrong_beams: tuple[str, ...] = ()  # channels of one beam that are not declared so, and the reverse
     upside_down: tuple[str, ...] | None = None  # at the end, the channels whose pulses seem to point downwards
     reports: Sequence[SupportReport] = ()  # of the supports, up to this time
     changes: Sequence[Change] = ()  # of the channels
@@ -163,9 +164,11 @@ def _impacts(
             if not (ended or heard or not waiting or len(waiting) >= settings.batch):
                 continue
             until: float = detector.known_until
+            said: Sequence[str] = ()
+            wrong_beams: Sequence[str] = ()
             if same_beam is None:
                 answers = identify_events(waiting, model, settings, channels=names, beam=beam)
-                said = [] if together is None else [f"{source}: {text}" for text in together.feed(waiting, channels)]
+                wrong_beams = () if together is None else tuple(together.feed(waiting, channels))
             else:
                 answers, begin, said = same_beam.identified(waiting, np.inf if ended else until)
                 until = min(until, begin)
@@ -176,6 +179,7 @@ def _impacts(
                     f"{named(row)}: {detector.why_silent(row, model.unit)}" for row in sorted(silent) if ended
                 ),
                 warnings=(*heard, *said),
+                wrong_beams=tuple(f"{source}: {text}" for text in wrong_beams),
                 upside_down=tuple(
                     name
                     for name, rows in zip(names, groups, strict=True)

@@ -88,10 +88,11 @@ def impact_table(
         return table
     from cgid.identification.prediction.pipeline import identify_recording
     from cgid.identification.prediction.prediction import load_model
+    from cgid.identification.prediction.same_beam import SameBeamWarning
 
     loaded = model if isinstance(model, Model) else load_model(model)
     with warnings.catch_warnings():  # here the channels are taken together
-        warnings.filterwarnings("ignore", message=".*hear the same rocks")
+        warnings.simplefilter("ignore", SameBeamWarning)
         answers = [one for one in identify_recording(recording, loaded, dead_time=dead_time) if one.probabilities]
     times = np.array([one.time for one in answers])
     by_time, known = np.argsort(times), np.full((len(events), len(loaded.labels) + 1), np.nan)
