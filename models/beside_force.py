@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from cgid import shipped
-from cgid.identification.model import Model
+from cgid.identification.model.model import StoredModel
 from cgid.identification.prediction import Answer, identify_frames
 from cgid.identification.training import train_on_specimens
 from cgid.identification.training.card import plain, table
@@ -22,7 +22,7 @@ SEED = 2_000_003
 SCENE = "tail_beam"
 
 
-def beside_force(model: Model, scene: Scene, rival: Model, n_impacts: int = 5120) -> dict[str, Any]:
+def beside_force(model: StoredModel, scene: Scene, rival: StoredModel, n_impacts: int = 5120) -> dict[str, Any]:
     """Return how often two models are right on the same impacts: one sees the vibration, the other the force.
 
     The same seed draws the same rocks and blows; only what is recorded of them differs. An impact that either model
@@ -30,12 +30,12 @@ def beside_force(model: Model, scene: Scene, rival: Model, n_impacts: int = 5120
 
     Parameters
     ----------
-    model : Model
+    model : StoredModel
         Of acceleration.
     scene : Scene
         Whose quantity is acceleration.
     n_impacts : int
-    rival : Model
+    rival : StoredModel
         Of the force.
     """
     vibrations = list(synthesise(scene, n_impacts, SEED))
@@ -61,12 +61,12 @@ def of_force(scene: Scene) -> Scene:
     return varied(scene, quantity="force", sampling_rate="200 kHz", keep_frame=True, relative_noise=0.01, **off)
 
 
-def force_model(scene: Scene, n_signals: int, seed: int) -> Model:
+def force_model(scene: Scene, n_signals: int, seed: int) -> StoredModel:
     """Return a model of the force, trained on the same rocks and blows."""
     return train_on_specimens(synthesise(of_force(scene), n_signals, seed), family="logistic", seed=seed).model
 
 
-def _hits(model: Model, batches: list[Any]) -> Any:
+def _hits(model: StoredModel, batches: list[Any]) -> Any:
     """Return for which impacts the most probable label is the right one, (n_impacts,)."""
     answers = chain.from_iterable(
         identify_frames(batch.signals, batch.sampling_rate, model, pre_trigger=batch.pre_trigger) for batch in batches
@@ -98,7 +98,7 @@ def main() -> None:
     parser.add_argument("model", nargs="?", default=None)
     parser.add_argument("-n", "--signals", type=int, default=100_000, help="to train the model of the force on")
     arguments = parser.parse_args()
-    model = Model.load(arguments.model or shipped.path_of("models", shipped.ACCELERATION_MODEL))
+    model = StoredModel.load(arguments.model or shipped.path_of("models", shipped.ACCELERATION_MODEL))
     scene = load_scene(shipped.scene_path(SCENE))
     print("\n".join(force_table(beside_force(model, scene, force_model(scene, arguments.signals, seed=1)))))
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from cgid import shipped
-from cgid.identification.model import Model
+from cgid.identification.model.model import StoredModel
 from cgid.identification.prediction import identify_frames
 from cgid.identification.training.card import plain, table
 from cgid.identification.training.metrics import evaluate
@@ -74,7 +74,7 @@ def shifted_vibrations() -> Iterator[tuple[str, Scene]]:
         yield f"... at a noise of {noise:.0%} ({decibel} dB)", varied(beam, relative_noise=noise)
 
 
-def domain_shift(model: Model, n_impacts: int = 5120) -> list[dict[str, Any]]:
+def domain_shift(model: StoredModel, n_impacts: int = 5120) -> list[dict[str, Any]]:
     """Return, for each shifted scene, accuracy among the measured (None for strangers) and the share flagged.
 
     `calibration_error` is the expected one, over ten bins, of all that were measured.
@@ -131,7 +131,7 @@ def main() -> None:
     parser.add_argument("model", nargs="?", default=shipped.path_of("models", shipped.DEFAULT_MODEL))
     parser.add_argument("-n", "--signals", type=int, default=5120)
     arguments = parser.parse_args()
-    print("\n".join(domain_shift_table(domain_shift(Model.load(arguments.model), arguments.signals))))
+    print("\n".join(domain_shift_table(domain_shift(StoredModel.load(arguments.model), arguments.signals))))
 
 
 if __name__ == "__main__":

@@ -27,7 +27,7 @@ from cgid._lib import validation
 from cgid._lib.validation import Floats
 from cgid._lib.workers import SERIAL, Workers, workers
 from cgid.errors import InvalidValue
-from cgid.identification.model import Model
+from cgid.identification.model.model import StoredModel
 from cgid.identification.training import ImpactClassifier
 from cgid.identification.training.card import plain, table
 from cgid.identification.training.metrics import evaluate, paired_difference
@@ -178,7 +178,7 @@ def _in_use(classifier: ImpactClassifier, measured: Rows) -> tuple[Callable[[Flo
     """Return the function that a user calls for probabilities, and the size of the file [bytes]."""
     if isinstance(classifier, Rival):
         return classifier.predict_proba, len(pickle.dumps(classifier))
-    model = Model.from_classifier(
+    model = StoredModel.from_classifier(
         classifier,
         features=measured.names,
         known=measured.known_names,

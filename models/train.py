@@ -39,7 +39,7 @@ from cgid import shipped
 from cgid._lib.files import write_together
 from cgid._lib.validation import Floats
 from cgid.identification.model.families import Neighbourhood
-from cgid.identification.model.model import Model
+from cgid.identification.model.model import StoredModel
 from cgid.identification.model.model_file import UNEXPLAINED
 from cgid.identification.model.world import trait_names
 from cgid.identification.training.card import PICTURES, Section, check_model_output, table, write_card, write_model
@@ -176,7 +176,7 @@ def streams_section(told: dict[str, Any]) -> list[str]:
     ]
 
 
-def pool(model: Model, n: int, seed: int) -> Pool:
+def pool(model: StoredModel, n: int, seed: int) -> Pool:
     """Return the impacts of the wide world whose errors the simulated seams of a model take."""
     if model.beam is not None:
         return pool_of(load_scene(shipped.scene_path("caving")), n, seed, model.beam.beam)
@@ -208,7 +208,7 @@ def world_section(told: dict[str, Any]) -> list[str]:
     ]
 
 
-def sections(model: Model) -> list[Section]:
+def sections(model: StoredModel) -> list[Section]:
     """Return the sections of the card about the comparisons in the record of a model."""
     told, found = model.training, []
     if "domain_shift" in told:
@@ -228,7 +228,7 @@ def sections(model: Model) -> list[Section]:
     return found
 
 
-def finish(model: Model, n_impacts: int, n_streams: int, seed: int) -> Model:
+def finish(model: StoredModel, n_impacts: int, n_streams: int, seed: int) -> StoredModel:
     """Return a model of acceleration with the guards of this version, finished on streams anew."""
     sizes = acceleration_scenes(n_impacts)
     beam, names = beam_of(sizes[-1][0]), (*BEAM_FEATURES, *BEAM_GUARDS)
@@ -243,7 +243,7 @@ def finish(model: Model, n_impacts: int, n_streams: int, seed: int) -> Model:
     return replace(model, training={**model.training, **told})
 
 
-def recordings(model: Model, n: int, seed: int) -> Iterator[tuple[Floats, float]]:
+def recordings(model: StoredModel, n: int, seed: int) -> Iterator[tuple[Floats, float]]:
     """Yield simulated recordings of the world of a model's training."""
     if model.beam is not None:
         yield from of_streams(streams(n, seed, model.beam.beam))
@@ -256,13 +256,13 @@ def recordings(model: Model, n: int, seed: int) -> Iterator[tuple[Floats, float]
     yield from of_batches(islice(chain.from_iterable(batches), n), trait_names(model.measured), seed)
 
 
-def simulated(model: Model, seed: int) -> Model:
+def simulated(model: StoredModel, seed: int) -> StoredModel:
     """Return a model with what simulated seams and recordings teach beside its answers."""
     model = with_world(model, recordings(model, N_RECORDINGS, seed + 8100), seed)
     return with_seams(model, pool(model, N_STREAMS, seed + 20), seed)
 
 
-def write_finished(model: Model, output: Path, name: str) -> None:
+def write_finished(model: StoredModel, output: Path, name: str) -> None:
     """Write a model and its card, beside the pictures that it has."""
     pictures = tuple(f"{Path(name).stem}-{picture}.png" for picture in PICTURES)
     card = write_card(model, output.name, pictures, sections(model))
@@ -304,7 +304,7 @@ def main() -> None:
     output = check_model_output(arguments.output or HERE / name, plots=True, overwrite=True)
     if arguments.finish or arguments.seams:
         name = shipped.ACCELERATION_MODEL if arguments.finish else name
-        model = Model.load(HERE / name)
+        model = StoredModel.load(HERE / name)
         if arguments.finish:
             model = finish(model, arguments.signals, arguments.streams // 2, arguments.seed)
         write_finished(simulated(model, arguments.seed), arguments.output or HERE / name, name)

@@ -20,7 +20,7 @@ import numpy as np
 from scipy.io import wavfile
 
 from cgid import shipped
-from cgid.identification.model import Model
+from cgid.identification.model.model import StoredModel
 from cgid.identification.training import train_on_specimens
 from cgid.measure.modal.modes import LEARNED_COLUMNS
 from cgid.scene import generate, load_scene, parse_scene, plan, synthesise
@@ -198,7 +198,7 @@ def make_files(folder: Path) -> None:
     _laws(folder)
     (folder / "text.npz").write_text("no model")
     shutil.copy(shipped.path_of("models", shipped.DEFAULT_MODEL), folder / "model.npz")
-    default = Model.load(folder / "model.npz")
+    default = StoredModel.load(folder / "model.npz")
     (folder / "acceleration.npz").write_bytes(replace(default, unit="m/s^2").to_bytes())
     _old_model(folder / "old.npz", default)
     (folder / "wide.npz").write_bytes(wide_model().to_bytes())
@@ -413,7 +413,7 @@ def _beam_models(folder: Path, good: np.ndarray) -> None:
     """Write a model that looks through a beam, one without the beam, one with a pole that grows, a slow recording."""
     (folder / "through.npz").write_bytes(with_beam())
     (folder / "pair.npz").write_bytes(with_beam(None, sensors=np.ones((2, 3))))
-    model = Model.load(folder / "through.npz")
+    model = StoredModel.load(folder / "through.npz")
     arrays = {name: array for name, array in model.arrays.items() if not name.startswith("beam.")}
     (folder / "beamless.npz").write_bytes(written(model.header, arrays))
     poles = beam_arrays()["beam.poles"] * [[-1.0], [1.0]]
@@ -424,7 +424,7 @@ def _beam_models(folder: Path, good: np.ndarray) -> None:
     _csv(folder / "slow.csv", good / 9.81, "# sampling_rate: 1500 Hz\nacceleration (m/s^2)\n")
 
 
-def _old_model(path: Path, model: Model) -> None:
+def _old_model(path: Path, model: StoredModel) -> None:
     header = json.dumps(model.header | {"schema_version": 3}).encode()
     np.savez(path, header=np.frombuffer(header, np.uint8), **model.arrays)
 

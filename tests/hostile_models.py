@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 import cgid.identification.inversion.through_beam  # noqa: F401 - loaded here, so that no watched process imports it
-from cgid.identification.model.model import MAX_FILE_SIZE, Model
+from cgid.identification.model.model import MAX_FILE_SIZE, StoredModel
 from cgid.identification.model.model_file import LEVELS, signed
 from cgid.measure.features import choose
 from cgid.measure.modal.beam import points_of
@@ -36,8 +36,8 @@ def golden_files() -> list[Path]:
     return sorted(GOLDEN.glob("models-4-*.npz"))
 
 
-def golden(family: str) -> Model:
-    return Model.load(GOLDEN / f"models-4-{family}.npz")
+def golden(family: str) -> StoredModel:
+    return StoredModel.load(GOLDEN / f"models-4-{family}.npz")
 
 
 def written(header: Mapping[str, Any], arrays: Mapping[str, Any], *, sign: bool = True) -> bytes:
@@ -53,11 +53,11 @@ def packed(arrays: Mapping[str, Any]) -> bytes:
     return stream.getvalue()
 
 
-def wide_model() -> Model:
+def wide_model() -> StoredModel:
     """Return a sound model of windows of 60 channels: too many numbers for a file of C."""
     features = choose(["window_level_*_hz"])[:20]
     n = 60 * len(features)
-    return Model(
+    return StoredModel(
         family="linear",
         labels=("coal", "gangue"),
         features=tuple(features),
@@ -535,7 +535,7 @@ def mended(content: bytes, random: np.random.Generator) -> bytes:
     return bytes(changed)
 
 
-def signed_anew(model: Model, random: np.random.Generator) -> bytes:
+def signed_anew(model: StoredModel, random: np.random.Generator) -> bytes:
     """Make one or two changes to header and arrays as an attacker would, with all checksums recomputed."""
     header, arrays = dict(model.header), dict(model.arrays)
     for _ in range(int(random.integers(1, 3))):

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid.identification.detection.windows import measure_windows
-from cgid.identification.model import Model
+from cgid.identification.model.model import StoredModel
 from cgid.identification.model.reference import MeanSpectrum
 from cgid.identification.training import ImpactClassifier
 from cgid.recordings import read_recording
@@ -45,7 +45,7 @@ def stream(labels: list[str], gap: float, seed: int = 0, noise: float = 25.0) ->
 
 def window_model(
     n_channels: int = 1, hop_time: float = 0.05, references: dict[str, NDArray[np.float64]] | None = None
-) -> Model:
+) -> StoredModel:
     """Return a model that separates windows of 0.1 s at 8 kHz: dull noise ("coal") from white noise ("gangue").
 
     Each of `references` names a sensor and has the windows (n_windows, 800) of its reference run.
@@ -57,7 +57,7 @@ def window_model(
     table = measure_windows(np.concatenate([dull, white]), 8000.0, names)
     labels = np.repeat(["coal", "gangue"], 200)
     classifier = ImpactClassifier("linear").fit(table, labels)
-    return Model.from_classifier(
+    return StoredModel.from_classifier(
         classifier,
         features=names,
         unit="FS",

@@ -15,7 +15,7 @@ from cgid import shipped
 from cgid.cli.main import run
 from cgid.errors import BadData, InvalidValue
 from cgid.identification.detection import find_impacts
-from cgid.identification.model import Model
+from cgid.identification.model.model import StoredModel
 from cgid.identification.prediction import identify, identify_frames, prediction
 from cgid.identification.training import Training, train_on_specimens
 from cgid.identification.training.rows import (
@@ -228,7 +228,7 @@ def test_dataset_of_acceleration(
     assert run(["predict", path, "--json"]) == 0
     out, err = capsys.readouterr()
     rows = [json.loads(line) for line in out.splitlines()]
-    expected = identify_frames(fresh.signals, RATE, Model.load(default_model), pre_trigger=PRE_TRIGGER)
+    expected = identify_frames(fresh.signals, RATE, StoredModel.load(default_model), pre_trigger=PRE_TRIGGER)
     assert [row["label"] for row in rows] == [answer.label for answer in expected]
     assert "accuracy of the most probable label 0." in err
     assert run(["predict", path, "--model", str(shipped.path_of("models", shipped.DEFAULT_MODEL))]) == 65

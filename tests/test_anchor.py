@@ -28,7 +28,7 @@ from cgid.identification.model.anchor import (
     summary,
 )
 from cgid.identification.model.families import Network
-from cgid.identification.model.model import Model
+from cgid.identification.model.model import StoredModel
 from cgid.shipped import DEFAULT_MODEL, path_of
 from tests.streams_of_pulses import stream
 
@@ -83,8 +83,8 @@ def test_a_summary_of_one_impact_is_finite() -> None:
 
 
 def test_networks_return_from_a_model_file() -> None:
-    model, own = Model.load(path_of("models", DEFAULT_MODEL)), networks()
-    with_networks = Model.from_bytes(with_arrays(model, {**without_networks(model), **own.arrays}).to_bytes())
+    model, own = StoredModel.load(path_of("models", DEFAULT_MODEL)), networks()
+    with_networks = StoredModel.from_bytes(with_arrays(model, {**without_networks(model), **own.arrays}).to_bytes())
     assert with_networks.seams is not None
     window, anchor = own.summary(drawn(30, 1)), own.summary(drawn(50, 2))
     for again, one in (
@@ -100,11 +100,11 @@ def test_networks_return_from_a_model_file() -> None:
     )
 
 
-def without_networks(model: Model) -> dict[str, np.ndarray]:
+def without_networks(model: StoredModel) -> dict[str, np.ndarray]:
     return {name: array for name, array in model.arrays.items() if not name.startswith(SeamNetworks.PREFIX)}
 
 
-def with_arrays(model: Model, arrays: dict[str, np.ndarray]) -> Model:
+def with_arrays(model: StoredModel, arrays: dict[str, np.ndarray]) -> StoredModel:
     return replace(model, arrays=arrays)
 
 
@@ -122,7 +122,7 @@ def with_arrays(model: Model, arrays: dict[str, np.ndarray]) -> Model:
     ],
 )
 def test_networks_that_do_not_fit_are_refused(name: str, array: np.ndarray | None, words: str) -> None:
-    model, arrays = Model.load(path_of("models", DEFAULT_MODEL)), networks().arrays
+    model, arrays = StoredModel.load(path_of("models", DEFAULT_MODEL)), networks().arrays
     arrays[SeamNetworks.PREFIX + name] = array if array is not None else np.zeros(1)
     if array is None:
         del arrays[SeamNetworks.PREFIX + name]
@@ -197,7 +197,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     samples = stream(["coal"] * 30 + ["gangue"] * 30, 0.05)
     np.save(out / "stream.npy", samples.astype("f4"))
     samples.astype("<f4").tofile(out / "stream.raw")
-    model, own = Model.load(path_of("models", DEFAULT_MODEL)), networks()
+    model, own = StoredModel.load(path_of("models", DEFAULT_MODEL)), networks()
     for name, limit in (("any", 1e3), ("none", -1e3)):
         arrays = {**model.arrays, **replace(own, limit=limit).arrays}
         (out / f"{name}.npz").write_bytes(with_arrays(model, arrays).to_bytes())

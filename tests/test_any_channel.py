@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from cgid.cli.main import run
 from cgid.identification.inversion.inversion import Inversion
-from cgid.identification.model import Model
+from cgid.identification.model.model import StoredModel
 from cgid.identification.prediction import PredictionSettings
 from cgid.identification.prediction.stream import identify_blocks
 from cgid.measure.fit.ar_noise import MIN_SAMPLES, ORDER, ar_noise_of
@@ -130,14 +130,16 @@ def test_no_channel_ends_a_command(
 
 
 @pytest.fixture(scope="module")
-def default_model() -> Model:
-    return Model.load(ROOT / "models" / "default-acceleration.npz")
+def default_model() -> StoredModel:
+    return StoredModel.load(ROOT / "models" / "default-acceleration.npz")
 
 
 @pytest.mark.parametrize(
     "name", [name for name in CHANNELS if not name.startswith(("noise of 1e300", "largest", "inf"))]
 )
-def test_no_channel_costs_more_than_others(name: str, default_model: Model, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_channel_costs_more_than_others(
+    name: str, default_model: StoredModel, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Impacts are at least 4 ms apart, and the decomposition for clipped samples is that of 0.3 of a frame."""
     sizes: list[int] = []
     directions = Inversion._directions
@@ -160,7 +162,7 @@ def test_no_channel_costs_more_than_others(name: str, default_model: Model, monk
         assert answers and sum(answer.label != "unknown" for answer in answers) <= len(answers) / 20
 
 
-def test_a_square_wave_is_no_clipped_vibration(default_model: Model, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_square_wave_is_no_clipped_vibration(default_model: StoredModel, monkeypatch: pytest.MonkeyPatch) -> None:
     """It would take a decomposition of all samples of each frame: 29 s of processor for 3 s of stream."""
     monkeypatch.setattr(Inversion, "_directions", lambda *_: pytest.fail("decomposed"))
     samples = CHANNELS["square of 10 Hz"](np.arange(N))

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from cgid.errors import BadData, InvalidValue
-from cgid.identification.model import Model
 from cgid.identification.model.conformal import COVERAGES, Conformal
 from cgid.identification.model.families import softmax
+from cgid.identification.model.model import StoredModel
 from cgid.identification.prediction import PredictionSettings, identify_frames
 from cgid.identification.training import write_card
 from cgid.identification.training.metrics import calibration_error_by_chance, evaluate_sets, reliability
@@ -207,7 +207,7 @@ def test_an_impact_is_rejected_unless_its_set_is_a_single_label(trained: Trained
 def test_coverage_survives_the_file(trained: Trained, tmp_path: Path) -> None:
     training = trained["boosting"]
     (tmp_path / "m.npz").write_bytes(training.model.to_bytes())
-    loaded = Model.load(tmp_path / "m.npz")
+    loaded = StoredModel.load(tmp_path / "m.npz")
     for conditional in (False, True):
         np.testing.assert_array_equal(
             loaded.prediction_set(training.test_probabilities, 0.93, class_conditional=conditional),

@@ -13,9 +13,9 @@ import pytest
 
 from cgid.cli.main import run
 from cgid.errors import BadData
-from cgid.identification.model import Model
 from cgid.identification.model.confusion import wilson_interval
 from cgid.identification.model.families import softmax
+from cgid.identification.model.model import StoredModel
 from cgid.identification.training import Rows, train_on_specimens
 from cgid.identification.training.card import correction_section, write_card
 from cgid.identification.training.correction import Shift, advice, correct, fit_bias_and_slope, shifted
@@ -49,7 +49,7 @@ def impacts(
 
 
 @pytest.fixture(scope="module")
-def model() -> Model:
+def model() -> StoredModel:
     return train_on_specimens(impacts(3000, 1), features=NAMES, family="logistic").model
 
 
@@ -59,7 +59,7 @@ def test_a_shift_is_folded_into_every_family(family: str, labels: tuple[str, ...
     former = train_on_specimens(impacts(400, 2, labels), features=NAMES, family=family).model
     new = impacts(50, 3, labels).features
     shift = Shift(labels, np.linspace(-0.4, 0.6, len(labels)), 0.7, 1.25)
-    moved = Model.from_bytes(shifted(former, shift).to_bytes())
+    moved = StoredModel.from_bytes(shifted(former, shift).to_bytes())
     wanted = softmax(shift.slope * np.log(former.probabilities(new)) + shift.bias)
     louder = new * [shift.gain, 1.0, 1.0]
     np.testing.assert_allclose(moved.probabilities(louder), wanted, atol=1e-12)
@@ -85,7 +85,7 @@ def test_the_evidence_is_that_of_the_integral() -> None:
     assert evidence == pytest.approx(np.log(np.exp(total).sum() * cell), abs=0.05)
 
 
-def test_impacts_like_those_of_the_training_move_little(model: Model) -> None:
+def test_impacts_like_those_of_the_training_move_little(model: StoredModel) -> None:
     lost, held, judge = [], [], impacts(2000, 99)
     before = np.mean(answers(model, judge) == judge.labels)
     for seed in range(8):
@@ -98,7 +98,7 @@ def test_impacts_like_those_of_the_training_move_little(model: Model) -> None:
     assert sum(held) >= 6
 
 
-def test_another_seam_is_corrected(model: Model) -> None:
+def test_another_seam_is_corrected(model: StoredModel) -> None:
     judge = impacts(2000, 98, shift=1.0)
     before = np.mean(answers(model, judge) == judge.labels)
     found = correct(model, impacts(50, 7, shift=1.0))
@@ -115,11 +115,11 @@ def test_another_seam_is_corrected(model: Model) -> None:
     assert "would narrow the interval" in advice(found)[0]
 
 
-def answers(model: Model, rows: Rows) -> np.ndarray:
+def answers(model: StoredModel, rows: Rows) -> np.ndarray:
     return np.array(model.labels)[np.argmax(model.probabilities(rows.features), axis=1)]
 
 
-def test_impacts_that_the_model_does_not_know_teach_nothing(model: Model) -> None:
+def test_impacts_that_the_model_does_not_know_teach_nothing(model: StoredModel) -> None:
     rows = impacts(30, 8)
     strange = rows.features.copy()
     strange[:25, 1] *= 1e3
@@ -157,7 +157,7 @@ UNIT = ["--rate", "25600", "--unit", "m/s^2"]
 
 
 def test_a_site_that_the_model_does_not_know_is_refused_after_twenty_impacts(
-    model: Model, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+    model: StoredModel, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     """Of 200 labelled impacts only a sample is measured."""
     table = "path,label,start_s,end_s\n" + "".join(f"a.csv,coal,{k},{k}.5\n" for k in range(200))
@@ -204,7 +204,7 @@ def recorded(rows: Rows, digest: str = "other", *, n_channels: int = 1, n_groups
     )
 
 
-def test_a_rock_that_two_channels_heard_counts_once(model: Model) -> None:
+def test_a_rock_that_two_channels_heard_counts_once(model: StoredModel) -> None:
     one, two = (correct(model, recorded(impacts(40, 7), n_channels=n)) for n in (1, 2))
     assert [one.model.training["correction"][name] for name in ("n", "n_rocks")] == [40, 40]
     assert [two.model.training["correction"][name] for name in ("n", "n_rocks")] == [80, 40]
@@ -216,7 +216,7 @@ def test_a_rock_that_two_channels_heard_counts_once(model: Model) -> None:
     assert two.after["accuracy_interval_95"] != pytest.approx(wilson_interval(share, 80), abs=0.02)
 
 
-def test_recordings_of_several_days_are_the_trials(model: Model) -> None:
+def test_recordings_of_several_days_are_the_trials(model: StoredModel) -> None:
     """As `train` does: with few groups the interval is that of groups, and a line says that they are few."""
     days = correct(model, recorded(impacts(60, 7), n_groups=3))
     low, high = days.after["accuracy_interval_95"]
@@ -227,7 +227,7 @@ def test_recordings_of_several_days_are_the_trials(model: Model) -> None:
     assert "more days or supports" in advice(days)[0]
 
 
-def test_impacts_that_trained_the_model_are_left_out(model: Model) -> None:
+def test_impacts_that_trained_the_model_are_left_out(model: StoredModel) -> None:
     taught = replace(model, training={**model.training, "sources": ["mine0", "mine1"]})
     with pytest.raises(BadData, match="10 at least that did not train the model, got 0 of 40"):
         correct(taught, recorded(impacts(40, 7), "mine", n_groups=2))
@@ -250,7 +250,7 @@ def test_impacts_that_trained_the_model_are_left_out(model: Model) -> None:
     assert correct(replace(model, training={"sources": "mine0"}), own).model.training["correction"]["n"] == 40
 
 
-def test_labels_are_those_of_the_model_in_any_case(model: Model) -> None:
+def test_labels_are_those_of_the_model_in_any_case(model: StoredModel) -> None:
     rows = impacts(40, 7)
     shouted = replace(rows, labels=np.char.upper(rows.labels))
     assert correct(model, shouted).model.to_bytes() == correct(model, rows).model.to_bytes()

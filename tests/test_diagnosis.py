@@ -24,7 +24,7 @@ from cgid.calibration import SiteCalibration
 from cgid.calibration.modes import FEWEST, uncertain
 from cgid.cli.hints import Hints
 from cgid.cli.main import run
-from cgid.identification.model import Model
+from cgid.identification.model.model import StoredModel
 from cgid.identification.model.model_file import LEVELS
 from cgid.identification.prediction import Answer, PredictionSettings, identify_frames
 from cgid.identification.prediction.diagnosis import (
@@ -49,12 +49,12 @@ from tests.streams_of_pulses import RATE, ROOT, stream
 
 LABELS = ["coal", "gangue"] * 8
 BEAM_RATE = 25_600.0
-PULSES = Model.load(ROOT / "models" / "default.npz")
-BEAM = Model.load(ROOT / "models" / "default-acceleration.npz")
+PULSES = StoredModel.load(ROOT / "models" / "default.npz")
+BEAM = StoredModel.load(ROOT / "models" / "default-acceleration.npz")
 
 
 @cache
-def of_levels() -> Model:
+def of_levels() -> StoredModel:
     scene = load_scene(ROOT / "datasets" / "tail_beam.toml")
     return train_on_specimens(
         synthesise(scene, 2000, 5), features=supported(DEFAULT_VIBRATION_FEATURES, BEAM_RATE, 2048), seed=1
@@ -102,7 +102,7 @@ def beam() -> np.ndarray:
 
 
 def hint_of(
-    samples: np.ndarray, rate: float, model: Model, options: tuple[str, ...] = (), **fields: object
+    samples: np.ndarray, rate: float, model: StoredModel, options: tuple[str, ...] = (), **fields: object
 ) -> Hint | None:
     hints = Hints(model, rate, "my file.csv", options)
     for step in identify_blocks([samples[None]], rate, model, ("1",), PredictionSettings(**fields)):
@@ -110,7 +110,7 @@ def hint_of(
     return next(iter(hints.hints()), None)
 
 
-def cause_of(samples: np.ndarray, rate: float, model: Model) -> str | None:
+def cause_of(samples: np.ndarray, rate: float, model: StoredModel) -> str | None:
     hint = hint_of(samples, rate, model)
     return None if hint is None else hint.cause
 
@@ -177,7 +177,7 @@ def test_a_wrong_sampling_rate_is_told_by_the_true_one() -> None:
 
 
 @pytest.mark.parametrize("model", [PULSES, BEAM])
-def test_frames_without_an_impact_are_too_weak(model: Model) -> None:
+def test_frames_without_an_impact_are_too_weak(model: StoredModel) -> None:
     """Those that are cut off cannot be measured, either, but for another reason."""
     rate = model.sampling_rates[0]
     quiet = np.random.default_rng(0).normal(0, 0.1, (30, 1060))
@@ -223,7 +223,7 @@ def test_causes_add_up_to_the_distance() -> None:
 # -- a beam that changes --------------------------------------------------------------------------------
 
 
-def with_modes_off(share: float, seed: int = 1) -> Model:
+def with_modes_off(share: float, seed: int = 1) -> StoredModel:
     """The model of acceleration; each of its modes is off by this share in frequency, and ten times in damping."""
     assert BEAM.beam is not None
     own, random = BEAM.beam.beam, np.random.default_rng(seed)
@@ -246,7 +246,7 @@ def answers_of(share: float, noise: float | None) -> list[Answer]:
     return identify_frames(batch.signals, batch.sampling_rate, model, pre_trigger=batch.pre_trigger)
 
 
-def change_of(answers: list[Answer], model: Model = BEAM) -> Hint | None:
+def change_of(answers: list[Answer], model: StoredModel = BEAM) -> Hint | None:
     """The hint for answers that come every second; it must not come before there are enough."""
     hints = Hints(model, BEAM_RATE, "my file.csv", ("--unit", "g"), live=True)
     for number, answer in enumerate(answers):
@@ -257,7 +257,7 @@ def change_of(answers: list[Answer], model: Model = BEAM) -> Hint | None:
     return None
 
 
-def cause_of_change(answers: list[Answer], model: Model = BEAM) -> str | None:
+def cause_of_change(answers: list[Answer], model: StoredModel = BEAM) -> str | None:
     hint = change_of(answers, model)
     return None if hint is None else hint.cause
 
@@ -288,7 +288,7 @@ def test_modes_that_are_off_by_a_hundredth_are_noticed(noise: float | None) -> N
     middle = float(np.median([answer.unexplained for answer in answers]))
     used = replace(BEAM, training={**BEAM.training, "median_beam_unexplained": middle})
     assert cause_of_change(answers, used) != "beam"
-    assert Model.from_bytes(used.to_bytes()).unexplained == middle
+    assert StoredModel.from_bytes(used.to_bytes()).unexplained == middle
 
 
 def test_the_median_lies_above_what_is_said() -> None:
@@ -472,7 +472,7 @@ def test_every_command_of_a_hint_works(
 def own_answers(model: str, factor: float) -> tuple[Answer, ...]:
     """Return the answers for 400 impacts of the scene of a model, 120 of a beam, their samples times a factor."""
     scene = load_scene(ROOT / "datasets" / ("tail_beam.toml" if "acceleration" in model else "reference.toml"))
-    shipped, found = Model.load(ROOT / "models" / f"{model}.npz"), []
+    shipped, found = StoredModel.load(ROOT / "models" / f"{model}.npz"), []
     for batch in synthesise(scene, 120 if shipped.beam else 400, 77):
         heights = batch.drop_heights() if shipped.known else None
         found += identify_frames(
@@ -482,7 +482,7 @@ def own_answers(model: str, factor: float) -> tuple[Answer, ...]:
 
 
 def level_of(model: str, answers: tuple[Answer, ...]) -> str | None:
-    shipped = Model.load(ROOT / "models" / f"{model}.npz")
+    shipped = StoredModel.load(ROOT / "models" / f"{model}.npz")
     hints = Hints(shipped, shipped.sampling_rates[0], "x")
     hints.add(answers)
     return next((hints.level_warning(factor) for factor in hints.wrong_scales().values()), None)
@@ -504,7 +504,7 @@ def conditions_of(parts: list[tuple[str, tuple[Answer, ...]]], model: str) -> li
 
     These are blows one by one, without rebounds, so the stream as a whole is not of the world of the training.
     """
-    shipped = Model.load(ROOT / "models" / f"{model}.npz")
+    shipped = StoredModel.load(ROOT / "models" / f"{model}.npz")
     diagnosis, number, found = Diagnosis(shipped, live=True), 0, []
     for channel, answers in parts:
         for answer in answers:
@@ -544,7 +544,7 @@ def test_each_channel_is_told_whatever_is_wrong_with_another() -> None:
         ("2", "wrong_scale"),
     }
     # In a recording as a whole, too.
-    hints = Hints(Model.load(ROOT / "models" / "default.npz"), RATE, "x")
+    hints = Hints(StoredModel.load(ROOT / "models" / "default.npz"), RATE, "x")
     for channel, answers in parts:
         hints.add([replace(one, channel=channel) for one in answers])
     assert [hint.channels for hint in hints.hints()] == [("1",)]
@@ -687,7 +687,7 @@ def told_of_scale(command: str, kind: str, number: int, factor: float, model: Pa
 @pytest.mark.parametrize("kind", ["pulse", "vibration", "window"])
 def test_a_wrong_scale_of_labelled_recordings_is_told(kind: str, of_labels: Callable[[str], Path], capsys: Any) -> None:
     model = of_labels(kind)
-    assert set(Model.load(model).level_range) == set(LEVELS)
+    assert set(StoredModel.load(model).level_range) == set(LEVELS)
     for command in ("predict", "monitor", "python"):
         for factor in (0.1, 1 / 9.81, 9.81, 10.0):
             assert told_of_scale(command, kind, 100, factor, model, capsys), (command, factor)
@@ -702,13 +702,13 @@ def test_a_model_free_of_levels_answers_alike_at_any_scale(of_labels: Callable[[
     assert run(["train", str(folder / "labels.csv"), "--level-free", "-o", str(folder / "free.npz")]) == 0
     samples, rate, unit, _ = labelled_recording("window", 100)
     own, scaled = (predict(factor * samples, rate, unit, model=folder / "free.npz") for factor in (1.0, 9.81))
-    assert Model.load(folder / "free.npz").level_range == {}
+    assert StoredModel.load(folder / "free.npz").level_range == {}
     np.testing.assert_allclose(own["p_coal"], scaled["p_coal"], atol=1e-9)
 
 
 def test_pulses_of_labelled_recordings_have_the_guard_of_the_shipped_models(of_labels: Callable[[str], Path]) -> None:
     """A square is no pulse of a contact, however long and strong."""
-    model = Model.load(of_labels("pulse"))
+    model = StoredModel.load(of_labels("pulse"))
     assert model.guards == PULSES.guards and model.guard_limits[0] >= PULSES.guard_limits[0]
     frame = np.random.default_rng(0).normal(0, 5, 1000)
     frame[300:350] += 3e3

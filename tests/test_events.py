@@ -11,7 +11,7 @@ from hypothesis.extra.numpy import arrays
 from cgid.errors import BadData, CgidError
 from cgid.identification.detection.detector import DEAD_TIME, ImpactDetector, find_impacts
 from cgid.identification.detection.pulse_onsets import THRESHOLD_OVER_PEAK
-from cgid.identification.model import Model
+from cgid.identification.model.model import StoredModel
 from cgid.identification.prediction.answers import identify, unmeasured
 from cgid.measure.fit import family
 from cgid.scene import load_scene, synthesise
@@ -217,7 +217,7 @@ def answers_from_sample(frames, rate, model, before_touch, first):
 )
 def test_a_blow_at_sample_0_is_measured(scene, model, begun, agreement, answered):
     """The answer is that of the whole signal; once its flank is cut, most say so and are not answered."""
-    scene, model = load_scene(ROOT / "datasets" / f"{scene}.toml"), Model.load(ROOT / "models" / f"{model}.npz")
+    scene, model = load_scene(ROOT / "datasets" / f"{scene}.toml"), StoredModel.load(ROOT / "models" / f"{model}.npz")
     (batch,) = synthesise(scene, 60, seed=4)
     given = batch.sampling_rate, model, batch.pre_trigger
     whole = answers_from_sample(batch.signals, *given, -batch.pre_trigger)

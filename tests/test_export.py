@@ -19,9 +19,9 @@ from cgid._lib.validation import UNKNOWN
 from cgid.cli.main import run
 from cgid.errors import BadData, InvalidValue
 from cgid.export import c_source
-from cgid.identification.model import Model
 from cgid.identification.model.conformal import COVERAGES, Conformal
 from cgid.identification.model.families import Standardiser
+from cgid.identification.model.model import StoredModel
 from cgid.identification.training.classifier import ImpactClassifier, noise_contrast
 from cgid.measure.features.extraction import extract_array
 from cgid.shipped import MODELS, path_of
@@ -69,7 +69,7 @@ def as_csv(rows: np.ndarray) -> str:
     return "".join(",".join(map(repr, row)) + "\n" for row in rows.tolist())
 
 
-def judged(model: Model, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def judged(model: StoredModel, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return label, probabilities and novelty of each row by `Model`, row by row where it refuses one."""
     n = len(model.inputs)
     inputs, guards = rows[:, :n], rows[:, n:]
@@ -96,7 +96,7 @@ def compare(found: np.ndarray, probabilities: np.ndarray, novelty: np.ndarray, n
     np.testing.assert_allclose(np.minimum(novelty, 1e100), np.minimum(novelties, 1e100), rtol=1e-9)
 
 
-def usual_rows(model: Model, n: int, seed: int = 1) -> np.ndarray:
+def usual_rows(model: StoredModel, n: int, seed: int = 1) -> np.ndarray:
     """Return rows around the training of a model, some outside of it."""
     rng = np.random.default_rng(seed)
     standardiser = Standardiser.from_arrays(model.arrays, "standardiser.")
@@ -105,7 +105,7 @@ def usual_rows(model: Model, n: int, seed: int = 1) -> np.ndarray:
     return np.hstack([rows, guards])
 
 
-def odd_rows(model: Model, n: int) -> np.ndarray:
+def odd_rows(model: StoredModel, n: int) -> np.ndarray:
     """Return rows with values that no measurement gives: 0, denormal and huge numbers, and usual ones between."""
     rng = np.random.default_rng(2)
     odd = np.array([0.0, -0.0, 5e-324, -1e-310, 1e-30, -1.0, 1e30, -1e30, 1e154, 1e300, -1e300, 1.7e308])
@@ -114,14 +114,14 @@ def odd_rows(model: Model, n: int) -> np.ndarray:
 
 
 @functools.cache
-def made(family: str, n_labels: int) -> Model:
+def made(family: str, n_labels: int) -> StoredModel:
     rng = np.random.default_rng(3)
     labels = np.repeat(LABELS[:n_labels], 300)
     features = rng.normal(size=(len(labels), 3)) + np.repeat(np.eye(3)[:n_labels], 300, axis=0)
     features[:, :2] = np.exp(features[:, :2])
     classifier = ImpactClassifier(family, n_trees=30, n_units=7).fit(features, labels)
     order = np.searchsorted(classifier.classes_, labels)
-    return Model.from_classifier(
+    return StoredModel.from_classifier(
         classifier,
         guards={"asymmetry": 2.5},
         conformal=Conformal.fit(classifier.predict_proba(features[::20]), order[::20]),
@@ -132,7 +132,7 @@ def made(family: str, n_labels: int) -> Model:
     )
 
 
-def named(name: str) -> Model:
+def named(name: str) -> StoredModel:
     """Return a shipped model, or a small one of a family and a number of labels."""
     if name in MODELS:
         return load_model(name)
@@ -334,12 +334,12 @@ int main(void)
 """
 
 
-def levels_model(names: tuple[str, ...]) -> Model:
+def levels_model(names: tuple[str, ...]) -> StoredModel:
     rng = np.random.default_rng(4)
     classifier = ImpactClassifier("logistic").fit(
         rng.normal(-2, 1, (200, len(names))), np.repeat(["coal", "gangue"], 100)
     )
-    return Model.from_classifier(
+    return StoredModel.from_classifier(
         classifier, features=names, unit="m/s^2", sampling_rates=(25600.0, 25600.0), training={}
     )
 

@@ -15,7 +15,7 @@ import pytest
 
 from cgid.cli.main import run
 from cgid.errors import BadData
-from cgid.identification.model import Model
+from cgid.identification.model.model import StoredModel
 from cgid.identification.model.model_file import SCHEMA_VERSION, signed
 from cgid.identification.training.classifier import FAMILIES
 from cgid.store import Dataset, read_table
@@ -39,13 +39,13 @@ def test_every_golden_model_has_its_answers():
 
 @pytest.mark.parametrize("name", sorted(MODELS))
 def test_models_answer_as_the_estimators_that_they_were_made_of(name):
-    said, model = MODELS[name], Model.load(GOLDEN / name)
+    said, model = MODELS[name], StoredModel.load(GOLDEN / name)
     assert list(model.labels) == said["labels"]
     inputs = np.array(said["inputs"])
     np.testing.assert_allclose(model.probabilities(inputs), said["probabilities"], rtol=1e-9, atol=1e-12)
     np.testing.assert_allclose(model.novelty(inputs), said["novelty"], rtol=1e-9)
     # Written by this version, it is the same model again.
-    again = Model.from_bytes(model.to_bytes())
+    again = StoredModel.from_bytes(model.to_bytes())
     assert again.header == model.header
     np.testing.assert_array_equal(again.probabilities(inputs), model.probabilities(inputs))
 
@@ -53,7 +53,7 @@ def test_models_answer_as_the_estimators_that_they_were_made_of(name):
 def test_a_model_of_this_schema_is_written_to_the_same_bytes():
     for name in MODELS:
         content = (GOLDEN / name).read_bytes()
-        assert (Model.from_bytes(content).to_bytes() == content) == name.startswith(f"models-{SCHEMA_VERSION}-")
+        assert (StoredModel.from_bytes(content).to_bytes() == content) == name.startswith(f"models-{SCHEMA_VERSION}-")
 
 
 @pytest.mark.parametrize("name", DATASETS)
@@ -116,13 +116,13 @@ def test_tables_hold_what_others_found_in_them(name, tmp_path):
 
 @pytest.mark.parametrize("schema", [5, 9, 10**30])
 def test_a_newer_model_is_refused_by_its_version(schema, tmp_path, capsys):
-    model = Model.load(GOLDEN / "models-4-linear.npz")
+    model = StoredModel.load(GOLDEN / "models-4-linear.npz")
     header = np.frombuffer(signed({**model.header, "schema_version": schema, "colour": "red"}, model.arrays), np.uint8)
     # Of kinds, too, that only a later version knows.
     np.savez(tmp_path / "m.npz", header=header, halves=np.ones(3, np.float16), **model.arrays)
     told = rf"m.npz: schema_version {str(schema)[:20]} is newer than this cgid \(reads 4\): upgrade cgid$"
     with pytest.raises(BadData, match=told):
-        Model.load(tmp_path / "m.npz")
+        StoredModel.load(tmp_path / "m.npz")
     assert run(["info", str(tmp_path / "m.npz")]) == 65
     assert capsys.readouterr().err.count("\n") == 1
 
@@ -139,7 +139,7 @@ def refused(capsys, *arguments):
 
 @pytest.mark.parametrize("change", [{"schema_version": 2}, {"schema_version": 3}, {"family": "discriminant"}], ids=str)
 def test_a_model_of_a_development_version_is_refused(change, tmp_path, capsys):
-    model = Model.load(GOLDEN / "models-4-linear.npz")
+    model = StoredModel.load(GOLDEN / "models-4-linear.npz")
     header = np.frombuffer(signed(model.header | change, model.arrays), np.uint8)
     np.savez(tmp_path / "m.npz", header=header, **model.arrays)
     for command in (["info"], ["predict", GOLDEN / "single.h5", "--model"]):

@@ -15,7 +15,7 @@ from cgid import shipped
 from cgid.cli.main import run
 from cgid.cli.output import print_json
 from cgid.errors import BadData, CgidError
-from cgid.identification.model import Model
+from cgid.identification.model.model import StoredModel
 from cgid.identification.model.model_file import signed
 from cgid.identification.prediction import identify_frames
 from cgid.identification.prediction.diagnosis import causes_of
@@ -57,7 +57,7 @@ class Audit:
         """Return whether a file is refused in one line, the model that it was made from, or another."""
         self.path, self.events = str(path), []
         try:
-            model = Model.load(str(path))
+            model = StoredModel.load(str(path))
             inputs = np.exp(np.random.default_rng(0).normal(size=(16, len(model.inputs)))) * 1e3
             probabilities = model.probabilities(inputs)
             novelty = model.novelty(inputs, np.ones((16, len(model.guards))))
@@ -82,10 +82,10 @@ def audit():
     # What is imported late, and by what suggests a name in an error, is imported before; so are features of packages.
     list(FEATURES)
     for path in golden_files():
-        Model.load(path)
+        StoredModel.load(path)
     for name in ("no JSON", "feature that does not exist", "family of another world"):
         with contextlib.suppress(CgidError):
-            Model.from_bytes(HOSTILE[name]())
+            StoredModel.from_bytes(HOSTILE[name]())
     return Audit()
 
 
@@ -108,7 +108,7 @@ def test_files_made_by_hand_do_no_harm(audit, tmp_path, monkeypatch, name):
 )
 def test_arrays_of_a_beam_must_fit_each_other(name):
     with pytest.raises(BadData):
-        Model.from_bytes(HOSTILE[name]())
+        StoredModel.from_bytes(HOSTILE[name]())
 
 
 @pytest.mark.parametrize("number", [150, pytest.param(3000, marks=pytest.mark.long)])
@@ -120,7 +120,7 @@ def test_mutants_do_no_harm_and_no_change_goes_unnoticed(audit, tmp_path, number
         random = np.random.default_rng([1, k])
         kind = tuple(found)[k % 3]
         source = random.choice(list(contents))
-        content, model = contents[source], Model.load(source)
+        content, model = contents[source], StoredModel.load(source)
         if kind == "damaged":
             content = MUTATIONS[int(random.integers(len(MUTATIONS)))](bytearray(content), random, everything)
         else:
@@ -139,7 +139,7 @@ def test_whoever_loads_a_pickle_is_seen(audit, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     path = tmp_path / "m.npz"
     path.write_bytes(HOSTILE["header of objects"]())
-    monkeypatch.setattr(Model, "from_bytes", lambda _: np.load(path, allow_pickle=True)["header"])
+    monkeypatch.setattr(StoredModel, "from_bytes", lambda _: np.load(path, allow_pickle=True)["header"])
     with pytest.raises(AssertionError):
         audit.outcome(path)
     assert any(CANARY in event for event in audit.events)
@@ -153,7 +153,7 @@ def test_features_in_another_order_are_found(tmp_path):
     # With checksums that fit: only the digest can tell.
     (tmp_path / "m.npz").write_bytes(archive(entries_of(content) | {"header.npy": _header(wrong)}))
     with pytest.raises(BadData, match="must match the SHA-256"):
-        Model.load(tmp_path / "m.npz")
+        StoredModel.load(tmp_path / "m.npz")
 
 
 def _header(content):
@@ -187,7 +187,7 @@ def test_large_models_answer_in_parts_as_in_whole(monkeypatch):
 
 def test_numbers_that_grow_too_large_are_said_once(tmp_path):
     (tmp_path / "m.npz").write_bytes(EXTREME["numbers that grow too large"]())
-    model = Model.load(tmp_path / "m.npz")
+    model = StoredModel.load(tmp_path / "m.npz")
     with pytest.raises(BadData, match="gives no finite probabilities"):
         model.probabilities(np.array([[1e300, 1e-9]]))
 
@@ -197,7 +197,7 @@ def test_extreme_beams_answer_or_say_why_not(name):
     """No traceback, no warning, no memory without end when signals go through the tables of such a beam."""
     import resource
 
-    model = Model.from_bytes(EXTREME[name]())
+    model = StoredModel.from_bytes(EXTREME[name]())
     time = np.arange(560) / 8e3
     frames = np.random.default_rng(0).normal(0, 1e-2, (6, 640))
     frames[:, 80:] += np.arange(1, 7)[:, None] * np.exp(-60 * time) * np.sin(2500 * time)
@@ -266,7 +266,7 @@ DEGENERATE = {
 @pytest.mark.parametrize("name", ["boosting", "linear", "logistic", "network", "default", "default-acceleration"])
 def test_an_array_of_degenerate_numbers_is_refused_or_harmless(audit, tmp_path, name):
     """Every array of a model in turn: loading says what is wrong, or the model answers."""
-    model = Model.load(shipped.model_path(name)) if name.startswith("default") else golden(name)
+    model = StoredModel.load(shipped.model_path(name)) if name.startswith("default") else golden(name)
     time = np.arange(1920) / 25.6e3
     frames = np.random.default_rng(0).normal(0, 1e-2, (2, 2048))
     frames[:, 128:] += [[9.0], [30.0]] * np.exp(-60 * time) * np.sin(2500 * time)
@@ -279,7 +279,7 @@ def test_an_array_of_degenerate_numbers_is_refused_or_harmless(audit, tmp_path, 
         outcomes[array, kind] = audit.outcome(tmp_path / "m.npz")
         if outcomes[array, kind] == "another" and array.startswith("beam."):
             with contextlib.suppress(BadData):
-                answers = identify_frames(frames, 25.6e3, Model.load(tmp_path / "m.npz"), pre_trigger=128)
+                answers = identify_frames(frames, 25.6e3, StoredModel.load(tmp_path / "m.npz"), pre_trigger=128)
                 assert all(one.problem or sum(one.probabilities.values()) == pytest.approx(1) for one in answers)
     assert all(outcome == "refused" for (_, kind), outcome in outcomes.items() if kind == "1e308")
     for array in ("standardiser.scale", "standardiser.floor", "contrast.scale", "neighbourhood.whitening"):

@@ -19,7 +19,7 @@ from sklearn.model_selection import GroupKFold, cross_val_score
 from sklearn.utils.estimator_checks import check_estimator
 
 from cgid.errors import BadData, InvalidValue
-from cgid.identification.model import Model
+from cgid.identification.model.model import StoredModel
 from cgid.identification.model.model_file import signed
 from cgid.identification.prediction import identify, identify_frames
 from cgid.identification.training.card import write_model
@@ -141,7 +141,7 @@ def test_file_gives_scikit_learns_probabilities(
     training = trained[family]
     features, _ = held_out(reference_scene, training)
     (tmp_path / "m.npz").write_bytes(training.model.to_bytes())
-    loaded = Model.load(tmp_path / "m.npz")
+    loaded = StoredModel.load(tmp_path / "m.npz")
     np.testing.assert_allclose(
         loaded.probabilities(features), training.classifier.predict_proba(features), rtol=0, atol=1e-12
     )
@@ -155,7 +155,7 @@ def test_three_labels_are_exported_too(family: str) -> None:
     labels = np.repeat(["coal", "sandstone", "shale"], 200)
     features = np.exp(generator.normal(size=(600, 3)) + np.repeat(np.eye(3), 200, axis=0))
     classifier = ImpactClassifier(family, n_trees=30).fit(features, labels)
-    model = Model.from_classifier(
+    model = StoredModel.from_classifier(
         classifier,
         features=("peak_force", "width_10", "impulse"),
         unit="N",
@@ -274,7 +274,7 @@ def test_drop_height_is_used_impact_by_impact(knowing: Training, reference_scene
 # -- files that mean harm ---------------------------------------------------------------------------------
 
 
-def rewritten(model: Model, **changes: Any) -> bytes:
+def rewritten(model: StoredModel, **changes: Any) -> bytes:
     """Return a model file with some arrays or parts of the header replaced, signed anew as an attacker would."""
     header, arrays = model.header, dict(model.arrays)
     for name, value in changes.items():
@@ -342,7 +342,7 @@ def test_harmful_models_are_refused(harm: str, trained: Trained, tmp_path: Path)
     changes = {name: change(model.arrays[name])} if change else {"header": HEADER_HARM[harm]}
     (tmp_path / "m.npz").write_bytes(rewritten(model, **changes))
     with pytest.raises(BadData, match=r"not a valid model: (?!.*SHA-256)"):
-        Model.load(tmp_path / "m.npz")
+        StoredModel.load(tmp_path / "m.npz")
 
 
 # -- training ---------------------------------------------------------------------------------------------

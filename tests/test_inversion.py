@@ -20,7 +20,7 @@ from scipy.optimize import least_squares
 from cgid.identification.inversion.contact import Contact
 from cgid.identification.inversion.inversion import ForceEstimate, Inversion, Observations, Start
 from cgid.identification.inversion.through_beam import BeamStream, ThroughBeam
-from cgid.identification.model import Model
+from cgid.identification.model.model import StoredModel
 from cgid.identification.prediction import identify_frames
 from cgid.identification.training import train_on_specimens
 from cgid.measure.features.vibration import VibrationBatch
@@ -554,16 +554,16 @@ def test_the_fit_finds_the_best_pulse() -> None:
 
 
 @pytest.fixture(scope="module")
-def model() -> Model:
+def model() -> StoredModel:
     scene = load_scene("tail_beam")
     return train_on_specimens(synthesise(scene, 300, 5), beam=tail_beam().beam).model
 
 
-def test_a_model_keeps_its_beam_to_the_last_bit(model: Model, tmp_path: Path) -> None:
+def test_a_model_keeps_its_beam_to_the_last_bit(model: StoredModel, tmp_path: Path) -> None:
     batch = blows()[0]
     path = tmp_path / "m.npz"
     path.write_bytes(model.to_bytes())
-    loaded = Model.load(path)
+    loaded = StoredModel.load(path)
     assert loaded.to_bytes() == path.read_bytes()
     assert loaded.beam is not None and model.beam is not None
     for name, array in model.beam.beam.arrays.items():

@@ -387,9 +387,9 @@ def test_ten_minutes_of_a_new_user(site: Any, tmp_path: Path) -> None:
         )
         == 0
     )
-    from cgid import Model
+    from cgid.identification.model.model import StoredModel
 
-    first, second = (Model.load(tmp_path / name) for name in ("labels.npz", "again.npz"))
+    first, second = (StoredModel.load(tmp_path / name) for name in ("labels.npz", "again.npz"))
     assert first.features == second.features and first.training["n_train"] == second.training["n_train"]
     for name, array in first.arrays.items():
         assert np.allclose(array, second.arrays[name], rtol=1e-9, atol=1e-12), name

@@ -207,6 +207,19 @@ def test_labels_that_a_model_lacks_are_not_judged(tmp_path: Path, capsys: pytest
     assert "0.0000" not in error
 
 
+METHODS = ("predict", "predict_proba", "save")
+
+
+def test_a_model_shows_what_users_need(training: Training) -> None:
+    names = sorted({"inputs", *METHODS, "family", "features", "labels", "sampling_rates", "training", "unit"})
+    for model in (cgid.load_model(), training.model):
+        assert isinstance(model, cgid.Model)
+        assert [name for name in dir(model) if not name.startswith("_")] == names
+    assert [name for name in dir(cgid.Model) if not name.startswith("_")] == ["inputs", *METHODS]
+    with pytest.raises(InvalidValue, match="load_model"):
+        cgid.identification.prediction.identify_frames(np.zeros((1, 64)), 1e5, "default", pre_trigger=8)
+
+
 def test_model_and_training_are_saved(training: Training, tmp_path: Path) -> None:
     model = training.model
     assert model.save(tmp_path / "mine.npz").read_bytes() == model.to_bytes()

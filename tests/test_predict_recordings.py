@@ -14,7 +14,7 @@ from scipy.io import wavfile
 from cgid.cli.main import run
 from cgid.errors import BadData, InvalidValue
 from cgid.identification.detection.windows import measure_windows
-from cgid.identification.model import Model
+from cgid.identification.model.model import StoredModel
 from cgid.identification.prediction import Answer, PredictionSettings, identify, identify_recording
 from cgid.identification.prediction.fraction import ShutDecision
 from cgid.identification.prediction.stream import identify_blocks, independence
@@ -27,8 +27,8 @@ LABELS = ["coal"] * 8 + ["gangue"] * 8
 
 
 @pytest.fixture(scope="module")
-def default_model() -> Model:
-    return Model.load(ROOT / "models" / "default.npz")
+def default_model() -> StoredModel:
+    return StoredModel.load(ROOT / "models" / "default.npz")
 
 
 @pytest.fixture(scope="module")
@@ -51,7 +51,7 @@ def of_kind(rows: list[dict], kind: str) -> list[dict]:
 # -- answers of a recording -------------------------------------------------------------------------------
 
 
-def test_answers_of_a_short_recording_are_those_of_its_signals(two_channels: Path, default_model: Model) -> None:
+def test_answers_of_a_short_recording_are_those_of_its_signals(two_channels: Path, default_model: StoredModel) -> None:
     found = list(identify_recording(open_recording(two_channels, sampling_rate=RATE, unit="N"), default_model))
     assert [answer.time for answer in found] == sorted(answer.time for answer in found)
     assert len(found) == 32
@@ -67,7 +67,9 @@ def test_answers_of_a_short_recording_are_those_of_its_signals(two_channels: Pat
 
 @pytest.mark.parametrize("length", [37, 5000, 1 << 20])
 @pytest.mark.parametrize("batch", [1, 7, 256])
-def test_blocks_and_batches_change_nothing(two_channels: Path, default_model: Model, length: int, batch: int) -> None:
+def test_blocks_and_batches_change_nothing(
+    two_channels: Path, default_model: StoredModel, length: int, batch: int
+) -> None:
     samples = np.load(two_channels)[:, :48_000].astype(float)
     blocks = [samples[:, first : first + length] for first in range(0, samples.shape[1], length)]
     steps = list(identify_blocks(blocks, RATE, default_model, ("a", "b"), PredictionSettings(batch=batch)))
@@ -88,7 +90,7 @@ def test_blocks_and_batches_change_nothing(two_channels: Path, default_model: Mo
     assert told == pytest.approx(samples.shape[1] / RATE)
 
 
-def test_units_and_signs_become_the_models(tmp_path: Path, default_model: Model) -> None:
+def test_units_and_signs_become_the_models(tmp_path: Path, default_model: StoredModel) -> None:
     force = stream(LABELS[:4], 0.02)
     answers = []
     for name, samples, unit, how in (
@@ -203,7 +205,7 @@ def answers_at(times: np.ndarray, probabilities: np.ndarray, channel: str = "1")
     ]
 
 
-def test_watch_tells_the_same_however_answers_come(default_model: Model) -> None:
+def test_watch_tells_the_same_however_answers_come(default_model: StoredModel) -> None:
     rng = np.random.default_rng(2)
     times = np.sort(rng.uniform(0, 30, 400))
     answers = answers_at(times, np.clip(rng.normal(times / 30, 0.2), 0, 1))

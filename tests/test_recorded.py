@@ -22,7 +22,7 @@ from cgid.cli.main import run
 from cgid.errors import BadData, InvalidValue
 from cgid.identification.detection.silence import Silence, silence_of
 from cgid.identification.detection.windows import WINDOW_TIME, measure_windows, windows_of
-from cgid.identification.model import Model
+from cgid.identification.model.model import StoredModel
 from cgid.identification.prediction.vote import RunningVote
 from cgid.identification.training import train_on_groups, write_card
 from cgid.identification.training.classifier import ImpactClassifier, ShrunkenDiscriminant
@@ -516,7 +516,7 @@ def test_weights_make_up_for_how_often_a_label_comes() -> None:
 
 
 @pytest.fixture(scope="module")
-def model(recorded: Rows) -> Model:
+def model(recorded: Rows) -> StoredModel:
     return train_on_groups(recorded, features=NAMES).model
 
 
@@ -554,9 +554,9 @@ def test_shuffled_labels_of_recordings_score_at_chance(tmp_path: Path) -> None:
     assert np.mean(accuracies) < 0.65
 
 
-def test_model_of_windows_survives_its_file(model: Model, recorded: Rows, tmp_path: Path) -> None:
+def test_model_of_windows_survives_its_file(model: StoredModel, recorded: Rows, tmp_path: Path) -> None:
     (tmp_path / "m.npz").write_bytes(model.to_bytes())
-    loaded = Model.load(tmp_path / "m.npz")
+    loaded = StoredModel.load(tmp_path / "m.npz")
     assert loaded.header == model.header
     np.testing.assert_array_equal(loaded.probabilities(recorded.features), model.probabilities(recorded.features))
     assert (loaded.novelty(recorded.features) < 1.2).all()
@@ -574,7 +574,7 @@ def test_model_of_windows_survives_its_file(model: Model, recorded: Rows, tmp_pa
         ({"sensors": ("a",)}, "reference.spectra must be present"),
     ],
 )
-def test_windows_that_cannot_be_are_refused(change: dict[str, Any], says: str, model: Model) -> None:
+def test_windows_that_cannot_be_are_refused(change: dict[str, Any], says: str, model: StoredModel) -> None:
     with pytest.raises((BadData, InvalidValue), match=says):
         replace(model, **change)
 
@@ -697,7 +697,7 @@ def test_reference_runs_make_up_for_another_sensor(tmp_path: Path) -> None:
     assert apart(cured) < 0.15 * apart(left)
     model = train_on_groups(cured, features=bands).model
     (tmp_path / "m.npz").write_bytes(model.to_bytes())
-    loaded = Model.load(tmp_path / "m.npz")
+    loaded = StoredModel.load(tmp_path / "m.npz")
     (equalisation,) = loaded.equalisation("dull")
     own = cured.source == cured.sources.index("dull_coal.npy")
     (frames,) = [w for _, w in windows_of([np.load(tmp_path / "dull_coal.npy")], RATE, 0.1, 0.05)]

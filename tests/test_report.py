@@ -19,7 +19,7 @@ import numpy as np
 import pytest
 
 from cgid import shipped
-from cgid.identification.model import Model
+from cgid.identification.model.model import StoredModel
 from cgid.identification.prediction import Answer
 from cgid.identification.prediction.fraction import ShareWindow, ShutDecision
 from cgid.measure.overview import OverviewStream
@@ -45,7 +45,7 @@ def report(tmp_path_factory: pytest.TempPathFactory) -> Report:
     rng = np.random.default_rng(0)
     np.save(path, rng.normal(size=(2, 12_800)).astype(np.float32))
     recording = open_recording(path, sampling_rate=25600.0, unit="m/s^2")
-    model = Model.load(shipped.path_of("models", shipped.ACCELERATION_MODEL))
+    model = StoredModel.load(shipped.path_of("models", shipped.ACCELERATION_MODEL))
     stream = OverviewStream(25600.0, 2)
     for block in recording.blocks():
         stream.feed(block)

@@ -15,7 +15,7 @@ from benchmarks.identification import rock
 from benchmarks.impact import rock_pulses
 from benchmarks.impact.rock_pulses import CASES, LAWS, RATE, record, viscous
 from cgid import shipped
-from cgid.identification.model import Model
+from cgid.identification.model.model import StoredModel
 from cgid.physics import STEEL, HalfSpace, HuntCrossley, Impact, Material, Sphere, Thornton, Viscoelastic, WaltonBraun
 
 
@@ -190,7 +190,7 @@ def test_rows_of_a_scene_come_apart_by_law(reference_scene):
 
 
 def test_learner_and_model_know_the_laws_of_two_cases():
-    model = Model.load(shipped.path_of("models", shipped.DEFAULT_MODEL))
+    model = StoredModel.load(shipped.path_of("models", shipped.DEFAULT_MODEL))
     lines = list(rock.table_of_cases(model, ["hunt-crossley", "walton-braun"], 300, 1000))
     assert lines[0]["accuracy"] > 0.83
     assert min(line["learner"] for line in lines) > 0.83

@@ -16,7 +16,7 @@ from click.testing import CliRunner
 from cgid import load_model, open_recording, predict, read_recording, shipped
 from cgid.cli.main import cli
 from cgid.errors import InvalidValue
-from cgid.identification.model import Model
+from cgid.identification.model.model import StoredModel
 from cgid.identification.prediction import Answer, identify_recording
 from cgid.identification.prediction.same_beam import (
     CROSSING,
@@ -229,7 +229,7 @@ def test_many_rocks_are_no_reason_to_suspect_one_beam() -> None:
 
 
 @pytest.fixture(scope="module")
-def model() -> Model:
+def model() -> StoredModel:
     return load_model("default-acceleration")
 
 
@@ -247,7 +247,7 @@ def again(samples: np.ndarray, seed: int = 1) -> np.ndarray:
 
 
 def told(
-    blocks: np.ndarray, model: Model, *same_beam: str, length: int = 1 << 14, rate: float = RATE, **fields: object
+    blocks: np.ndarray, model: StoredModel, *same_beam: str, length: int = 1 << 14, rate: float = RATE, **fields: object
 ) -> tuple[list[Answer], list[str]]:
     """Answers for channels, and the warnings."""
     settings = PredictionSettings(same_beam=require_groups(same_beam), **fields)  # type: ignore[arg-type]
@@ -276,7 +276,7 @@ def alike(some: Sequence[Answer], others: Sequence[Answer]) -> None:
     np.testing.assert_allclose(*probabilities, atol=1e-4)
 
 
-def test_a_missing_channel_changes_no_bit(model: Model, samples: np.ndarray) -> None:
+def test_a_missing_channel_changes_no_bit(model: StoredModel, samples: np.ndarray) -> None:
     alone, _ = told(samples[None], model)
     for missing in (np.full_like(samples, np.nan), np.zeros_like(samples)):
         both, lines = told(np.stack([samples, missing]), model, "1+2")
@@ -285,7 +285,7 @@ def test_a_missing_channel_changes_no_bit(model: Model, samples: np.ndarray) -> 
         assert [line.split(": ")[1] for line in lines] == [f"channel 2 of 1+2 is left out at {alone[19].time:.6g} s"]
 
 
-def test_two_sensors_are_one_row_and_surer(model: Model, samples: np.ndarray) -> None:
+def test_two_sensors_are_one_row_and_surer(model: StoredModel, samples: np.ndarray) -> None:
     two = np.stack([samples, again(samples), samples[::-1]])
     single, lines = told(two[:2], model)
     assert len(single) == 120
@@ -304,7 +304,7 @@ def test_two_sensors_are_one_row_and_surer(model: Model, samples: np.ndarray) ->
     alike(turned, both)
 
 
-def test_a_wrong_gain_is_left_out_and_told_when_it_ends(model: Model, samples: np.ndarray) -> None:
+def test_a_wrong_gain_is_left_out_and_told_when_it_ends(model: StoredModel, samples: np.ndarray) -> None:
     alone, _ = told(samples[None], model)
     wrong = again(samples)
     wrong[: samples.size // 2] *= 9.81
@@ -316,7 +316,7 @@ def test_a_wrong_gain_is_left_out_and_told_when_it_ends(model: Model, samples: n
     ]
 
 
-def test_forces_have_the_mean_of_log_odds(default_force: Model) -> None:
+def test_forces_have_the_mean_of_log_odds(default_force: StoredModel) -> None:
     force = stream(["coal", "gangue"] * 6, 0.05)
     other = 0.8 * stream(["coal", "gangue"] * 6, 0.05, noise=60.0)
     single = [told(one[None], default_force, rate=PULSE_RATE)[0] for one in (force, other)]
@@ -332,7 +332,7 @@ def test_forces_have_the_mean_of_log_odds(default_force: Model) -> None:
 
 
 @pytest.fixture(scope="module")
-def default_force() -> Model:
+def default_force() -> StoredModel:
     return load_model("default")
 
 
@@ -349,7 +349,7 @@ def test_windows_of_one_beam_are_one_answer() -> None:
         assert one.channel == "1+2"
 
 
-def test_python_and_recordings_take_groups(model: Model, samples: np.ndarray, tmp_path: Path) -> None:
+def test_python_and_recordings_take_groups(model: StoredModel, samples: np.ndarray, tmp_path: Path) -> None:
     two = np.stack([samples, again(samples)], axis=1)[: samples.size // 5]
     table = predict(two, RATE, "m/s^2", same_beam=[("1", "2")])
     assert set(table["channel"]) == {"1+2"}
@@ -382,7 +382,7 @@ def test_groups_are_checked(groups: object, says: str) -> None:
         PredictionSettings(same_beam=groups)  # type: ignore[arg-type]
 
 
-def test_groups_name_channels_of_the_recording(model: Model) -> None:
+def test_groups_name_channels_of_the_recording(model: StoredModel) -> None:
     names = ("left", "right", "3")
     assert grouped(names, (("3", "left"),)) == [(2, 0), (1,)]
     assert answering_channels(model, names, (("1", "right"),)) == ("left+right", "3")
@@ -460,7 +460,7 @@ def test_a_table_of_rocks_trains_a_model(pairs: Path) -> None:
             writer.writeheader()
             writer.writerows(both)
         ran("train", path, "--by", "impact", *options, "-o", path.with_suffix(".npz"))
-        counts[name] = Model.load(path.with_suffix(".npz")).training["n_train"]
+        counts[name] = StoredModel.load(path.with_suffix(".npz")).training["n_train"]
     assert counts["column"] == counts["option"] == 60
     assert counts["apart"] == 120
     out, _ = ran("predict", pairs / "monday.npy", *READ, "--same-beam", "1+2", "--model", pairs / "column.npz")
@@ -469,7 +469,7 @@ def test_a_table_of_rocks_trains_a_model(pairs: Path) -> None:
     assert sum(row["label"] != "unknown" for row in answers if row["channel"] == "1+2") >= 27
 
 
-def test_pulse_names_are_those_of_the_model(model: Model) -> None:
+def test_pulse_names_are_those_of_the_model(model: StoredModel) -> None:
     assert set(BEAM_PULSE) <= set(model.measured)
 
 
@@ -478,7 +478,7 @@ def test_a_model_knows_the_place_of_each_sensor(tmp_path: Path) -> None:
     points, path = ((0.5, 0.45), (1.1, 1.0)), tmp_path / "two.npz"
     sensors = [word for point in points for word in ("--sensor", "{},{}".format(*point))]
     ran("train", "tail_beam", *sensors, "--same-beam", "1+2", "-n", 600, "-o", path)
-    model = Model.load(path)
+    model = StoredModel.load(path)
     assert model.together == 2
     (batch,) = recorded_together(load_scene("tail_beam"), points, 40, 77)
     noise = np.random.default_rng(0).normal(0, 2.0, (2, 40, 4096))

@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 import numpy as np
 import pytest
 
-from cgid.identification.model import Model
+from cgid.identification.model.model import StoredModel
 from cgid.identification.training import ImpactClassifier, Rows, measure, train_on_specimens, write_card
 from cgid.identification.training.classifier import FAMILIES as EXPORTABLE
 from cgid.identification.training.metrics import paired_difference
@@ -56,7 +56,7 @@ def test_every_family_is_compared_and_a_card_can_print_it(
     lines = selection_table(rows)
     assert len(lines) == 2 + len(rows)
     model = train_on_specimens(synthesise(reference_scene, 400), features=FEATURES).model
-    model = Model.from_bytes(replace(model, training=model.training | {"selection": rows}).to_bytes())
+    model = StoredModel.from_bytes(replace(model, training=model.training | {"selection": rows}).to_bytes())
     assert model.training["selection"] == rows
     card = write_card(model, "m.npz", further=[("Selection", selection_section(rows, model.family))])
     assert "## Selection" in card

@@ -14,7 +14,7 @@ from scipy import signal
 from cgid.errors import BadData, InvalidValue
 from cgid.identification.inversion.inversion import ForceEstimate, Inversion, Observations
 from cgid.identification.inversion.through_beam import ThroughBeam, clipped_samples
-from cgid.identification.model import Model
+from cgid.identification.model.model import StoredModel
 from cgid.identification.prediction import Answer, PredictionSettings, identify, identify_frames
 from cgid.identification.prediction.stream import identify_blocks
 from cgid.identification.training import train_on_specimens
@@ -132,7 +132,7 @@ def looked(points: tuple[tuple[float, float], ...]) -> tuple[Batch, ForceEstimat
 
 
 @functools.cache
-def pair() -> Model:
+def pair() -> StoredModel:
     return train_on_specimens([looked(OFF)[0]], beam=beam_at(*OFF).beam).model
 
 
@@ -216,7 +216,7 @@ def test_a_model_of_two_sensors(tmp_path: Path) -> None:
     batch, model = looked(OFF)[0], pair()
     path = tmp_path / "pair.npz"
     path.write_bytes(model.to_bytes())
-    loaded = Model.load(path)
+    loaded = StoredModel.load(path)
     assert loaded.to_bytes() == path.read_bytes()
     assert loaded.beam is not None and loaded.beam.n_sensors == 2
     answers = identify_frames(batch.signals[:20], batch.sampling_rate, loaded, pre_trigger=batch.pre_trigger)

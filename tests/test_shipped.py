@@ -21,7 +21,7 @@ import cgid
 from cgid import shipped
 from cgid.cli.main import run
 from cgid.errors import NoInput
-from cgid.identification.model import Model
+from cgid.identification.model.model import StoredModel
 from cgid.identification.prediction import identify, identify_frames, suited
 from cgid.recordings import read_recording
 from cgid.scene import Scene, synthesise, varied
@@ -107,14 +107,14 @@ def test_default_models_belong_to_the_shipped_scenes(
     monkeypatch.syspath_prepend(Path(__file__).parents[1] / "models")
     from train import force_scenes
 
-    training = Model.load(shipped.path_of("models", name)).training
+    training = StoredModel.load(shipped.path_of("models", name)).training
     assert list(training["sources"]) == [scene.sha256 for scene, _ in force_scenes(10)]
     assert training["n_strangers"] > 0
     assert training["judged_on"] == reference_scene.sha256
 
 
 def test_sample_holds_six_impacts_and_the_model_knows_them() -> None:
-    model = Model.load(shipped.path_of("models", shipped.DEFAULT_MODEL))
+    model = StoredModel.load(shipped.path_of("models", shipped.DEFAULT_MODEL))
     (signal,) = read_recording(shipped.path_of("datasets", shipped.SAMPLE))
     answers = identify(suited(signal, model), model)
     np.testing.assert_allclose([a.time for a in answers], np.arange(6) * 0.02 + 0.005, atol=2e-5)
@@ -129,7 +129,7 @@ def test_sample_holds_six_impacts_and_the_model_knows_them() -> None:
 )
 def test_default_model_is_not_too_sure_behind_a_slow_recorder(sensor: dict[str, Any], reference_scene: Scene) -> None:
     # Filters of other kinds than those of its training; before slow ones taught it, .73 were right and .86 said.
-    model, right, sure = Model.load(shipped.path_of("models", shipped.DEFAULT_MODEL)), [], []
+    model, right, sure = StoredModel.load(shipped.path_of("models", shipped.DEFAULT_MODEL)), [], []
     for batch in synthesise(varied(reference_scene, **sensor), 1024, seed=77):
         answers = identify_frames(batch.signals, batch.sampling_rate, model, pre_trigger=batch.pre_trigger)
         for answer, label in zip(answers, batch.labels, strict=True):

@@ -10,8 +10,8 @@ import pytest
 
 from cgid import shipped
 from cgid.calibration.modes import uncertain
-from cgid.identification.model import Model
 from cgid.identification.model.confusion import MIN_SCATTER
+from cgid.identification.model.model import StoredModel
 from cgid.identification.prediction import PredictionSettings
 from cgid.identification.prediction.stream import identify_blocks
 from cgid.identification.prediction.support import CavingWatch
@@ -30,12 +30,12 @@ def caving() -> Scene:
 
 
 @pytest.fixture(scope="module")
-def shipped_model() -> Model:
-    return Model.load(shipped.path_of("models", shipped.ACCELERATION_MODEL))
+def shipped_model() -> StoredModel:
+    return StoredModel.load(shipped.path_of("models", shipped.ACCELERATION_MODEL))
 
 
 @pytest.fixture(scope="module")
-def short(caving: Scene, shipped_model: Model) -> tuple[list[Scene], list[StreamRows]]:
+def short(caving: Scene, shipped_model: StoredModel) -> tuple[list[Scene], list[StreamRows]]:
     """Return four streams of five seconds, and their measured impacts."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(streams, "DURATION", 5.0)
@@ -92,7 +92,7 @@ def test_rows_are_what_the_detector_finds_with_the_truth_of_the_rock(short) -> N
         assert np.median(np.abs(np.log(seen / np.array(peaks)))) < 0.05
 
 
-def test_a_model_is_finished(short, shipped_model: Model) -> None:
+def test_a_model_is_finished(short, shipped_model: StoredModel) -> None:
     _, measured = short
     plain = replace(
         shipped_model,
@@ -106,7 +106,7 @@ def test_a_model_is_finished(short, shipped_model: Model) -> None:
     assert model.guard_limits[0] == 50.0 and model.guard_limits[1] >= 1.0
     assert told["unknown_share"] < 0.15
     assert told["n_found"] == 3 * sum(one.n_detected for one in measured)
-    again = Model.from_bytes(model.to_bytes())
+    again = StoredModel.from_bytes(model.to_bytes())
     assert again.confusion is not None and model.confusion is not None
     assert again.confusion.rates.tolist() == model.confusion.rates.tolist()
     assert sum(told["answers_a_rock"].values()) == pytest.approx(model.confusion.rates.sum())

@@ -9,7 +9,7 @@ import pytest
 
 from cgid import shipped
 from cgid.errors import BadData, InvalidValue
-from cgid.identification.model import Model
+from cgid.identification.model.model import StoredModel
 from cgid.identification.training import measure
 from cgid.impactor.estimation import estimate
 from cgid.physics import STEEL, Elastic, HalfSpace, HertzRangeWarning, Impact, Material, Sphere, Viscoelastic
@@ -168,7 +168,7 @@ def test_elastic_impacts_are_of_the_family(solved):
 
 
 def test_the_model_knows_them_though_no_training_saw_them(solved, reference_scene):
-    model = Model.load(shipped.path_of("models", shipped.DEFAULT_MODEL))
+    model = StoredModel.load(shipped.path_of("models", shipped.DEFAULT_MODEL))
     measured = measure(solved.signals(reference_scene, seed=5), model.measured)
     inputs, guards = np.split(measured.features, [len(model.features)], axis=1)
     assert measured.left_out == 0

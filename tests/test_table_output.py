@@ -21,7 +21,7 @@ from scipy.io import wavfile
 from cgid.cli.main import run
 from cgid.cli.output import finite
 from cgid.cli.table import ENDINGS, TableOutput
-from cgid.identification.model import Model
+from cgid.identification.model.model import StoredModel
 from cgid.identification.prediction import identify_recording
 from cgid.identification.training.manifest import read_manifest
 from cgid.recordings import open_recording
@@ -69,7 +69,7 @@ def test_predict_prints_a_table(tmp_path: Path) -> None:
     answers = list(
         identify_recording(
             open_recording(tmp_path / "two.npy", sampling_rate=RATE, unit="N"),
-            Model.load(ROOT / "models" / "default.npz"),
+            StoredModel.load(ROOT / "models" / "default.npz"),
         )
     )
     assert len(answers) == 12

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from cgid import load_model
 from cgid.errors import BadData
-from cgid.identification.model.model import Model
+from cgid.identification.model.model import StoredModel
 from cgid.identification.model.world import CHECKS, Misfit, MisfitPart, World, WorldTest, trait_names
 from cgid.learning.world import with_world
 
@@ -36,11 +36,11 @@ def recording(seed: int, n: int = 400) -> tuple[Floats, float]:
 
 
 @pytest.fixture(scope="module")
-def model() -> Model:
+def model() -> StoredModel:
     return with_world(load_model("default"), (recording(k) for k in range(199)), 1)
 
 
-def told(model: Model, traits: Floats) -> Misfit | None:
+def told(model: StoredModel, traits: Floats) -> Misfit | None:
     assert model.world is not None
     test = WorldTest(model.world)
     for n in CHECKS:
@@ -49,7 +49,7 @@ def told(model: Model, traits: Floats) -> Misfit | None:
     return test.misfit
 
 
-def test_a_recording_of_this_world_is_told_at_the_stated_rate(model: Model) -> None:
+def test_a_recording_of_this_world_is_told_at_the_stated_rate(model: StoredModel) -> None:
     assert model.world is not None and model.world.rate == 0.01 and model.training["world"]["rate"] == 0.01
     alarms = [told(model, recording(10_000 + k, 800)[0]) is not None for k in range(400)]
     assert sum(alarms) <= 11  # 4 at the stated rate, more than 11 with a probability of .001
@@ -81,7 +81,7 @@ CHANGES = {
 
 
 @pytest.mark.parametrize("what", CHANGES)
-def test_what_does_not_fit_is_told_and_by_how_much(model: Model, what: str) -> None:
+def test_what_does_not_fit_is_told_and_by_how_much(model: StoredModel, what: str) -> None:
     change, part, factor = CHANGES[what]
     for seed in range(20_000, 20_010):
         misfit = told(model, change(recording(seed, 800)[0]))
@@ -98,8 +98,8 @@ def test_few_recordings_state_a_higher_rate_and_hardly_any_make_no_test() -> Non
     assert with_world(plain, [recording(k, 49) for k in range(30)], 1).world is None
 
 
-def test_model_files_keep_the_world_and_damaged_ones_are_refused(model: Model) -> None:
-    again = Model.from_bytes(model.to_bytes())
+def test_model_files_keep_the_world_and_damaged_ones_are_refused(model: StoredModel) -> None:
+    again = StoredModel.from_bytes(model.to_bytes())
     assert model.world is not None and again.world is not None
     assert all(np.array_equal(a, again.world.arrays[name]) for name, a in model.world.arrays.items())
     for name, wrong in {
@@ -119,6 +119,6 @@ def test_only_models_that_measure_pulses_and_what_is_left_are_compared() -> None
     assert trait_names(("fitted_peak", "fitted_width")) == ()
 
 
-def test_impacts_that_are_no_numbers_are_no_alarm(model: Model) -> None:
+def test_impacts_that_are_no_numbers_are_no_alarm(model: StoredModel) -> None:
     assert told(model, np.full((100, 5), np.nan)) is None
     assert World.from_arrays({}) is None

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from cgid import shipped
-from cgid.identification.model import Model
+from cgid.identification.model.model import StoredModel
 from cgid.identification.training import measure
 from cgid.identification.training.metrics import evaluate
 from cgid.impactor.estimation import estimate
@@ -67,7 +67,7 @@ def fitted(impacts: SolvedImpacts) -> tuple[np.ndarray, np.ndarray]:
     return 1 - ((fit - truth) ** 2).sum(axis=1) / spread, found.restitution - impacts.columns["restitution"]
 
 
-def row(name: str, impacts: SolvedImpacts, scene: Scene, model: Model, sizes: int) -> str:
+def row(name: str, impacts: SolvedImpacts, scene: Scene, model: StoredModel, sizes: int) -> str:
     """Return a model's figures on the signals of all sizes, as a line of the table."""
     measured = measure(
         (batch for size in range(sizes) for batch in impacts.signals(scene, SEED + size)), model.measured
@@ -92,7 +92,7 @@ def main() -> None:
     parser.add_argument("--sizes", type=int, default=8, help="how often sizes and noise are drawn")
     arguments = parser.parse_args()
     solved = SolvedImpacts.load(shipped.path_of("datasets", shipped.FINITE_ELEMENT_IMPACTS))
-    model = Model.load(arguments.model or shipped.path_of("models", shipped.DEFAULT_MODEL))
+    model = StoredModel.load(arguments.model or shipped.path_of("models", shipped.DEFAULT_MODEL))
     scene = load_scene(shipped.scene_path(solved.made["scene"]))
     kinds = {FINITE_ELEMENTS: solved} | {law: by_law(solved, scene, law) for law in (VISCOELASTIC, FAMILY)}
     for noise in (scene.sensor.relative_noise, 10 * scene.sensor.relative_noise):

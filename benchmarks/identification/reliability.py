@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from cgid import shipped
-from cgid.identification.model import Model
+from cgid.identification.model.model import StoredModel
 from cgid.identification.prediction import identify, identify_frames, suited
 from cgid.identification.training.card import table
 from cgid.identification.training.metrics import evaluate
@@ -27,7 +27,7 @@ SEED = 3_000_003
 SHOCKS = Path(__file__).parents[3] / "shared" / "realdata" / "shock"
 
 
-def judged(model: Model, n: int) -> None:
+def judged(model: StoredModel, n: int) -> None:
     labels, probabilities = [], []
     for batch in synthesise(load_scene(shipped.scene_path("reference")), n, SEED):
         features = extract_array(
@@ -68,7 +68,7 @@ def judged(model: Model, n: int) -> None:
     print("\n" + "\n".join(table(titles, rows)) + "\n")
 
 
-def strangers(model: Model, n: int) -> None:
+def strangers(model: StoredModel, n: int) -> None:
     rows = []
     for scene in ("reference", "strangers", "lookalikes"):
         answers = defaultdict(list)
@@ -100,7 +100,7 @@ def main() -> None:
     parser.add_argument("model", nargs="?", default=shipped.path_of("models", shipped.DEFAULT_MODEL))
     parser.add_argument("-n", "--signals", type=int, default=100_000)
     arguments = parser.parse_args()
-    model = Model.load(arguments.model)
+    model = StoredModel.load(arguments.model)
     judged(model, arguments.signals)
     strangers(model, max(arguments.signals // 5, 256))
 

@@ -39,8 +39,8 @@ from benchmarks.identification.peers import RIVALS, rows, timed
 from benchmarks.identification.rock import limits
 from cgid import shipped
 from cgid.identification.inversion.through_beam import ThroughBeam
-from cgid.identification.model import Model
 from cgid.identification.model.confusion import wilson_interval
+from cgid.identification.model.model import StoredModel
 from cgid.identification.training import ImpactClassifier
 from cgid.identification.training.rows import BEAM_FEATURES, BEAM_GUARDS, DEFAULT_FEATURES, DEFAULT_GUARDS
 from cgid.measure.features import extraction as known
@@ -139,7 +139,7 @@ def own_rivals(folder: Path, scene: str, size: int) -> Iterator[dict[str, Any]]:
     x = rows(folder, "test_features")[:, own]
     measured = np.isfinite(x).all(axis=1)
     if not size:
-        model = Model.load(shipped.model_path("default-acceleration" if scene == "tail_beam" else "default"))
+        model = StoredModel.load(shipped.model_path("default-acceleration" if scene == "tail_beam" else "default"))
         proba, seconds = timed(model.probabilities, x[measured])
         found = {"cgid as shipped": (np.array(model.labels)[proba.argmax(1)], 0.0, seconds)}
     else:

@@ -29,7 +29,7 @@ from threadpoolctl import threadpool_limits
 
 from benchmarks.impact.rock_pulses import CASES, LAWS, RATE, Case, Impacts, record
 from cgid import shipped
-from cgid.identification.model import Model
+from cgid.identification.model.model import StoredModel
 from cgid.identification.prediction.answers import UNKNOWN, identify, identify_frames, suited
 from cgid.identification.training import ImpactClassifier, Rows, measure, train_on_specimens
 from cgid.measure.features.extraction import extract_array
@@ -96,7 +96,7 @@ class Answered(NamedTuple):
         }
 
 
-def answered(model: Model, signals: NDArray[Any], labels: NDArray[np.str_], trigger: int) -> Answered:
+def answered(model: StoredModel, signals: NDArray[Any], labels: NDArray[np.str_], trigger: int) -> Answered:
     answers = identify_frames(signals, RATE, model, pre_trigger=trigger)
     coal = np.array([answer.probabilities.get("coal", 0.5) for answer in answers])
     return Answered(coal, np.array([answer.label == UNKNOWN for answer in answers]), labels)
@@ -117,11 +117,11 @@ class Table(NamedTuple):
     labels: NDArray[np.str_]
 
 
-def extracted(model: Model, signals: NDArray[Any], trigger: int) -> Floats:
+def extracted(model: StoredModel, signals: NDArray[Any], trigger: int) -> Floats:
     return extract_array(signals, RATE, model.features, pre_trigger=trigger, invalid="nan")
 
 
-def features_of(model: Model, case: Case, n: int) -> Table:
+def features_of(model: StoredModel, case: Case, n: int) -> Table:
     parts = [(extracted(model, one.signals, case.trigger), one.labels) for one in blocks(case, n, _LEARNED)]
     return Table(*(np.concatenate(column) for column in zip(*parts, strict=True)))
 
@@ -148,7 +148,7 @@ def accuracy(classifier: ImpactClassifier, test: Table) -> float:
     return float((right.sum() + 0.5 * (~measured).sum()) / len(measured))
 
 
-def table_of_cases(model: Model, names: Sequence[str], n: int, n_learner: int) -> Iterator[Line]:
+def table_of_cases(model: StoredModel, names: Sequence[str], n: int, n_learner: int) -> Iterator[Line]:
     for name in names:
         if name == BOTH:
             trigger = with_both_losses().sampling.pre_trigger
@@ -212,7 +212,7 @@ def joined(parts: Sequence[Rows]) -> Rows:
     )
 
 
-def table_of_laws(model: Model, n_rows: int, n: int) -> Iterator[Line]:
+def table_of_laws(model: StoredModel, n_rows: int, n: int) -> Iterator[Line]:
     """Yield the lines of table 3: what the models say of the law that they do not know, and of it when they do."""
     guards = [name for name in model.guards if name not in model.features]
     scenes = (load_scene(shipped.scene_path(name)) for name in ("rock", "anything"))
@@ -245,7 +245,7 @@ def table_of_laws(model: Model, n_rows: int, n: int) -> Iterator[Line]:
 # -- strangers --------------------------------------------------------------------------------------------
 
 
-def table_of_strangers(model: Model, n: int) -> Iterator[Line]:
+def table_of_strangers(model: StoredModel, n: int) -> Iterator[Line]:
     """Yield the share flagged of each kind of stranger, at three noises, and of the real shocks."""
     scene = load_scene(shipped.scene_path("strangers"))
     flagged: dict[str, Line] = {}
@@ -264,7 +264,7 @@ def table_of_strangers(model: Model, n: int) -> Iterator[Line]:
         yield {"stranger": f"{len(files)} real shocks", "at 0.1%": "-", "at 1.0%": share, "at 10.0%": "-"}
 
 
-def shock_is_flagged(model: Model, file: Path) -> bool:
+def shock_is_flagged(model: StoredModel, file: Path) -> bool:
     (recorded,) = read_recording(file)
     answers = identify(suited(recorded.as_force(1.0), model), model)
     return not any(answer.in_training_range for answer in answers)
@@ -306,7 +306,7 @@ def main() -> None:
     parser.add_argument("--learner-signals", type=int, default=20_000, help="that a learner trains on")
     parser.add_argument("--rows", type=int, default=10_000, help="of each law and scene in table 3")
     own = parser.parse_args()
-    model = Model.load(shipped.path_of("models", shipped.DEFAULT_MODEL))
+    model = StoredModel.load(shipped.path_of("models", shipped.DEFAULT_MODEL))
     tables = {
         2: ("2. Laws, shapes, recorders", table_of_cases(model, own.cases, own.signals, own.learner_signals)),
         3: ("3. A law left out of the training", table_of_laws(model, own.rows, own.signals)),

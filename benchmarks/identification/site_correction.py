@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid import shipped
-from cgid.identification.model import Model
+from cgid.identification.model.model import StoredModel
 from cgid.identification.training import Rows, measure
 from cgid.identification.training.correction import correct
 from cgid.scene import parse_scene, synthesise
@@ -55,7 +55,7 @@ def draws(rows: Rows, n: int, seeds: int) -> Iterator[NDArray[np.bool_]]:
             yield chosen
 
 
-def judged(model: Model, rows: Rows) -> tuple[float, float]:
+def judged(model: StoredModel, rows: Rows) -> tuple[float, float]:
     probabilities = model.probabilities(rows.columns(model.features))
     truth = np.array([model.labels.index(label) for label in rows.labels])
     own = probabilities[np.arange(len(truth)), truth]
@@ -68,7 +68,7 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=20)
     parser.add_argument("--site", choices=SITES, action="append", help="only this one, or several")
     asked = parser.parse_args()
-    model = Model.load(shipped.model_path("default-acceleration"))
+    model = StoredModel.load(shipped.model_path("default-acceleration"))
     assert model.beam is not None
     print("| site | labelled | before | after | most lost | log loss before | after | stated | interval holds |")
     print("|---" * 9 + "|")

@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from cgid import plots, shipped
-from cgid.identification.model import Model
+from cgid.identification.model.model import StoredModel
 from cgid.identification.prediction import Answer, PredictionSettings
 from cgid.identification.prediction.fraction import Share, Switch
 from cgid.identification.prediction.settings import COST_EARLY
@@ -48,7 +48,7 @@ class Stream:
     cost: float
 
     @classmethod
-    def of(cls, scene: Scene, seed: int, number: int, model: Model) -> Stream:
+    def of(cls, scene: Scene, seed: int, number: int, model: StoredModel) -> Stream:
         """Make a stream and answer for it."""
         signal, truth = record(scene, seed, number)
         first = truth["bounce"] == 0
@@ -60,12 +60,12 @@ class Stream:
         cost = (time.process_time() - begun) / len(answers)
         return cls(answers, truth["time"][first], truth["label"][first] == "gangue", cost)
 
-    def watched(self, model: Model, **settings: Any) -> list[SupportReport]:
+    def watched(self, model: StoredModel, **settings: Any) -> list[SupportReport]:
         """Return the reports of the support, as `cgid monitor` makes them."""
         watch = CavingWatch(model, ("1",), PredictionSettings(trained_seam=True, **settings))
         return watch.feed(self.answers, DURATION) + watch.finish(DURATION)
 
-    def shares(self, model: Model, length: float) -> Iterator[tuple[Share, float]]:
+    def shares(self, model: StoredModel, length: float) -> Iterator[tuple[Share, float]]:
         """Yield the shares of windows end to end, and the true shares of the rocks that came in them."""
         for report in self.watched(model, share_time=length, share_step=length):
             share = report.state.share
@@ -73,7 +73,7 @@ class Stream:
                 own = self.gangue[(self.time > share.start) & (self.time <= share.time)]
                 yield share, float(own.mean())
 
-    def turns(self, model: Model, **settings: Any) -> list[Switch]:
+    def turns(self, model: StoredModel, **settings: Any) -> list[Switch]:
         """Return the turns with windows of 10 s, each second."""
         return [one.switch for one in self.watched(model, share_step=1.0, **settings) if one.switch is not None]
 
@@ -106,7 +106,7 @@ def changed(share: float) -> Scene:
     return parse_scene(content | {"name": f"another seam, {share:.0%} gangue"})
 
 
-def row(name: str, streams: list[Stream], shares: np.ndarray, model: Model) -> str:
+def row(name: str, streams: list[Stream], shares: np.ndarray, model: StoredModel) -> str:
     errors = [share.share - truth for stream in streams for share, truth in stream.shares(model, DURATION)]
     windows = [pair for stream in streams for pair in stream.shares(model, 10.0)]
     held = np.mean([share.low <= truth <= share.high for share, truth in windows])
@@ -133,7 +133,7 @@ def row(name: str, streams: list[Stream], shares: np.ndarray, model: Model) -> s
     )
 
 
-def alarms(streams: list[Stream], shares: np.ndarray, model: Model) -> Iterator[str]:
+def alarms(streams: list[Stream], shares: np.ndarray, model: StoredModel) -> Iterator[str]:
     low, near = shares <= FALSE_UP_TO + 1e-9, (shares > FALSE_UP_TO + 1e-9) & (shares < 0.49)
     yield f"| early over late | SHUT an hour, shares up to {FALSE_UP_TO:g} | shares of .33 to .44 |"
     yield "|---|---|---|"
@@ -143,7 +143,7 @@ def alarms(streams: list[Stream], shares: np.ndarray, model: Model) -> Iterator[
         yield f"| {early:g} | {rates[0]:.0f} | {rates[1]:.0f} |"
 
 
-def rising(model: Model, n: int, seed: int, picture: Path | None) -> Iterator[str]:
+def rising(model: StoredModel, n: int, seed: int, picture: Path | None) -> Iterator[str]:
     """Yield the table of the decision on `caving`."""
     scene = load_scene(shipped.scene_path("caving"))
     streams = [Stream.of(scene, seed, number, model) for number in range(n)]
@@ -178,7 +178,7 @@ def rising(model: Model, n: int, seed: int, picture: Path | None) -> Iterator[st
         yield drawn_row(f"at the true crossing of {1 / (1 + cost):.2f}", streams, np.full(n, crossings[cost]))
 
 
-def picture_of(stream: Stream, model: Model) -> bytes:
+def picture_of(stream: Stream, model: StoredModel) -> bytes:
     figure = plots.require_matplotlib()(figsize=(9, 4.2), layout="constrained")
     axes, times = figure.subplots(), np.array([answer.time for answer in stream.answers])
     blue, red, *_ = plots.COLOURS
@@ -205,7 +205,7 @@ def main() -> None:
     parser.add_argument("--first", type=int, default=0, help="added to the seeds")
     parser.add_argument("--picture", type=Path, help="PNG file of the operators' curve")
     arguments = parser.parse_args()
-    model = Model.load(arguments.model)
+    model = StoredModel.load(arguments.model)
     shares = np.round(HIGHEST * (np.arange(arguments.streams) % 10) / 9, 4)
     print(
         "| streams | number | RMS error of 60 s | mean error | 10 s intervals that hold the share / the rocks | "

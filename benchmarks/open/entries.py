@@ -19,7 +19,7 @@ from benchmarks.open.sets import COAL, GANGUE, LARGEST, PUBLIC_SEED, TRAIN_SEED,
 from cgid import shipped
 from cgid._lib.files import read_cells
 from cgid.errors import InvalidValue
-from cgid.identification.model import Model
+from cgid.identification.model.model import StoredModel, stored
 from cgid.identification.prediction import PredictionSettings, identify_frames
 from cgid.identification.prediction.stream import identify_blocks
 from cgid.identification.prediction.support import CavingWatch
@@ -147,7 +147,7 @@ def _window_levels(signal: NDArray[Any], rate: float) -> NDArray[np.float64]:
 
 def defaults(folder: Path) -> Predictions:
     names = {"N": shipped.DEFAULT_MODEL, "m/s^2": shipped.ACCELERATION_MODEL}
-    models = {unit: Model.load(shipped.path_of("models", name)) for unit, name in names.items()}
+    models = {unit: StoredModel.load(shipped.path_of("models", name)) for unit, name in names.items()}
     return {name: _answered(models[part.unit], part) for name, part in parts_of(folder, "test").items()}
 
 
@@ -158,14 +158,16 @@ def trained(folder: Path) -> Predictions:
     """
     parts, labels = parts_of(folder, "train"), Truth.read(folder).frames
     streams = all_sets()["caving-constant"]
-    models = {name: train_on_specimens(_batches(parts[name], labels[name])).model for name in ("reference", "peers")}
+    models = {
+        name: stored(train_on_specimens(_batches(parts[name], labels[name])).model) for name in ("reference", "peers")
+    }
     beam, names = full_beam(streams.scene), (*BEAM_FEATURES, *BEAM_GUARDS)
     seed, n = TRAIN_SEED + streams.number, len(parts[streams.name].signals)
     # The very streams of the training part: the same scenes, seed and numbers.
     heard = rows_of_streams([streams.stream(seed, number)[0] for number in range(n)], seed, names, beam)
     frames = measure(_batches(parts["tail_beam"], labels["tail_beam"]), names, beam=beam)
     rows = Rows.joined([frames, *(one.rows for one in heard[: n // 2])])
-    model = train_on_specimens(rows, features=BEAM_FEATURES, guards=BEAM_GUARDS).model
+    model = stored(train_on_specimens(rows, features=BEAM_FEATURES, guards=BEAM_GUARDS).model)
     models["tail_beam"] = models[streams.name] = finished(model, heard[n // 2 :])
     return {name: _answered(models[part.learn], part) for name, part in parts_of(folder, "test").items()}
 
@@ -179,7 +181,7 @@ def _batches(part: Part, labels: NDArray[np.str_]) -> Iterator[Batch]:
         yield Batch(signals=signals, labels=labels[own], specimen=numbers, unit=part.unit, **known)
 
 
-def _answered(model: Model, part: Part) -> Frames | Streams:
+def _answered(model: StoredModel, part: Part) -> Frames | Streams:
     if part.is_stream:
         return Streams(*map(np.array, zip(*(_watched(model, one, part.rate) for one in part.signals), strict=True)))
     probabilities, unknown = [], []
@@ -191,7 +193,7 @@ def _answered(model: Model, part: Part) -> Frames | Streams:
     return Frames(np.array(probabilities), np.array(unknown))
 
 
-def _watched(model: Model, signal: NDArray[Any], rate: float) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+def _watched(model: StoredModel, signal: NDArray[Any], rate: float) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
     question = PredictionSettings(share_time=float(WINDOW), share_step=1.0)
     steps = identify_blocks([np.array(signal)[None]], rate, model, ("1",), question)
     watch = CavingWatch(model, ("1",), question)

@@ -22,7 +22,7 @@ import numpy as np
 
 from benchmarks.plant.wrong_scale import SEED, World, of_acceleration
 from cgid import read_recording, shipped
-from cgid.identification.model import Model
+from cgid.identification.model.model import StoredModel
 from cgid.identification.prediction import Answer
 from cgid.identification.prediction.diagnosis import Condition, Diagnosis
 from cgid.identification.training.card import table
@@ -76,7 +76,7 @@ def sensors() -> None:
 
 
 def told_after(
-    model: Model, own: list[Answer], scaled: list[Answer], start: int, rng: np.random.Generator
+    model: StoredModel, own: list[Answer], scaled: list[Answer], start: int, rng: np.random.Generator
 ) -> int | None:
     """Return after how many impacts a gain that changes is told; -1 if before it, None if not within a thousand."""
     diagnosis = Diagnosis(model, live=True)
@@ -131,7 +131,7 @@ def main() -> None:
     arguments = parser.parse_args()
     if not arguments.levels_only:
         sensors()
-    model = Model.load(shipped.path_of("models", shipped.ACCELERATION_MODEL))
+    model = StoredModel.load(shipped.path_of("models", shipped.ACCELERATION_MODEL))
     gains(World(model, of_acceleration(model, 40, arguments.streams)), np.random.default_rng(SEED))
 
 

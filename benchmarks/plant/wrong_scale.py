@@ -37,7 +37,7 @@ from benchmarks.beam import foreign_beam, independent_beam
 from cgid import shipped
 from cgid._lib.validation import UNKNOWN
 from cgid.cli.main import run
-from cgid.identification.model import Model
+from cgid.identification.model.model import StoredModel
 from cgid.identification.prediction import PredictionSettings
 from cgid.identification.prediction.answers import Answer, answers_from
 from cgid.identification.prediction.diagnosis import Diagnosis
@@ -57,7 +57,7 @@ FACTORS = (1e-3, 0.01, 0.1, 1 / 9.81, 0.2, 0.5, 0.7, 1.0, 1.4, 2.0, 5.0, 9.81, 1
 Parts = list[tuple[str, Rows]]
 
 
-def of_force(model: Model, n: int) -> Parts:
+def of_force(model: StoredModel, n: int) -> Parts:
     """Return rows of the scenes of the models of force, and of single rigs."""
     heights = model.known
     parts = [
@@ -71,7 +71,7 @@ def of_force(model: Model, n: int) -> Parts:
     return parts
 
 
-def of_acceleration(model: Model, n: int, n_streams: int) -> Parts:
+def of_acceleration(model: StoredModel, n: int, n_streams: int) -> Parts:
     scenes = [scene for scene, _ in acceleration_scenes(100)]
     beam = beam_of(scenes[-1])
     parts = [(scene.name, measure(synthesise(scene, n // 4, SEED), model.measured, beam=beam)) for scene in scenes]
@@ -81,7 +81,7 @@ def of_acceleration(model: Model, n: int, n_streams: int) -> Parts:
 class World:
     """The measured impacts of a model's own recordings."""
 
-    def __init__(self, model: Model, parts: Parts) -> None:
+    def __init__(self, model: StoredModel, parts: Parts) -> None:
         self.model, self.names = model, [name for name, _ in parts]
         self.inputs = [np.hstack([rows.features[:, : len(model.features)], rows.known]) for _, rows in parts]
         self.guards = [rows.features[:, len(model.features) :] for _, rows in parts]
@@ -333,7 +333,7 @@ def main() -> None:
         labelled(arguments.recordings)
         return
     for name in (shipped.DEFAULT_MODEL, shipped.DROP_HEIGHT_MODEL, shipped.ACCELERATION_MODEL):
-        model = Model.load(shipped.path_of("models", name))
+        model = StoredModel.load(shipped.path_of("models", name))
         if model.beam is None:
             parts = of_force(model, arguments.impacts)
         else:

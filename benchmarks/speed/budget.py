@@ -22,7 +22,7 @@ from pathlib import Path
 import numpy as np
 
 from cgid import shipped
-from cgid.identification.model import Model
+from cgid.identification.model.model import StoredModel
 from cgid.identification.training.rows import DEFAULT_FEATURES
 from cgid.measure.features.extraction import FEATURES, choose, extract_array
 from cgid.measure.filters import fft_filter
@@ -96,7 +96,7 @@ def main() -> None:
     frames = make_frames(drawn, 0, 0, np.float32)
     peak = drawn.parameters["peak_force"]
     silence, level = np.zeros_like(frames), scene.sensor.noise_level(peak, rate)
-    model = Model.load(shipped.path_of("models", shipped.DEFAULT_MODEL))
+    model = StoredModel.load(shipped.path_of("models", shipped.DEFAULT_MODEL))
     table = extract_array(frames, rate, model.measured, pre_trigger=pre_trigger, invalid="nan")
     table = table[np.isfinite(table).all(axis=1)]
     features, guards = np.split(table, [len(model.features)], axis=1)

@@ -14,8 +14,8 @@ from cgid.units import Column, numbers
 
 if TYPE_CHECKING:
     from cgid.cli.hints import Hints
-    from cgid.identification.model import Model
     from cgid.identification.model.anchor import Basis
+    from cgid.identification.model.model import StoredModel
     from cgid.identification.prediction import Answer, PredictionSettings
     from cgid.identification.prediction.diagnosis import Change, Hint
     from cgid.identification.prediction.fraction import Share, Switch
@@ -56,7 +56,7 @@ class AnswerLines:
         self._live, self._clock, self._listener = live, clock, listener
         self._table, self._datasets = table or TableOutput(), datasets
 
-    def begin(self, source: str, model: Model, settings: PredictionSettings) -> None:
+    def begin(self, source: str, model: StoredModel, settings: PredictionSettings) -> None:
         """Set the columns; raises `BadData` if earlier rows have different ones."""
         from cgid.errors import BadData
         from cgid.identification.prediction.answers import answer_columns

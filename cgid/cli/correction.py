@@ -20,7 +20,7 @@ def correct_model(
     manifest: Manifest, base: str, path: Path, dead_time: float | None, how: Reading, *, plots: bool, as_json: bool
 ) -> int:
     """Write a model corrected by labelled impacts, and report its accuracy."""
-    from cgid.identification.model import Model
+    from cgid.identification.model.model import StoredModel
     from cgid.identification.training import Training
     from cgid.identification.training.card import correction_section, write_model
     from cgid.identification.training.correction import advice, correct, require_correctable, require_known
@@ -29,7 +29,7 @@ def correct_model(
     from cgid.identification.training.rows import Slicing
     from cgid.shipped import model_path
 
-    model = Model.load(model_path(base))
+    model = StoredModel.load(model_path(base))
     require_correctable(model)
     slicing = Slicing(by="impact", dead_time=dead_time)
     if (manifest.n_intervals or 0) > _LOOK:

@@ -55,10 +55,10 @@ def export_model(model: str, to: str, output: str, overwrite: bool) -> None:
     from cgid._lib.files import check_new, write_whole
     from cgid.export import c_source
     from cgid.export.onnx import onnx_bytes
-    from cgid.identification.prediction import load_model
+    from cgid.identification.prediction.prediction import read_model
 
     path = check_new(Path(output), f"a model in {to.upper()}", (f".{to}",), overwrite=overwrite)
-    loaded = load_model(model)
+    loaded = read_model(model)
     content = c_source(loaded).encode("ascii") if to == "c" else onnx_bytes(loaded)
     write_whole(path, content, overwrite=overwrite)
     say(f"{path}: {len(content) / 1e3:.4g} kB", err=True)

@@ -15,7 +15,7 @@ from cgid.identification.prediction.diagnosis import CauseKind, Diagnosis, Hint,
 from cgid.units import UNITS
 
 if TYPE_CHECKING:
-    from cgid.identification.model import Model
+    from cgid.identification.model.model import StoredModel
     from cgid.identification.prediction.diagnosis import ChannelFinding
 
 #: The shipped scene with a beam, and its sampling rate [Hz], which recordings for its calibration must have.
@@ -35,7 +35,7 @@ class Hints(Diagnosis):
 
     def __init__(
         self,
-        model: Model,
+        model: StoredModel,
         sampling_rate: float,
         source: str,
         options: Sequence[str] = (),

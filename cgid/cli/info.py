@@ -133,9 +133,9 @@ def _table(file: str) -> dict[str, Any]:
 
 
 def _model(file: str) -> dict[str, Any]:
-    from cgid.identification.model import Model
+    from cgid.identification.model.model import StoredModel
 
-    model = Model.load(file)
+    model = StoredModel.load(file)
     header = model.header
     training = header.pop("training")
     metrics = training.pop("metrics", {})

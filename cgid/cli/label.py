@@ -25,7 +25,7 @@ from cgid.cli.output import say, warn
 from cgid.errors import CannotCreate, CgidError, InvalidValue
 
 if TYPE_CHECKING:
-    from cgid.identification.model.model import Model
+    from cgid.identification.model.model import StoredModel
     from cgid.labelling.recording import LabelledRecording
 
 #: Port that is tried first: labels that wait in a browser are kept for one address.
@@ -116,16 +116,16 @@ def label(
     return 0
 
 
-def _base(model: str | None, file: str, reading: ReadingOptions) -> Model | None:
+def _base(model: str | None, file: str, reading: ReadingOptions) -> StoredModel | None:
     """Return the model to correct; None if none is given, and no shipped one is for this quantity."""
-    from cgid.identification.prediction.prediction import default_model, load_model
+    from cgid.identification.prediction.prediction import default_model, read_model
     from cgid.identification.prediction.settings import PredictionSettings
     from cgid.identification.training.correction import require_correctable
     from cgid.identification.training.recordings import unit_of
     from cgid.units import quantity_of
 
     quantity = quantity_of(unit_of(reading.recording(file)))
-    loaded = load_model(default_model(quantity, PredictionSettings()) if model is None else model)
+    loaded = read_model(default_model(quantity, PredictionSettings()) if model is None else model)
     try:
         require_correctable(loaded)
     except InvalidValue:
@@ -140,7 +140,7 @@ def _base(model: str | None, file: str, reading: ReadingOptions) -> Model | None
 
 
 def _opened(
-    file: str, folder: Path, reading: ReadingOptions, base: Model | None, rates: set[float]
+    file: str, folder: Path, reading: ReadingOptions, base: StoredModel | None, rates: set[float]
 ) -> LabelledRecording:
     """Return an open recording, to be measured for a new model and for the one that is corrected."""
     from cgid.identification.model.reference import equalisations_of

@@ -20,12 +20,12 @@ def models(as_json: bool) -> None:
     """
     from cgid import shipped
     from cgid.cli.output import print_json
-    from cgid.identification.model import Model
+    from cgid.identification.model.model import StoredModel
 
     rows = []
     for row in shipped.model_versions():
         path = shipped.path_of("models", f"{row['name']}.npz")
-        model = Model.load(path)
+        model = StoredModel.load(path)
         rows.append(
             {
                 "name": row["name"],

@@ -17,7 +17,7 @@ from cgid.shipped import MODELS, SCENES
 from cgid.signals import Signal, channel_name
 
 if TYPE_CHECKING:
-    from cgid.identification.model import Model
+    from cgid.identification.model.model import StoredModel
     from cgid.identification.prediction import PredictionSettings
     from cgid.identification.training.recordings import Reading
     from cgid.recordings import RecordingFile
@@ -593,18 +593,18 @@ class Models:
 
     def __init__(self, path: str | None, settings: PredictionSettings) -> None:
         self._path, self._settings = path, settings
-        self._models: dict[str | None, Model] = {}
+        self._models: dict[str | None, StoredModel] = {}
         self._one_for_all = path is not None or settings.mass is not None or settings.drop_height is not None
         if self._one_for_all:
             self.of(None)
 
-    def of(self, quantity: str | None) -> Model:
+    def of(self, quantity: str | None) -> StoredModel:
         """Return the model for signals of a quantity."""
         key = self.key(quantity)
         if key not in self._models:
-            from cgid.identification.prediction.prediction import default_model, load_model
+            from cgid.identification.prediction.prediction import default_model, read_model
 
-            model = load_model(default_model(key, self._settings) if self._path is None else self._path)
+            model = read_model(default_model(key, self._settings) if self._path is None else self._path)
             self._settings.check(model)
             self._models[key] = model
         return self._models[key]
@@ -618,14 +618,16 @@ class Models:
         """Whether the given model is one of acceleration."""
         return self._one_for_all and self.of(None).quantity == "acceleration"
 
-    def name(self, model: Model) -> str:
+    def name(self, model: StoredModel) -> str:
         """Return the file name of a model, or which default model it is."""
         if self._path is not None:
             return Path(self._path).name
         return "default model" + (" that knows the drop height" if model.known else f" of {model.quantity}")
 
 
-def warn_of_model(source: str, name: str, sampling_rate: float, model: Model, settings: PredictionSettings) -> None:
+def warn_of_model(
+    source: str, name: str, sampling_rate: float, model: StoredModel, settings: PredictionSettings
+) -> None:
     """Warn if a model was not trained for the sampling rate [Hz] of a signal, or needs the name of its sensor."""
     if model.sensors and not settings.sensors:
         known = ", ".join(model.sensors)

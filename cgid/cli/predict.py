@@ -32,7 +32,7 @@ from cgid.cli.table import TableOutput, output_options
 from cgid.errors import CgidError
 
 if TYPE_CHECKING:
-    from cgid.identification.model import Model
+    from cgid.identification.model.model import StoredModel
     from cgid.identification.prediction import Answer, PredictionSettings
     from cgid.impactor import ImpactorColumns
     from cgid.measure.overview import Overview
@@ -46,7 +46,7 @@ def _report(
     recording: RecordingFile,
     channels: list[Channel],
     overview: Overview,
-    model: Model,
+    model: StoredModel,
     model_name: str,
     rows: RecordingRows,
 ) -> Report:
@@ -86,7 +86,7 @@ class _Prediction:
 
     def recording(self, recording: RecordingFile) -> None:
         """Print the predictions for a recording, read block by block, once for each model that its channels need."""
-        groups: dict[str | None, tuple[Model, list[int]]] = {}
+        groups: dict[str | None, tuple[StoredModel, list[int]]] = {}
         for number, channel in enumerate(recording.channels):
             model = self.models.of(channel.quantity)
             groups.setdefault(self.models.key(channel.quantity), (model, []))[1].append(number)
@@ -108,7 +108,7 @@ class _Prediction:
             self.lines.warning(recording.source, str(unanswered))
 
     def _channels(
-        self, recording: RecordingFile, model: Model, numbers: list[int], same_beam: tuple[tuple[str, ...], ...]
+        self, recording: RecordingFile, model: StoredModel, numbers: list[int], same_beam: tuple[tuple[str, ...], ...]
     ) -> None:
         """Print the predictions for the channels of a recording that use this model."""
         from cgid.cli.hints import Hints

@@ -309,6 +309,7 @@ def _from_signals(data: list[str], options: dict[str, Any]) -> tuple[Any, list[A
     given = _given(options, *_COMMON, "test_share", "calibration_share")
     n_signals = options["n_signals"]
     if scene is not None and not (options["features"] or options["drop_height"] or options["sensors"]):
+        from cgid.identification.model.model import stored
         from cgid.learning.seams import N_STREAMS, taught
         from cgid.learning.streams import is_streamable, numbers_of_streams, train_on_streams
 
@@ -317,7 +318,7 @@ def _from_signals(data: list[str], options: dict[str, Any]) -> tuple[Any, list[A
                 training = train_on_streams(scene, n_signals, progress=progress, **given)
             with progress_bar(N_STREAMS, "streams of a wide world", "measuring") as progress:
                 how = {"progress": progress, "workers": options["workers"]}
-                model = taught(training.model, scene, n_signals, given.get("seed", 0), **how)
+                model = taught(stored(training.model), scene, n_signals, given.get("seed", 0), **how)
             training = replace(training, model=model)
             return _behind(training, scene, points, full=True), []
     beam = _beam(sources, options)

@@ -101,10 +101,10 @@ def _verify_rows(path: str, as_json: bool) -> bool:
 def _verify_model(path: str, as_json: bool) -> None:
     """Report an intact model, or raise its damage."""
     from cgid.errors import BadData
-    from cgid.identification.model import Model
+    from cgid.identification.model.model import StoredModel
 
     try:
-        Model.load(path)
+        StoredModel.load(path)
     except BadData as error:
         _tell(path, "model", 1, [_line(Path(path), "damaged", str(error))], False, as_json)
         raise

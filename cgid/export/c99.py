@@ -21,7 +21,7 @@ from cgid._lib.validation import Floats
 from cgid.errors import InvalidValue
 from cgid.identification.model.conformal import COVERAGES
 from cgid.identification.model.families import Contrast, Network, Standardiser
-from cgid.identification.model.model import MIN_SHARE, Model
+from cgid.identification.model.model import MIN_SHARE, Model, StoredModel, stored
 from cgid.identification.model.model_file import STANDARDISER
 from cgid.measure.features.extraction import FEATURES
 from cgid.measure.features.vibration import EARLY_BANDS, EARLY_TIME, WINDOW_TIME
@@ -66,6 +66,7 @@ def c_source(model: Model) -> str:
     >>> print(c_source(load_model("default")).splitlines()[3])
      * For     pulses of force [N] at sampling rates of 24639 to 1.01428e+06 Hz
     """
+    model = stored(model)
     require_small(model)
     arrays = _arrays(model)
     text = [_heading(model), "#ifndef CGID_MODEL_C\n#define CGID_MODEL_C\n", _sizes(model), _part("types")]
@@ -83,7 +84,7 @@ def c_source(model: Model) -> str:
     return "\n".join(text)
 
 
-def require_small(model: Model) -> None:
+def require_small(model: StoredModel) -> None:
     """Raise `InvalidValue` if a model has too many numbers for an exported file."""
     names = ("family.", "neighbourhood.", Contrast.PREFIX)
     n_numbers = sum(array.size for name, array in model.arrays.items() if name.startswith(names))
@@ -97,7 +98,7 @@ def require_small(model: Model) -> None:
 # -- parts of the file ------------------------------------------------------------------------------------
 
 
-def _values(model: Model) -> list[tuple[str, str, str]]:
+def _values(model: StoredModel) -> list[tuple[str, str, str]]:
     """Return name, unit and definition of each value of an impact."""
     values = []
     for name in (*model.inputs, *model.guards):
@@ -107,7 +108,7 @@ def _values(model: Model) -> list[tuple[str, str, str]]:
     return values
 
 
-def _heading(model: Model) -> str:
+def _heading(model: StoredModel) -> str:
     low, high = model.sampling_rates
     rates = f"{low:g} Hz" if low == high else f"{low:g} to {high:g} Hz"
     lines = [
@@ -134,7 +135,7 @@ def _heading(model: Model) -> str:
     return "/* " + "\n".join(f" * {line}".rstrip() for part in wrapped for line in map(_comment, part))[3:] + "\n */\n"
 
 
-def _missing(model: Model) -> Iterable[str]:
+def _missing(model: StoredModel) -> Iterable[str]:
     """Yield comments about what the file does not contain."""
     if _bands(model) is not None:
         yield "Not in this file: finding the impacts in a recording. cgid_measure measures a frame of one impact."
@@ -150,7 +151,7 @@ def _missing(model: Model) -> Iterable[str]:
         yield "Nor the vote of successive windows: cgid adds the logarithms of their probabilities."
 
 
-def _sizes(model: Model) -> str:
+def _sizes(model: StoredModel) -> str:
     return (
         "\n".join(
             f"#define {name} {number}"
@@ -164,12 +165,12 @@ def _sizes(model: Model) -> str:
     )
 
 
-def _interface(model: Model) -> str:
+def _interface(model: StoredModel) -> str:
     sets = _part("sets", n=len(COVERAGES)) if model.conformal is not None else ""
     return _part("interface") + sets + (_part("measure") if _bands(model) is not None else "")
 
 
-def _bands(model: Model) -> dict[str, NDArray[Any]] | None:
+def _bands(model: StoredModel) -> dict[str, NDArray[Any]] | None:
     """Return the tables of the bands [Hz], if all values are levels of a vibration that C measures."""
     octaves = {name: third_octave(number) for number, name in enumerate(THIRD_OCTAVES)}
     levels = {"level_total": (0.0, 0.0)} | {f"level_{name}_hz": edges for name, edges in octaves.items()}
@@ -185,7 +186,7 @@ def _bands(model: Model) -> dict[str, NDArray[Any]] | None:
     }
 
 
-def _inner_sizes(model: Model) -> str:
+def _inner_sizes(model: StoredModel) -> str:
     """Return the sizes that only the functions need."""
     arrays = model.arrays
     sizes: dict[str, float] = {
@@ -208,7 +209,7 @@ def _inner_sizes(model: Model) -> str:
     return "\n".join(f"#define {name} {number}" for name, number in sizes.items()) + "\n"
 
 
-def _arrays(model: Model) -> dict[str, NDArray[Any]]:
+def _arrays(model: StoredModel) -> dict[str, NDArray[Any]]:
     """Return all tables of the file by their names in C."""
     stored = model.arrays
     names = [STANDARDISER + name for name in Standardiser.NAMES]
@@ -234,7 +235,7 @@ def _arrays(model: Model) -> dict[str, NDArray[Any]]:
     return arrays | _tests(model)
 
 
-def _set_limits(model: Model) -> Floats:
+def _set_limits(model: StoredModel) -> Floats:
     """Return the largest score of each label in a set, (2 n_coverages, n_labels); 1, all labels, without a limit."""
     limits = []
     assert model.conformal is not None
@@ -247,7 +248,7 @@ def _set_limits(model: Model) -> Floats:
     return np.array(limits)
 
 
-def _tests(model: Model) -> dict[str, Floats]:
+def _tests(model: StoredModel) -> dict[str, Floats]:
     """Return rows and their probabilities for the self-test."""
     rows = np.array([Standardiser.from_arrays(model.arrays, STANDARDISER).at(row) for row in _TESTED])
     guards = np.broadcast_to(np.array(model.guard_limits) / 2, (len(rows), len(model.guards)))
@@ -263,23 +264,23 @@ def _single(arrays: Mapping[str, NDArray[Any]]) -> str:
     return '#error "this model has numbers beyond single precision: leave CGID_REAL double"\n'
 
 
-def _has_layers(model: Model) -> bool:
+def _has_layers(model: StoredModel) -> bool:
     return model.family == "network" or model.contrast is not None
 
 
-def _contrast(model: Model) -> list[str]:
+def _contrast(model: StoredModel) -> list[str]:
     if model.contrast is None:
         return []
     network = isinstance(model.contrast.scorer, Network)
     return [_part("contrast", score=_part("contrast by a network" if network else "contrast by a line"))]
 
 
-def _novelty(model: Model) -> str:
+def _novelty(model: StoredModel) -> str:
     more = (_part("guards") if model.guards else "") + (_part("strangers") if model.contrast is not None else "")
     return _part("novelty", more=more, unused="" if more else "    (void)values;\n")
 
 
-def _answer(model: Model) -> str:
+def _answer(model: StoredModel) -> str:
     low, high = model.sampling_rates
     if model.beam is not None:
         low, high = MIN_SHARE * low, 1e300

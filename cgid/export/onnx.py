@@ -14,7 +14,7 @@ from cgid import __version__
 from cgid.errors import optional
 from cgid.export.c99 import require_small
 from cgid.identification.model.families import Network, Standardiser
-from cgid.identification.model.model import Model
+from cgid.identification.model.model import StoredModel
 from cgid.identification.model.model_file import STANDARDISER
 
 #: Version of the operators and of the format: old enough for runtimes of several years.
@@ -55,9 +55,9 @@ class _Graph:
         return self("ReduceSum", values, self.integer([1]), keepdims=1)
 
 
-def onnx_bytes(model: Model) -> bytes:
+def onnx_bytes(model: StoredModel) -> bytes:
     """Return an ONNX file that predicts like the model; its metadata are labels, names, unit and digest."""
-    # Input: `values`, float64 (n, n_values), those of `Model.inputs`, then the guards. Outputs: `probabilities` (n,
+    # Input: `values`, float64 (n, n_values), the inputs of the model, then its guards. Outputs: `probabilities` (n,
     # n_labels), `novelty` (n,) and `label`, int64 (n,), the number of the label, or -1 for unknown.
     optional("onnx", "ONNX needs", "onnx")
     from onnx import TensorProto, checker, helper, numpy_helper
@@ -89,7 +89,7 @@ def onnx_bytes(model: Model) -> bytes:
     return bytes(file.SerializeToString(deterministic=True))
 
 
-def _answer(graph: _Graph, model: Model) -> None:
+def _answer(graph: _Graph, model: StoredModel) -> None:
     """Add probabilities, novelty and label."""
     inputs = graph.columns("values", range(len(model.inputs)))
     x = _standardised(graph, inputs, Standardiser.from_arrays(model.arrays, STANDARDISER))
@@ -112,7 +112,7 @@ def _standardised(graph: _Graph, values: str, standardiser: Standardiser) -> str
     return graph("Div", graph("Sub", scaled, standardiser.mean), standardiser.scale)
 
 
-def _novelty(graph: _Graph, model: Model, x: str) -> str:
+def _novelty(graph: _Graph, model: StoredModel, x: str) -> str:
     """Add the novelty (n,): infinite where infinities cancel, as in `Model`."""
     centres, whitening = model.arrays["neighbourhood.centres"], model.arrays["neighbourhood.whitening"]
     squares = []
@@ -146,21 +146,21 @@ def _novelty(graph: _Graph, model: Model, x: str) -> str:
 # -- the scores of the families, (n, n_scores) ------------------------------------------------------------
 
 
-def _linear(graph: _Graph, x: str, model: Model) -> str:
+def _linear(graph: _Graph, x: str, model: StoredModel) -> str:
     return _line(graph, x, _arrays(model))
 
 
-def _logistic(graph: _Graph, x: str, model: Model) -> str:
+def _logistic(graph: _Graph, x: str, model: StoredModel) -> str:
     rows, columns = np.triu_indices(len(model.inputs))
     products = graph("Mul", graph.columns(x, rows), graph.columns(x, columns))
     return _linear(graph, graph("Concat", x, products, axis=1), model)
 
 
-def _network(graph: _Graph, x: str, model: Model) -> str:
+def _network(graph: _Graph, x: str, model: StoredModel) -> str:
     return _layers(graph, x, _arrays(model))
 
 
-def _arrays(model: Model) -> dict[str, NDArray[Any]]:
+def _arrays(model: StoredModel) -> dict[str, NDArray[Any]]:
     return {name.removeprefix("family."): array for name, array in model.arrays.items()}
 
 
@@ -175,7 +175,7 @@ def _layers(graph: _Graph, x: str, arrays: Mapping[str, NDArray[Any]]) -> str:
     return x
 
 
-def _boosting(graph: _Graph, x: str, model: Model) -> str:
+def _boosting(graph: _Graph, x: str, model: StoredModel) -> str:
     """Descend all trees at once, as `Boosting.scores`: a leaf is its own child."""
     a = _arrays(model)
     children = [graph.integer(a[name]) for name in ("left", "right")]

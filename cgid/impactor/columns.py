@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from cgid._lib.validation import Floats
 from cgid.errors import InvalidValue
 from cgid.identification.detection.detector import find_impacts
-from cgid.identification.model.model import Model
+from cgid.identification.model.model import StoredModel
 from cgid.impactor.masses import Detection, SizeDistribution, size_distribution
 from cgid.impactor.measured import MeasuredPulses
 from cgid.impactor.population import population_of
@@ -48,7 +48,7 @@ class ImpactorColumns:
         self._keep = keep
         self._pulses: list[MeasuredPulses] = []
 
-    def check(self, model: Model) -> None:
+    def check(self, model: StoredModel) -> None:
         """Raise `InvalidValue` if a model does not give the force of each impact."""
         if model.kind == "window":
             raise InvalidValue("impactor must be left out for a model of windows, which contain any number of impacts")
@@ -68,7 +68,7 @@ class ImpactorColumns:
         self,
         frames: NDArray[np.floating],
         sampling_rate: float,
-        model: Model,
+        model: StoredModel,
         pre_trigger: int | None,
         detection_limit: float,
     ) -> list[dict[str, Any]]:

@@ -16,7 +16,7 @@ from cgid.identification.training.rows import SAME_IMPACT, Rows
 from cgid.labelling.recording import LabelledRecording, rows_of_all
 
 if TYPE_CHECKING:
-    from cgid.identification.model.model import Model
+    from cgid.identification.model.model import StoredModel
     from cgid.identification.training.manifest import Manifest
     from cgid.identification.training.training import Training
 
@@ -30,7 +30,7 @@ MIN_EACH = 8
 class Learning:
     """The models of the labels so far."""
 
-    base: Model | None
+    base: StoredModel | None
     stopped: Callable[[], bool]
     trainings: dict[str, Training] = field(default_factory=dict)
     why: dict[str, str] = field(default_factory=dict)  # why there is no model of a name
@@ -84,10 +84,12 @@ class Learning:
         made = correct(self.base, rows)
         return Training(made.model, dict(made.after), made.labels, made.probabilities, None, made.rows)
 
-    def model(self, name: str) -> Model | None:
+    def model(self, name: str) -> StoredModel | None:
         """Return the model of a name, for another name the one that is corrected."""
+        from cgid.identification.model.model import stored
+
         training = self.trainings.get(name)
-        return self.base if training is None else training.model
+        return self.base if training is None else stored(training.model)
 
     @property
     def best(self) -> str:
@@ -132,7 +134,7 @@ class Learning:
         return write_model(training, path, plots=False, overwrite=overwrite, further=further)
 
 
-def predictions(recording: LabelledRecording, model: Model, name: str) -> tuple[list[Floats | None], Floats]:
+def predictions(recording: LabelledRecording, model: StoredModel, name: str) -> tuple[list[Floats | None], Floats]:
     """Return the mean probabilities of each impact over its channels, None where not measured; and the novelties."""
     rows, impacts = rows_of_all([recording], name), list(recording.impacts)
     found, novelty = list[Floats | None]([None] * len(impacts)), np.full(len(impacts), np.nan)
@@ -151,7 +153,7 @@ def predictions(recording: LabelledRecording, model: Model, name: str) -> tuple[
     return found, novelty
 
 
-def fraction(recording: LabelledRecording, model: Model, name: str) -> dict[str, Any]:
+def fraction(recording: LabelledRecording, model: StoredModel, name: str) -> dict[str, Any]:
     """Return the gangue fraction over time and the decisions, of all channels together."""
     from cgid.identification.prediction.answers import Answer
     from cgid.identification.prediction.settings import PredictionSettings

@@ -21,7 +21,7 @@ import numpy as np
 from cgid._lib import validation
 from cgid._lib.terminal import printable
 from cgid.errors import CgidError, InvalidValue, Stopped
-from cgid.identification.model.model import Model
+from cgid.identification.model.model import StoredModel
 from cgid.identification.training.manifest import Manifest, read_manifest
 from cgid.labelling.learning import BASE, NEW, Learning, fraction, predictions
 from cgid.labelling.recording import LabelledRecording, ListedImpact, read_all
@@ -47,7 +47,7 @@ class Workbench:
         self,
         table: LabelTable,
         recordings: Sequence[LabelledRecording],
-        base: Model | None,
+        base: StoredModel | None,
         *,
         labels: Sequence[str],
         saved_as: Path,
@@ -344,7 +344,9 @@ def serve(workbench: Workbench, address: Address, warn: Callable[[str], None]) -
 _KEPT: dict[int, tuple[Any, Any]] = {}
 
 
-def _predictions(recording: LabelledRecording, model: Model, name: str, version: int, size: int) -> tuple[Any, Any]:
+def _predictions(
+    recording: LabelledRecording, model: StoredModel, name: str, version: int, size: int
+) -> tuple[Any, Any]:
     """Return the predictions of a recording, computed again for other models and some impacts more."""
     key = (id(model), name, version, size, recording.ended)
     kept = _KEPT.get(id(recording))

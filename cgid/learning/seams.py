@@ -37,7 +37,7 @@ from cgid.identification.model.anchor import (
 )
 from cgid.identification.model.confusion import logit
 from cgid.identification.model.families import Network, softmax
-from cgid.identification.model.model import Model
+from cgid.identification.model.model import StoredModel
 from cgid.identification.prediction.fraction import estimate_of
 from cgid.identification.training.rows import BEAM_FEATURES, BEAM_GUARDS
 from cgid.learning.streams import DURATION, detected_features, impact_of, labels_of, variations
@@ -184,7 +184,7 @@ class Seams:
     first: NDArray[np.intp]  # (n_seams * (_COAL + _GANGUE) + 1,) first impact of each rock; coal first in a seam
 
 
-def simulated(pool: Pool, model: Model, n_seams: int, rng: np.random.Generator) -> Seams:
+def simulated(pool: Pool, model: StoredModel, n_seams: int, rng: np.random.Generator) -> Seams:
     """Return the predictions of a model for rocks of seams that are drawn from the prior."""
     drawn = _drawn(n_seams, rng)
     scale = pool.pulse.std(axis=0)
@@ -306,8 +306,13 @@ class _Draws:
 
 
 def with_seams(
-    model: Model, pool: Pool, seed: int, n_seams: int = N_SEAMS, *, progress: Callable[[int], object] | None = None
-) -> Model:
+    model: StoredModel,
+    pool: Pool,
+    seed: int,
+    n_seams: int = N_SEAMS,
+    *,
+    progress: Callable[[int], object] | None = None,
+) -> StoredModel:
     """Return a model with networks for the fraction of gangue in any seam, trained on simulated seams."""
     rng = np.random.default_rng([seed, n_seams])
     few = simulated(pool, model, min(n_seams, _AT_ONCE), rng)
@@ -361,14 +366,14 @@ def with_seams(
 
 
 def taught(
-    model: Model,
+    model: StoredModel,
     scene: Scene,
     n_impacts: int,
     seed: int,
     *,
     progress: Callable[[int], object] | None = None,
     workers: Workers = SERIAL,
-) -> Model:
+) -> StoredModel:
     """Return a model of the streams of a scene with networks for any seam, from no more seams than impacts.
 
     Without gangue among its labels it stays as it is: the seams have coal and gangue.

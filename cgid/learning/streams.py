@@ -25,7 +25,7 @@ from cgid.errors import InvalidValue
 from cgid.identification.detection.detector import find_impacts
 from cgid.identification.detection.events import Event, frames_alike
 from cgid.identification.model.confusion import Confusion, StreamAnswers, logit
-from cgid.identification.model.model import Model
+from cgid.identification.model.model import StoredModel, stored
 from cgid.identification.training.rows import BEAM_FEATURES, BEAM_GUARDS, Rows, through
 from cgid.identification.training.training import MIN_LIMITS, Training, train_on_specimens
 from cgid.learning.world import of_streams, with_world
@@ -221,11 +221,11 @@ def train_on_streams(
     )
     further = variations(scene, n_further, seed + 1)
     others = rows_of_streams(further, seed + 1, names, beam, progress=progress, workers=workers)
-    model = with_world(finished(training.model, others), of_streams([*streams, *others]), seed)
+    model = with_world(finished(stored(training.model), others), of_streams([*streams, *others]), seed)
     return replace(training, model=model)
 
 
-def finished(model: Model, streams: Sequence[StreamRows]) -> Model:
+def finished(model: StoredModel, streams: Sequence[StreamRows]) -> StoredModel:
     """Return a model with the confusion of rocks estimated in streams that did not train it."""
     rows = Rows.joined([stream.rows for stream in streams])
     n_detected = sum(stream.n_detected for stream in streams)
@@ -250,7 +250,7 @@ def finished(model: Model, streams: Sequence[StreamRows]) -> Model:
     return replace(model, arrays={**model.arrays, **confusion.arrays}, training={**model.training, "streams": summary})
 
 
-def _answered(model: Model, stream: StreamRows) -> StreamAnswers:
+def _answered(model: StoredModel, stream: StreamRows) -> StreamAnswers:
     """Return the predictions of a model for a stream."""
     rows = stream.rows
     inputs = rows.inputs(model.features)

@@ -15,7 +15,7 @@ from sklearn.covariance import ledoit_wolf
 from threadpoolctl import threadpool_limits
 
 from cgid._lib.validation import Floats
-from cgid.identification.model.model import Model
+from cgid.identification.model.model import StoredModel
 from cgid.identification.model.world import CHECKS, GROUPS, N_SUMMARY, World, powers, summary, trait_names
 from cgid.measure.features.extraction import extract_array
 from cgid.signals import Batch
@@ -29,7 +29,7 @@ _MIN_RECORDINGS, _MIN_IMPACTS, _FOLDS = 8, 50, 10
 _LEAST_SPREAD = 1e-3
 
 
-def with_world(model: Model, recordings: Iterable[tuple[Floats, float]], seed: int) -> Model:
+def with_world(model: StoredModel, recordings: Iterable[tuple[Floats, float]], seed: int) -> StoredModel:
     """Return a model that tells recordings unlike these; the same model with too few of them.
 
     A recording has the `trait_names` of its impacts in order of time, (n, 5), and its fraction of gangue. One that is

@@ -21,7 +21,7 @@ from cgid import __version__
 from cgid._lib.files import check_new, write_whole
 from cgid._lib.terminal import counted, printable
 from cgid._lib.validation import UNKNOWN
-from cgid.identification.model.model import Model
+from cgid.identification.model.model import StoredModel
 from cgid.identification.prediction.answers import Answer
 from cgid.identification.prediction.diagnosis import Hint, InWords
 from cgid.identification.prediction.fraction import MIN_IMPACTS, Share, Switch
@@ -122,7 +122,7 @@ def recording_facts(recording: RecordingFile, overview: Overview, channels: Sequ
     return facts
 
 
-def model_facts(model: Model, name: str) -> dict[str, str]:
+def model_facts(model: StoredModel, name: str) -> dict[str, str]:
     """Describe a model in words; `name` is that of its file."""
     low, high = min(model.sampling_rates), max(model.sampling_rates)
     rates = hertz(low) if low == high else f"{hertz(low, 3)} to {hertz(high, 3)}"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import textwrap
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -127,25 +128,114 @@ def level_weights(
 
 
 @dataclass(frozen=True, kw_only=True)
-class Model:
-    """A trained model.
+class Model(ABC):
+    """A trained model, as `cgid.load_model` and training return it.
 
     Attributes
     ----------
-    family : {"boosting", "linear", "logistic", "network"}
+    family : str
+        "boosting", "linear", "logistic" or "network".
     labels : tuple of str
         In the order of the probabilities.
     features : tuple of str
-        Inputs of the classifier, from `cgid.measure.features.FEATURES`.
+        Features of a signal that the model learns from, from `cgid.measure.features.FEATURES`.
     unit : str
         Unit of the training signals.
     sampling_rates : tuple of float
         Lowest and highest sampling rate of the training [Hz].
+    training : dict
+        Origin and quality of the model: the content of the model card.
+    """
+
+    family: str
+    labels: tuple[str, ...]
+    features: tuple[str, ...]
+    unit: str
+    sampling_rates: tuple[float, float]
+    training: Mapping[str, Any]
+
+    def __dir__(self) -> list[str]:
+        return sorted({*dir(Model), *Model.__dataclass_fields__})
+
+    @property
+    @abstractmethod
+    def inputs(self) -> tuple[str, ...]:
+        """Inputs of the classifier: the features, channel by channel, then the known quantities."""
+
+    @abstractmethod
+    def predict_proba(self, features: pandas.DataFrame | ArrayLike) -> Floats:
+        """Return the probability of each label for rows of features.
+
+        Parameters
+        ----------
+        features : DataFrame or array_like, (n_impacts, n_inputs)
+            Of a DataFrame the columns named in `inputs` are used; an array is in their order.
+
+        Returns
+        -------
+        ndarray, (n_impacts, n_labels)
+            In the order of `labels`.
+
+        Raises
+        ------
+        InvalidValue
+            A column is missing, or values are not finite or of another number.
+        """
+
+    @abstractmethod
+    def predict(self, features: pandas.DataFrame | ArrayLike) -> NDArray[np.str_]:
+        """Return the most probable label for rows of features, without a look at their novelty.
+
+        `cgid.predict` also finds the impacts of a recording, and answers "unknown" outside of the training.
+
+        Parameters
+        ----------
+        features : DataFrame or array_like, (n_impacts, n_inputs)
+            As in `predict_proba`.
+
+        Returns
+        -------
+        ndarray of str, (n_impacts,)
+
+        Raises
+        ------
+        InvalidValue
+            As `predict_proba`.
+        """
+
+    @abstractmethod
+    def save(self, path: str | Path, *, overwrite: bool = False) -> Path:
+        """Write the model file, whole or not at all; `Training.save` also writes its card.
+
+        Parameters
+        ----------
+        path : str or Path
+            A name that ends in .npz.
+        overwrite : bool
+            Whether to replace a file of this name.
+
+        Returns
+        -------
+        Path
+
+        Raises
+        ------
+        CannotCreate
+            The file exists, the name ends otherwise, or there is no such folder.
+        WriteFailed
+            The disk is full, for example; nothing is left behind.
+        """
+
+
+@dataclass(frozen=True, kw_only=True)
+class StoredModel(Model):
+    """The content of a model file, and what predictions compute from it: every `Model` is one.
+
+    Attributes
+    ----------
     temperature, neighbourhood_limit : float
         Divisor of the scores; distance at which the novelty is 1.
     arrays : dict of ndarray
-    training : dict
-        Origin and quality of the model: the content of the model card.
     known : tuple of str
         Quantities needed besides the signal, from `cgid.signals.KNOWN`.
     guards : tuple of str
@@ -160,15 +250,9 @@ class Model:
         Sensors with reference spectra in the model.
     """
 
-    family: str
-    labels: tuple[str, ...]
-    features: tuple[str, ...]
-    unit: str
-    sampling_rates: tuple[float, float]
     temperature: float
     neighbourhood_limit: float
     arrays: Mapping[str, NDArray[Any]]
-    training: Mapping[str, Any]
     known: tuple[str, ...] = ()
     guards: tuple[str, ...] = ()
     guard_limits: tuple[float, ...] = ()
@@ -239,8 +323,7 @@ class Model:
         return "window" if self.kind == "window" else "impact"
 
     @cached_property
-    def inputs(self) -> tuple[str, ...]:
-        """Inputs of the classifier: the features, channel by channel, then the known quantities."""
+    def inputs(self) -> tuple[str, ...]:  # noqa: D102 -- in `Model`
         return inputs_of(self.features, self.n_channels) + self.known
 
     @property
@@ -306,68 +389,13 @@ class Model:
             raise BadData(f"the {self.family} model gives no finite probabilities for this input; train it again")
         return probabilities
 
-    def predict_proba(self, features: pandas.DataFrame | ArrayLike) -> Floats:
-        """Return the probability of each label for rows of features.
-
-        Parameters
-        ----------
-        features : DataFrame or array_like, (n_impacts, n_inputs)
-            Of a DataFrame the columns named in `inputs` are used; an array is in their order.
-
-        Returns
-        -------
-        ndarray, (n_impacts, n_labels)
-            In the order of `labels`.
-
-        Raises
-        ------
-        InvalidValue
-            A column is missing, or values are not finite or of another number.
-        """
+    def predict_proba(self, features: pandas.DataFrame | ArrayLike) -> Floats:  # noqa: D102 -- in `Model`
         return self.probabilities(self._rows_of(features))
 
-    def predict(self, features: pandas.DataFrame | ArrayLike) -> NDArray[np.str_]:
-        """Return the most probable label for rows of features, without a look at their novelty.
-
-        `cgid.predict` also finds the impacts of a recording, and answers "unknown" outside of the training.
-
-        Parameters
-        ----------
-        features : DataFrame or array_like, (n_impacts, n_inputs)
-            As in `predict_proba`.
-
-        Returns
-        -------
-        ndarray of str, (n_impacts,)
-
-        Raises
-        ------
-        InvalidValue
-            As `predict_proba`.
-        """
+    def predict(self, features: pandas.DataFrame | ArrayLike) -> NDArray[np.str_]:  # noqa: D102
         return self.decide(self.predict_proba(features))
 
-    def save(self, path: str | Path, *, overwrite: bool = False) -> Path:
-        """Write the model file, whole or not at all; `Training.save` also writes its card.
-
-        Parameters
-        ----------
-        path : str or Path
-            A name that ends in .npz.
-        overwrite : bool
-            Whether to replace a file of this name.
-
-        Returns
-        -------
-        Path
-
-        Raises
-        ------
-        CannotCreate
-            The file exists, the name ends otherwise, or there is no such folder.
-        WriteFailed
-            The disk is full, for example; nothing is left behind.
-        """
+    def save(self, path: str | Path, *, overwrite: bool = False) -> Path:  # noqa: D102
         checked = check_new(Path(path), "a model", (".npz",), overwrite=overwrite)
         write_together({checked: self.to_bytes()}, overwrite=overwrite)
         return checked
@@ -614,7 +642,7 @@ class Model:
         beam: Beam | None = None,
         references: Mapping[str, Floats] | None = None,
         **fields: Any,
-    ) -> Model:
+    ) -> StoredModel:
         """Return the model of a fitted classifier.
 
         Parameters
@@ -684,7 +712,7 @@ class Model:
         return stream.getvalue()
 
     @classmethod
-    def load(cls, path: str | Path) -> Model:
+    def load(cls, path: str | Path) -> StoredModel:
         """Read a model file and check it completely.
 
         Raises
@@ -705,7 +733,7 @@ class Model:
             raise BadData(f"{path}: not a valid model: {reason}; train it again with cgid train") from None
 
     @classmethod
-    def from_bytes(cls, content: bytes) -> Model:
+    def from_bytes(cls, content: bytes) -> StoredModel:
         """Return the model of a file's content, checked completely; raises `BadData` or `InvalidValue`."""
         stored = arrays_of(content)
         name, text = next(stored, ("", None))
@@ -715,3 +743,12 @@ class Model:
         header = read_header(text)
         arrays = dict(stored)
         return cls(**fields_of(header, arrays, stored_fields(cls)), arrays=arrays)
+
+
+def stored(model: Model) -> StoredModel:
+    """Return a user's model with all that predictions use; raises `InvalidValue` for anything else."""
+    if not isinstance(model, StoredModel):
+        raise InvalidValue(
+            f"model must be from cgid.load_model or the `model` of a training, got {type(model).__name__}"
+        )
+    return model

@@ -33,7 +33,7 @@ from cgid.signals import KNOWN
 from cgid.units import quantity_of
 
 if TYPE_CHECKING:
-    from cgid.identification.model.model import Model
+    from cgid.identification.model.model import StoredModel
 
 #: Of the training record: median of the guard of models with a beam [%].
 UNEXPLAINED = "median_beam_unexplained"
@@ -144,7 +144,7 @@ def read_header(stored: NDArray[Any]) -> dict[str, Any]:
     return header
 
 
-def stored_fields(model: type[Model]) -> dict[str, type]:
+def stored_fields(model: type[StoredModel]) -> dict[str, type]:
     """Return the fields of a model that its header has, all required, and their types in JSON."""
     kinds = {"str": str, "float": float, "int": int, "Mapping[str, Any]": dict}
     declared = {field.name: str(field.type) for field in fields(model) if field.name != "arrays"}
@@ -225,7 +225,7 @@ def with_floats(arrays: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
     }
 
 
-def check_names(model: Model) -> None:
+def check_names(model: StoredModel) -> None:
     """Raise unless family, labels, features, guards and known quantities are valid and distinct."""
     validation.choice("family", model.family, tuple(BY_NAME))
     for name, values, min_count in (
@@ -251,7 +251,7 @@ def check_names(model: Model) -> None:
     quantity_of(model.unit)
 
 
-def check_numbers(model: Model) -> None:
+def check_numbers(model: StoredModel) -> None:
     """Raise unless the numbers and the arrays common to all families are finite and consistent."""
     rates = validation.positive("sampling_rates", model.sampling_rates, "Hz")
     low, high = validation.RATES
@@ -269,7 +269,7 @@ def check_numbers(model: Model) -> None:
         equalisations_of(model.references)  # checks their gains
 
 
-def check_training(model: Model) -> None:
+def check_training(model: StoredModel) -> None:
     """Raise unless the entries of the training record that answers and reports use have the right type."""
     training, n_labels = model.training, len(model.labels)
     metrics, recorded = training.get("metrics", {}), training.get("recorded", {})
@@ -326,7 +326,7 @@ def _is_word(value: object) -> bool:
     return isinstance(value, str) and 0 < len(value) <= _MAX_WORD_LENGTH and value.isprintable()
 
 
-def _check_arrays(model: Model) -> None:
+def _check_arrays(model: StoredModel) -> None:
     """Raise unless the arrays are those of the model's family and all values are finite."""
     arrays, n, n_classes = model.arrays, len(model.inputs), len(model.labels)
     shapes: dict[str, tuple[tuple[int, ...], ...]] = {
@@ -377,7 +377,7 @@ def require_times(window_time: float, hop_time: float) -> None:
         )
 
 
-def _check_windows(model: Model) -> None:
+def _check_windows(model: StoredModel) -> None:
     """Raise unless windows, channels and reference spectra are consistent."""
     if isinstance(model.n_channels, bool) or not 1 <= model.n_channels <= MAX_CHANNELS:
         raise BadData(f"n_channels must be between 1 and {MAX_CHANNELS}, got {model.n_channels}")

@@ -16,7 +16,7 @@ from cgid.errors import BadData, InvalidValue, MissingOption
 from cgid.identification.detection.detector import find_impacts
 from cgid.identification.detection.events import Event, frames_alike
 from cgid.identification.model.anchor import pulse_names
-from cgid.identification.model.model import Model
+from cgid.identification.model.model import Model, StoredModel, stored
 from cgid.identification.prediction.diagnosis import Cause, causes_of, with_frames
 from cgid.identification.prediction.settings import PredictionSettings, known_columns
 from cgid.measure.features.extraction import as_rows, measured, require_measurable
@@ -133,7 +133,7 @@ class Answer:
 COLUMNS: Mapping[str, Column] = {one.name: one.metadata["column"] for one in fields(Answer) if one.metadata}
 
 
-def answer_columns(model: Model, settings: PredictionSettings) -> tuple[Column, ...]:
+def answer_columns(model: StoredModel, settings: PredictionSettings) -> tuple[Column, ...]:
     """Return the columns of a table of the answers of a model."""
     return _columns(model.labels, model.subject == "window", settings.coverage is not None)
 
@@ -170,13 +170,14 @@ def suited(signal: Signal, model: Model, mass: float | None = None) -> Signal:
     BadData
         The signal has another quantity than the model.
     """
+    model = stored(model)
     factor = factor_to(model, signal.unit, signal.name, mass)
     if signal.unit == model.unit:
         return signal
     return replace(signal, samples=signal.samples * factor, unit=model.unit)
 
 
-def factor_to(model: Model, unit: str | None, name: str, mass: float | None = None) -> float:
+def factor_to(model: StoredModel, unit: str | None, name: str, mass: float | None = None) -> float:
     """Return the factor from samples in a unit to those that a model takes; raises as `suited`, with a name."""
     if unit is None:
         raise MissingOption(
@@ -206,7 +207,7 @@ def factor_to(model: Model, unit: str | None, name: str, mass: float | None = No
     return factor if unit == model.unit else factor * units[unit] / units[model.unit]
 
 
-def _unit_options(model: Model) -> str:
+def _unit_options(model: StoredModel) -> str:
     """Return the options that state the unit; a signal of unknown quantity counts as a force."""
     option = f"--unit {model.unit}"
     return option if model.quantity != "force" else f"{option}, or --unit m/s^2 of an accelerometer"
@@ -241,13 +242,13 @@ def identify(signal: Signal, model: Model, settings: PredictionSettings | None =
 
     Examples
     --------
-    >>> from cgid import Model, read_recording, shipped
-    >>> model = Model.load(shipped.path_of("models", shipped.DEFAULT_MODEL))
+    >>> from cgid import load_model, read_recording, shipped
+    >>> model = load_model()
     >>> (signal,) = read_recording(shipped.path_of("datasets", shipped.SAMPLE))
     >>> [answer.label for answer in identify(suited(signal, model), model)]
     ['coal', 'gangue', 'coal', 'gangue', 'coal', 'gangue']
     """
-    settings = replace(settings or PredictionSettings(), **fields)
+    model, settings = stored(model), replace(settings or PredictionSettings(), **fields)
     if model.kind == "window":
         raise InvalidValue(
             f"{signal.name}: model must be one of impacts, this one is for windows; give a complete recording"
@@ -260,7 +261,7 @@ def identify(signal: Signal, model: Model, settings: PredictionSettings | None =
 
 def identify_events(
     events: Sequence[Event],
-    model: Model,
+    model: StoredModel,
     settings: PredictionSettings,
     *,
     channels: Sequence[str] = ("1",),
@@ -272,7 +273,7 @@ def identify_events(
 
 def measured_events(
     events: Sequence[Event],
-    model: Model,
+    model: StoredModel,
     settings: PredictionSettings,
     channels: Sequence[str],
     beam: BeamStream | None = None,
@@ -362,6 +363,7 @@ def identify_frames(
     BadData, MissingOption, InvalidValue
         As in `identify`, except that a frame without an impact gets an answer with a problem.
     """
+    model = stored(model)
     known, shape = known_columns(model.known, len(frames), drop_height), np.shape(frames)
     if shape[-1] >= MINIMUM_FRAME:
         require_measurable(model.measured, sampling_rate, shape[-1], equalisation, model.beam)
@@ -382,7 +384,7 @@ def identify_frames(
 def _identified(
     frames: NDArray[np.floating],
     sampling_rate: float,
-    model: Model,
+    model: StoredModel,
     settings: PredictionSettings,
     known: Floats,
     *,
@@ -444,7 +446,7 @@ def _with_beam(answer: Answer, misshapen: float, is_double: bool) -> Answer:
 def answers_from(
     inputs: Floats,
     guards: Floats,
-    model: Model,
+    model: StoredModel,
     settings: PredictionSettings,
     sampling_rate: float,
     vote: Callable[[Floats, NDArray[np.bool_]], Floats] = lambda probabilities, _: probabilities,

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator
 
 from cgid._lib.validation import Floats
 from cgid.errors import BadData, InvalidValue
-from cgid.identification.model.model import Model
+from cgid.identification.model.model import StoredModel
 from cgid.identification.prediction.answers import Answer, identify_frames
 from cgid.identification.prediction.settings import PredictionSettings
 from cgid.signals import Batch
@@ -14,7 +14,7 @@ from cgid.units import UNITS, quantity_of
 
 
 def identify_batches(
-    batches: Iterable[Batch], model: Model, settings: PredictionSettings, source: str
+    batches: Iterable[Batch], model: StoredModel, settings: PredictionSettings, source: str
 ) -> Iterator[tuple[Batch, list[Answer]]]:
     """Yield each batch with one prediction for each of its signals.
 
@@ -65,7 +65,7 @@ def require_one_signal(settings: PredictionSettings, source: str) -> None:
         raise InvalidValue(f"{source}: --same-beam is for recordings, a dataset has one signal an impact; leave it out")
 
 
-def drop_heights(batch: Batch, model: Model, settings: PredictionSettings, source: str) -> Floats | float | None:
+def drop_heights(batch: Batch, model: StoredModel, settings: PredictionSettings, source: str) -> Floats | float | None:
     """Return the stored drop heights of a batch if the model needs them, else the given one; not both."""
     stored, given = batch.drop_heights() if "drop_height" in model.known else None, settings.drop_height
     if stored is not None and given is not None:

@@ -25,7 +25,7 @@ from cgid.measure.features.extraction import FEATURES, extract_array
 from cgid.measure.frames import ProblemKind
 
 if TYPE_CHECKING:
-    from cgid.identification.model.model import Model
+    from cgid.identification.model.model import StoredModel
     from cgid.identification.prediction.answers import Answer
 
 #: The start of a vibration, whose power is compared with that before it [s]; below this ratio of amplitudes a vibration
@@ -121,7 +121,7 @@ class Cause:
         return cls(kind, value, name, low, high)
 
 
-def causes_of(model: Model, inputs: Floats, guards: Floats) -> list[Cause]:
+def causes_of(model: StoredModel, inputs: Floats, guards: Floats) -> list[Cause]:
     """Return the cause for each row outside of the training, from inputs (n, n_inputs) and guards (n, n_guards)."""
     limits = np.array(model.guard_limits)
     amplitudes, durations = (_scale_of(model, inputs, guards, symbol) for symbol in ("U", "s"))
@@ -147,7 +147,7 @@ def causes_of(model: Model, inputs: Floats, guards: Floats) -> list[Cause]:
     return causes
 
 
-def _scale_of(model: Model, inputs: Floats, guards: Floats, symbol: str) -> Floats:
+def _scale_of(model: StoredModel, inputs: Floats, guards: Floats, symbol: str) -> Floats:
     """Return how many times as large as in training the unit of each row is; infinite where no factor fits."""
     out = np.full(len(inputs), np.inf)
     powers, logarithmic = _powers(model, symbol)
@@ -165,7 +165,7 @@ def _scale_of(model: Model, inputs: Floats, guards: Floats, symbol: str) -> Floa
     return out
 
 
-def _powers(model: Model, symbol: str) -> tuple[Floats, NDArray[np.bool_]]:
+def _powers(model: StoredModel, symbol: str) -> tuple[Floats, NDArray[np.bool_]]:
     """Return the power of a unit in each input, and which inputs are logarithms."""
     # Durations of vibrations are ignored: their level lasts as long as the window.
     names = [name.split(" of channel ")[0] for name in model.inputs]
@@ -179,7 +179,11 @@ def _powers(model: Model, symbol: str) -> tuple[Floats, NDArray[np.bool_]]:
 
 
 def with_frames(
-    answers: Sequence[Answer], frames: NDArray[np.floating], sampling_rate: float, model: Model, pre_trigger: int | None
+    answers: Sequence[Answer],
+    frames: NDArray[np.floating],
+    sampling_rate: float,
+    model: StoredModel,
+    pre_trigger: int | None,
 ) -> list[Answer]:
     """Return the predictions for frames (n, n_samples), with causes visible only in the samples."""
     rows = [row for row, answer in enumerate(answers) if answer.cause is not None]
@@ -204,7 +208,9 @@ def with_frames(
     return explained
 
 
-def _inside(frames: NDArray[np.floating], rate: float, model: Model, pre_trigger: int | None) -> NDArray[np.bool_]:
+def _inside(
+    frames: NDArray[np.floating], rate: float, model: StoredModel, pre_trigger: int | None
+) -> NDArray[np.bool_]:
     """Return whether each frame would lie inside of the training at another sampling rate."""
     try:
         table = extract_array(
@@ -403,7 +409,7 @@ class Diagnosis:
     `changes` says what begins and what ends.
     """
 
-    def __init__(self, model: Model, *, live: bool = False) -> None:
+    def __init__(self, model: StoredModel, *, live: bool = False) -> None:
         self.model, self._live = model, live
         self.channels: dict[str, ChannelAnswers] = {}
         self.upside_down: set[str] = set()
@@ -569,7 +575,7 @@ class Diagnosis:
 class _Scale:
     """The likely factor of one channel of a live stream, from its latest levels; 1 if they are as in the training."""
 
-    def __init__(self, model: Model) -> None:
+    def __init__(self, model: StoredModel) -> None:
         self._model, self.factor = model, 1.0
         self._n, self._next = 0, 0  # levels by which a wrong scale was found, and after which it is tested again
 
@@ -599,7 +605,7 @@ class _Scale:
         self._next = n_levels + self._n
 
 
-def _factor_of(levels: Sequence[float], model: Model, looks: float = 1.0, wide: float = 1.0) -> float:
+def _factor_of(levels: Sequence[float], model: StoredModel, looks: float = 1.0, wide: float = 1.0) -> float:
     """Return the likely factor of a signal with these levels; 1 if they are as in recordings like the training's.
 
     Where many tests are made, `looks` multiplies the variance by chance, and `wide` that between recordings.
@@ -622,7 +628,7 @@ def _factor_of(levels: Sequence[float], model: Model, looks: float = 1.0, wide: 
     return float(np.exp(excess * deviation)) if abs(excess) > limit else 1.0
 
 
-def fits_coal(levels: Sequence[float], coal: Sequence[float], model: Model) -> bool:
+def fits_coal(levels: Sequence[float], coal: Sequence[float], model: StoredModel) -> bool:
     """Return whether the latest levels may be of a mixture with this coal; gangue only raises them."""
     deviation = model.level_deviation
     if len(levels) < OF_ANCHOR or len(coal) < MIN_LEVELS or not deviation:
@@ -651,7 +657,7 @@ def upper_end(levels: Floats, deviation: float) -> float:
     return float(clipped.mean() + clipped.std())
 
 
-def scale_warning(factor: float, model: Model) -> str:
+def scale_warning(factor: float, model: StoredModel) -> str:
     """Return one line with both explanations of levels that are not those of the training."""
     size = max(factor, 1 / factor)
     is_like_g = model.quantity == "acceleration" and _LIKE_G[0] < size < _LIKE_G[1]
@@ -664,7 +670,7 @@ def scale_warning(factor: float, model: Model) -> str:
     )
 
 
-def misfit_text(misfit: Misfit, model: Model) -> str:
+def misfit_text(misfit: Misfit, model: StoredModel) -> str:
     """Return in words what of a recording does not fit, and how sure that is."""
     size = max(misfit.factor, 1 / misfit.factor) if misfit.factor > 0 else float("nan")
     more = misfit.factor > 1

@@ -45,7 +45,7 @@ from cgid.identification.model.confusion import SUREST, Confusion, logit
 from cgid.identification.prediction.settings import COST_EARLY, COST_LATE, RULES, require_costs
 
 if TYPE_CHECKING:
-    from cgid.identification.model.model import Model
+    from cgid.identification.model.model import StoredModel
 
 __all__ = ["Share"]
 
@@ -127,7 +127,7 @@ class NoConfusion:
         return np.exp(logits) * (1.0 - self.trained_share) / self.trained_share
 
 
-def answers_of(model: Model, gangue: Collection[str]) -> Confusion | NoConfusion:
+def answers_of(model: StoredModel, gangue: Collection[str]) -> Confusion | NoConfusion:
     """Return the confusion of a model for coal and gangue: from streams, calibration or its probabilities."""
     if len(model.labels) == 2:
         first = model.labels[0] in gangue
@@ -289,7 +289,7 @@ def estimate_of(density: Floats, threshold: float) -> dict[str, float]:
     }
 
 
-def trained_share(model: Model, gangue: Collection[str]) -> float:
+def trained_share(model: StoredModel, gangue: Collection[str]) -> float:
     """Return the fraction of some labels in the training of a model, if its card states it."""
     # The test impacts have the frequencies of labels of the training. Class weights multiply the frequencies.
     confusion = model.training.get("metrics", {}).get("confusion")
@@ -399,11 +399,11 @@ class ShutDecision:
         self.shut, self._since = None, -np.inf
 
 
-def separates(gangue: Collection[str], model: Model) -> bool:
+def separates(gangue: Collection[str], model: StoredModel) -> bool:
     """Return whether a model separates these labels from others."""
     return 0 < len(set(as_in(model, gangue)) & set(model.labels)) < len(model.labels)
 
 
-def as_in(model: Model, labels: Collection[str]) -> tuple[str, ...]:
+def as_in(model: StoredModel, labels: Collection[str]) -> tuple[str, ...]:
     """Return labels in any case as a model spells them."""
     return tuple(validation.as_spelled(label, model.labels) for label in labels)

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 from numpy.typing import NDArray
 
-from cgid.identification.model.model import Model
+from cgid.identification.model.model import Model, StoredModel, stored
 from cgid.identification.prediction.answers import Answer
 from cgid.identification.prediction.diagnosis import Diagnosis, misfit_text, scale_warning, sizes_outside
 from cgid.identification.prediction.same_beam import SameBeamWarning, rows_of
@@ -58,7 +58,7 @@ class Pipeline:
 
     def __init__(
         self,
-        model: Model,
+        model: StoredModel,
         channels: Sequence[Channel],
         sampling_rate: float,
         settings: PredictionSettings,
@@ -173,7 +173,8 @@ def identify_recording(
     """
     settings = replace(settings or PredictionSettings(), **fields)
     settings = replace(settings, same_beam=recording.named(settings.same_beam, "same_beam"))
-    pipeline = Pipeline(model, recording.channels, recording.sampling_rate, settings, recording.source, recording.note)
+    channels, rate, source = recording.channels, recording.sampling_rate, recording.source
+    pipeline = Pipeline(stored(model), channels, rate, settings, source, recording.note)
     yield from answers_with_warnings(pipeline, recording.blocks(gaps=True))
 
 

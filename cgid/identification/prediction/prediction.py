@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from cgid._lib import validation
 from cgid._lib.validation import require_rate
 from cgid.errors import BadData, MissingOption
-from cgid.identification.model.model import Model
+from cgid.identification.model.model import Model, StoredModel
 from cgid.identification.prediction.answers import Answer, answer_columns
 from cgid.identification.prediction.batches import identify_batches
 from cgid.identification.prediction.pipeline import Pipeline, answers_with_warnings
@@ -66,13 +66,18 @@ def load_model(model: str | Path = "default") -> Model:
     >>> load_model("default").labels
     ('coal', 'gangue')
     """
-    return _shipped(model) if isinstance(model, str) and model in MODELS else Model.load(model_path(model))
+    return read_model(model)
+
+
+def read_model(model: str | Path) -> StoredModel:
+    """Return a model by file or name as `load_model`, with all that predictions use."""
+    return _shipped(model) if isinstance(model, str) and model in MODELS else StoredModel.load(model_path(model))
 
 
 @cache
-def _shipped(name: str) -> Model:
+def _shipped(name: str) -> StoredModel:
     """Return a shipped model, read once in a process; its arrays cannot be written."""
-    return Model.load(model_path(name))
+    return StoredModel.load(model_path(name))
 
 
 def default_model(quantity: str | None, settings: PredictionSettings) -> str:
@@ -163,7 +168,7 @@ def predict(
     for name in settings:
         validation.choice("setting", name, _SETTINGS)
     applied = replace(PredictionSettings(), **settings)
-    model = cast("Model | str | Path | None", getattr(model, "model", model))  # of a Training
+    model = cast("StoredModel | str | Path | None", getattr(model, "model", model))  # of a Training
     if isinstance(samples, str | Path) and is_dataset(samples):
         from cgid.store.reading import Dataset
 
@@ -178,7 +183,7 @@ def predict(
         signals = _measured(samples, sampling_rate, unit, Chain.of(sensitivity, gain, full_scale))
     first = signals[0]
     given = default_model(first.quantity, applied) if model is None else model
-    loaded = given if isinstance(given, Model) else load_model(given)
+    loaded = given if isinstance(given, StoredModel) else read_model(given)
     applied.check(loaded)
     channels = [Channel(name=signal.channel, unit=signal.unit) for signal in signals]
 
@@ -269,10 +274,10 @@ def _require_alike(signals: Sequence[Any], sampling_rate: float | None) -> list[
     return [replace(one, sampling_rate=rate, channel=name) for one, name in zip(signals, names, strict=True)]
 
 
-def _of_batches(samples: Any, model: Model | str | Path | None, settings: PredictionSettings) -> pandas.DataFrame:
+def _of_batches(samples: Any, model: StoredModel | str | Path | None, settings: PredictionSettings) -> pandas.DataFrame:
     """Return one row for each signal of a batch or dataset: its number, answer and true label, but no channel."""
     given = default_model(quantity_of(samples.unit), settings) if model is None else model
-    loaded = given if isinstance(given, Model) else load_model(given)
+    loaded = given if isinstance(given, StoredModel) else read_model(given)
     settings.check(loaded)
     batches = [samples] if isinstance(samples, Batch) else samples.batches()
     answers: list[Answer] = []
@@ -286,7 +291,7 @@ def _of_batches(samples: Any, model: Model | str | Path | None, settings: Predic
     return table
 
 
-def _table(answers: Sequence[Answer], model: Model, settings: PredictionSettings) -> pandas.DataFrame:
+def _table(answers: Sequence[Answer], model: StoredModel, settings: PredictionSettings) -> pandas.DataFrame:
     import pandas as pd
 
     rows = [one.row for one in answers]

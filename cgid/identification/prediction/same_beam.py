@@ -19,7 +19,7 @@ from cgid._lib.validation import Floats
 from cgid.errors import BadData, InvalidValue
 from cgid.identification.detection.events import Event
 from cgid.identification.model.families import softmax
-from cgid.identification.model.model import Model
+from cgid.identification.model.model import StoredModel
 from cgid.identification.prediction.answers import Answer, answers_from, measured_events
 from cgid.identification.prediction.settings import PredictionSettings, known_columns
 from cgid.measure.features.extraction import FEATURES
@@ -67,7 +67,7 @@ T = TypeVar("T", bound=Timed)
 # -- groups -----------------------------------------------------------------------------------------------
 
 
-def rows_of(model: Model, channels: Sequence[str], same_beam: Sequence[Sequence[str]]) -> list[tuple[int, ...]]:
+def rows_of(model: StoredModel, channels: Sequence[str], same_beam: Sequence[Sequence[str]]) -> list[tuple[int, ...]]:
     """Return the rows of a block that give one prediction together, by their first row."""
     if not same_beam:
         if model.together == 1:
@@ -221,7 +221,7 @@ def _distance(answer: Answer) -> float:
     return answer.novelty if answer.probabilities else np.inf
 
 
-def pooled(answers: Sequence[Answer], model: Model, settings: PredictionSettings) -> Answer:
+def pooled(answers: Sequence[Answer], model: StoredModel, settings: PredictionSettings) -> Answer:
     """Return one answer of several for the same rock or window: the mean of the log-odds of those that are known."""
     best, known = min(answers, key=_distance), [one for one in answers if one.novelty <= 1]
     if len(known) < 2:
@@ -253,7 +253,12 @@ class SameBeam:
     """Answer for the rocks of a stream whose channels share beams, and tell which channels are left out."""
 
     def __init__(
-        self, model: Model, channels: Sequence[str], settings: PredictionSettings, sampling_rate: float, source: str
+        self,
+        model: StoredModel,
+        channels: Sequence[str],
+        settings: PredictionSettings,
+        sampling_rate: float,
+        source: str,
     ) -> None:
         self._model, self._channels, self._settings, self._rate = model, tuple(channels), settings, sampling_rate
         self._source = source
@@ -371,7 +376,7 @@ class SameBeam:
             yield answer, parts
 
 
-def behind_each_sensor(model: Model) -> list[Model]:
+def behind_each_sensor(model: StoredModel) -> list[StoredModel]:
     """Return a model for each sensor of its beam alone; the model itself if it has one sensor or no beam."""
     if model.beam is None or model.together == 1:
         return [model]

@@ -17,7 +17,7 @@ from cgid.identification.prediction.vote import VOTE_TIME
 from cgid.signals import KNOWN
 
 if TYPE_CHECKING:
-    from cgid.identification.model.model import Model
+    from cgid.identification.model.model import StoredModel
 
 __all__ = ["PredictionSettings"]
 
@@ -73,14 +73,14 @@ class ShareSettings(NamedTuple):
 class ExtraColumns(Protocol):
     """Additional outputs for each frame."""
 
-    def check(self, model: Model) -> None:
+    def check(self, model: StoredModel) -> None:
         """Raise `InvalidValue` if this model does not support it."""
 
     def __call__(
         self,
         frames: NDArray[np.floating],
         sampling_rate: float,
-        model: Model,
+        model: StoredModel,
         pre_trigger: int | None,
         detection_limit: float,
     ) -> Sequence[Mapping[str, Any]]:
@@ -98,11 +98,11 @@ class PredictionSettings:
     Attributes
     ----------
     costs : mapping of str to float
-        Cost of missing each label, see `Model.decide`.
+        Cost of missing each label, default 1: with coal 1 and gangue 3, coal must be three times as probable.
     coverage : float, optional
         Fraction of prediction sets that contain the truth; rejects sets without exactly one label; None: no rejection.
     class_conditional : bool
-        Whether each label has this coverage, see `Model.prediction_set`.
+        Whether each label has this coverage, and so any mixture; else the mixture of the training.
     drop_height : float, optional [m]
         Drop height of the rocks, for a model that needs it.
     mass : float, optional [kg]
@@ -199,7 +199,7 @@ class PredictionSettings:
 
     # -- decision -------------------------------------------------------------------------------------
 
-    def check(self, model: Model) -> None:
+    def check(self, model: StoredModel) -> None:
         """Raise `InvalidValue` if the model lacks a label or the coverage, or does not use the drop height."""
         self.labels(model, np.empty((0, len(model.labels))))
         if self.drop_height is not None:
@@ -207,7 +207,7 @@ class PredictionSettings:
         if self.impactors is not None:
             self.impactors.check(model)
 
-    def labels(self, model: Model, probabilities: Floats) -> tuple[list[str], list[tuple[str, ...] | None]]:
+    def labels(self, model: StoredModel, probabilities: Floats) -> tuple[list[str], list[tuple[str, ...] | None]]:
         """Return the label and the prediction set of each row of probabilities."""
         if self.coverage is None:
             return model.decide(probabilities, self.costs).tolist(), [None] * len(probabilities)
@@ -226,18 +226,18 @@ class PredictionSettings:
 
     # -- models and channels --------------------------------------------------------------------------
 
-    def require_use(self, model: Model) -> None:
+    def require_use(self, model: StoredModel) -> None:
         """Raise `InvalidValue` for a vote time with a model of impacts, or a dead time with a model of windows."""
         of_others = {"impact": ("--vote", self.vote_time), "window": ("--dead-time", self.dead_time)}
         flag, given = of_others[model.subject]
         if given is not None:
             raise InvalidValue(f"{flag} must be left out, this model decides on {model.subject}s")
 
-    def vote_over(self, model: Model) -> float:
+    def vote_over(self, model: StoredModel) -> float:
         """Return the time over which windows vote [s]."""
         return max(VOTE_TIME if self.vote_time is None else self.vote_time, model.window_time)
 
-    def sensors_for(self, model: Model, channels: Sequence[str]) -> list[str | None]:
+    def sensors_for(self, model: StoredModel, channels: Sequence[str]) -> list[str | None]:
         """Return the sensor of each channel, or of each group of channels that the model uses together.
 
         Raises `InvalidValue` if the number of sensors does not match, or the model has no sensor of this name.

@@ -20,7 +20,7 @@ from cgid.errors import BadData, CgidError, InvalidValue
 from cgid.identification.detection.detector import ImpactDetector
 from cgid.identification.detection.events import Event
 from cgid.identification.detection.windows import complete_windows, measure_windows, windows_of
-from cgid.identification.model.model import Model
+from cgid.identification.model.model import StoredModel
 from cgid.identification.model.reference import MeanSpectrum, drift
 from cgid.identification.prediction.answers import Answer, answers_from, factor_to, identify_events, unmeasured
 from cgid.identification.prediction.same_beam import SameBeam, Together, pooled, rows_of
@@ -73,7 +73,9 @@ class Step:
     changes: Sequence[Change] = ()  # of the channels
 
 
-def factors_for(model: Model, channels: Sequence[Channel], settings: PredictionSettings, source: str) -> list[float]:
+def factors_for(
+    model: StoredModel, channels: Sequence[Channel], settings: PredictionSettings, source: str
+) -> list[float]:
     """Return the factor of each channel to the unit of the model, negative to invert; raises as `suited`."""
     sign = -1.0 if settings.invert else 1.0
     return [
@@ -84,7 +86,7 @@ def factors_for(model: Model, channels: Sequence[Channel], settings: PredictionS
 def identify_blocks(
     blocks: Iterable[NDArray[Any]],
     sampling_rate: float,
-    model: Model,
+    model: StoredModel,
     channels: Sequence[str],
     settings: PredictionSettings,
     source: str = "signal",
@@ -125,7 +127,7 @@ def _named(source: str) -> Iterator[None]:
 def _impacts(
     blocks: Iterable[NDArray[Any]],
     sampling_rate: float,
-    model: Model,
+    model: StoredModel,
     channels: Sequence[str],
     settings: PredictionSettings,
     source: str,
@@ -215,13 +217,13 @@ class _Quiet:
 
 
 def answering_channels(
-    model: Model, channels: Sequence[str], same_beam: Sequence[Sequence[str]] = ()
+    model: StoredModel, channels: Sequence[str], same_beam: Sequence[Sequence[str]] = ()
 ) -> tuple[str, ...]:
     """Return the names of the channels of predictions: each channel, or those of one beam or used together in one."""
     return tuple("+".join(channels[row] for row in rows) for rows in rows_of(model, channels, same_beam))
 
 
-def independence(model: Model, settings: PredictionSettings) -> float:
+def independence(model: StoredModel, settings: PredictionSettings) -> float:
     """Return the weight of the prediction for a window, in (0, 1]: overlapping ones and votes are not independent."""
     return min(model.hop_time / settings.vote_over(model), 1.0)
 
@@ -229,7 +231,7 @@ def independence(model: Model, settings: PredictionSettings) -> float:
 def _windows(
     blocks: Iterable[NDArray[Any]],
     sampling_rate: float,
-    model: Model,
+    model: StoredModel,
     channels: Sequence[str],
     settings: PredictionSettings,
     source: str,
@@ -278,10 +280,10 @@ class Strategy(NamedTuple):
     """How the predictions of a recording are made."""
 
     steps: Callable[..., Iterator[Step]]  # as `identify_blocks`
-    weight: Callable[[Model, PredictionSettings], float]  # of one prediction among dependent ones, in (0, 1]
+    weight: Callable[[StoredModel, PredictionSettings], float]  # of one prediction among dependent ones, in (0, 1]
 
 
-#: What one prediction is of (`Model.subject`) -> how it is made.
+#: What one prediction is of (`StoredModel.subject`) -> how it is made.
 STRATEGIES: Mapping[str, Strategy] = {
     "impact": Strategy(_impacts, lambda model, settings: 1.0),
     "window": Strategy(_windows, independence),
@@ -291,7 +293,7 @@ STRATEGIES: Mapping[str, Strategy] = {
 def _predicted(
     windows: NDArray[np.floating],
     sampling_rate: float,
-    model: Model,
+    model: StoredModel,
     settings: PredictionSettings,
     vote: RunningVote,
     equalisation: Sequence[Equalisation] | None,
@@ -310,7 +312,7 @@ def _predicted(
 class Drifts:
     """Drift of known sensors from their reference runs, from the mean spectra of their channels."""
 
-    def __init__(self, model: Model, sensors: Sequence[str | None], sampling_rate: float) -> None:
+    def __init__(self, model: StoredModel, sensors: Sequence[str | None], sampling_rate: float) -> None:
         self._model, self._sensors = model, sensors
         # Overlapping windows are not independent, and would make the spectrum seem more certain than it is.
         self._every = max(math.ceil(model.window_time / model.hop_time - 1e-9), 1) if model.hop_time else 1

@@ -19,7 +19,7 @@ from cgid._lib import validation
 from cgid._lib.validation import UNKNOWN
 from cgid.errors import InvalidValue
 from cgid.identification.model.anchor import Anchor, Basis
-from cgid.identification.model.model import Model
+from cgid.identification.model.model import StoredModel
 from cgid.identification.prediction.answers import Answer
 from cgid.identification.prediction.diagnosis import OF_ANCHOR, Change, Condition, Diagnosis, fits_coal
 from cgid.identification.prediction.fraction import (
@@ -148,7 +148,7 @@ class CavingWatch:
 
     def __init__(
         self,
-        model: Model,
+        model: StoredModel,
         supports: Sequence[str],
         settings: PredictionSettings,
         weight: float = 1.0,
@@ -308,7 +308,7 @@ class CavingWatch:
 
 
 def whole_shares(
-    model: Model, answers: Sequence[Answer], settings: PredictionSettings, weight: float, duration: float
+    model: StoredModel, answers: Sequence[Answer], settings: PredictionSettings, weight: float, duration: float
 ) -> list[Share]:
     """Return the gangue fraction of each support over a whole recording of this duration [s]; arguments as above."""
     supports = list(dict.fromkeys(answer.channel for answer in answers))

@@ -14,7 +14,7 @@ from cgid._lib.files import check_new, write_together
 from cgid._lib.terminal import counted, printable
 from cgid.errors import CannotCreate
 from cgid.identification.detection.detector import VIBRATION_DEAD_TIME
-from cgid.identification.model.model import MIN_GROUPS, Model
+from cgid.identification.model.model import MIN_GROUPS, Model, StoredModel, stored
 from cgid.identification.training.metrics import drawn_text
 from cgid.signals import KNOWN
 
@@ -71,7 +71,7 @@ def write_model(
     contents = {
         **pictures,
         f"{path.stem}.md": write_card(training.model, path.name, tuple(pictures), further).encode(),
-        path.name: training.model.to_bytes(),
+        path.name: stored(training.model).to_bytes(),
     }
     files = {path.with_name(name): content for name, content in contents.items()}
     write_together(files, overwrite=overwrite)
@@ -98,6 +98,7 @@ def write_card(model: Model, name: str, pictures: tuple[str, ...] = (), further:
     -------
     str
     """
+    model = stored(model)
     fields = _fields(model, name, pictures)
     parts = "".join(_part(block, fields) for block in _blocks(model, pictures))
     body, _, limits = parts.rpartition("## Limits\n")
@@ -116,7 +117,7 @@ def _part(block: str, fields: Record) -> str:
     return _template()[block].format_map(fields)
 
 
-def _blocks(model: Model, pictures: tuple[str, ...]) -> Iterator[str]:
+def _blocks(model: StoredModel, pictures: tuple[str, ...]) -> Iterator[str]:
     """Yield the blocks of the template that apply to a model, in order."""
     recorded, metrics = model.training.get("recorded"), model.training["metrics"]
     shown = {
@@ -147,7 +148,7 @@ def _blocks(model: Model, pictures: tuple[str, ...]) -> Iterator[str]:
     return (block for block in _template() if shown.get(block, True))
 
 
-def _fields(model: Model, name: str, pictures: tuple[str, ...]) -> dict[str, Any]:
+def _fields(model: StoredModel, name: str, pictures: tuple[str, ...]) -> dict[str, Any]:
     """Return the values of the placeholders of the template."""
     training, labels = model.training, list(map(plain, model.labels))
     metrics = training["metrics"]
@@ -189,7 +190,7 @@ def _fields(model: Model, name: str, pictures: tuple[str, ...]) -> dict[str, Any
     }
 
 
-def _features(model: Model) -> str:
+def _features(model: StoredModel) -> str:
     if len(model.features) <= _MAX_NAMES:
         return ", ".join(model.features)
     selected = [plain(row["name"]) for row in model.training.get("recorded", {}).get("candidates", ()) if row["chosen"]]
@@ -248,7 +249,7 @@ def _fields_of_recordings(recorded: Record, metrics: Record) -> dict[str, Any]:
     }
 
 
-def _sets(model: Model) -> str:
+def _sets(model: StoredModel) -> str:
     """Return the table of prediction sets."""
     rows = (
         (

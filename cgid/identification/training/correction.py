@@ -23,7 +23,7 @@ from cgid._lib import validation
 from cgid._lib.validation import Floats
 from cgid.errors import BadData, InvalidValue
 from cgid.identification.model.families import Contrast, Standardiser, softmax
-from cgid.identification.model.model import Model
+from cgid.identification.model.model import StoredModel
 from cgid.identification.model.model_file import STANDARDISER
 from cgid.identification.model.world import World
 from cgid.identification.training.grouped import groups_of_labels, warnings_of_few
@@ -75,7 +75,7 @@ class Shift:
 class Correction:
     """A corrected model, and its accuracy and that of the original model."""
 
-    model: Model
+    model: StoredModel
     shift: Shift
     # `before`, `after`: results of `cgid.identification.training.metrics.evaluate` for the original model, and for the
     # corrected one by cross-validation
@@ -88,7 +88,7 @@ class Correction:
     warnings: tuple[str, ...] = ()  # of impacts left out, and of few groups; one line each
 
 
-def correct(model: Model, rows: Rows) -> Correction:
+def correct(model: StoredModel, rows: Rows) -> Correction:
     """Return a model corrected by labelled impacts that did not train it."""
     require_correctable(model)
     rows = replace(
@@ -140,7 +140,7 @@ def correct(model: Model, rows: Rows) -> Correction:
     )
 
 
-def _without_trained(model: Model, rows: Rows) -> tuple[Rows, NDArray[np.bool_]]:
+def _without_trained(model: StoredModel, rows: Rows) -> tuple[Rows, NDArray[np.bool_]]:
     """Return the rows of recordings that did not train the model, and a mask of the others; raise if too few remain."""
     stated = (model.training.get("sources"), model.training.get("correction", {}).get("sources"))
     trained = [one for sources in stated if isinstance(sources, list | tuple) for one in sources]
@@ -177,14 +177,14 @@ def _each_teaches_all(truth: NDArray[np.intp], trials: NDArray[np.intp]) -> bool
 
 
 def _evaluated(
-    labels: NDArray[np.str_], probabilities: Floats, model: Model, trials: NDArray[np.intp]
+    labels: NDArray[np.str_], probabilities: Floats, model: StoredModel, trials: NDArray[np.intp]
 ) -> dict[str, Any]:
     is_correct = np.array(model.labels)[np.argmax(probabilities, axis=1)] == labels
     interval = list(clustered_interval(is_correct, trials))
     return evaluate(labels, probabilities, model.labels) | {"accuracy_interval_95": interval}
 
 
-def require_correctable(model: Model) -> None:
+def require_correctable(model: StoredModel) -> None:
     """Raise `InvalidValue` unless impacts can correct the model."""
     if model.kind == "window":
         raise InvalidValue("--from must name a model of impacts, this one is for windows; train it again with more")
@@ -194,7 +194,7 @@ def require_correctable(model: Model) -> None:
         )
 
 
-def require_known(model: Model, rows: Rows) -> None:
+def require_known(model: StoredModel, rows: Rows) -> None:
     """Raise `BadData` if no impact of a sample is within the training of the model."""
     if not (model.novelty(rows.columns(model.features), rows.columns(model.guards)) <= 1).any():
         raise _too_few_known(0, len(rows.labels))
@@ -207,7 +207,7 @@ def _too_few_known(n_known: int, n: int) -> BadData:
     )
 
 
-def _require_impacts(model: Model, rows: Rows) -> None:
+def _require_impacts(model: StoredModel, rows: Rows) -> None:
     for label in np.unique(rows.labels).tolist():
         validation.choice("label", label, model.labels)
     _require_labels(rows.labels, model)
@@ -222,7 +222,7 @@ def _require_impacts(model: Model, rows: Rows) -> None:
         )
 
 
-def _require_labels(labels: NDArray[np.str_], model: Model, where: str = "") -> None:
+def _require_labels(labels: NDArray[np.str_], model: StoredModel, where: str = "") -> None:
     lacking = sorted(set(model.labels) - set(labels.tolist()))
     if lacking:
         raise BadData(
@@ -264,7 +264,9 @@ class _LabelledImpacts:
     trials: NDArray[np.intp]  # (n,), those of one number are left out together
 
     @classmethod
-    def of(cls, model: Model, features: Floats, truth: NDArray[np.intp], trials: NDArray[np.intp]) -> _LabelledImpacts:
+    def of(
+        cls, model: StoredModel, features: Floats, truth: NDArray[np.intp], trials: NDArray[np.intp]
+    ) -> _LabelledImpacts:
         factors, addends = _gained(model, np.e)
         gains = np.exp(_GAIN * _GAINS) if (factors != 1).any() or addends.any() else np.ones(1)
         gained = [_gained(model, gain) for gain in gains]
@@ -331,7 +333,7 @@ def fit_bias_and_slope(logs: Floats, truth: NDArray[np.intp]) -> tuple[Floats, f
 # -- into the model ---------------------------------------------------------------------------------------
 
 
-def _gained(model: Model, gain: float) -> tuple[Floats, Floats]:
+def _gained(model: StoredModel, gain: float) -> tuple[Floats, Floats]:
     """Return the factor and the addend (n_features,) of a sensor gain in each feature."""
     factors, addends = np.ones(len(model.features)), np.zeros(len(model.features))
     for k, name in enumerate(model.features):
@@ -345,7 +347,7 @@ def _gained(model: Model, gain: float) -> tuple[Floats, Floats]:
     return factors, addends
 
 
-def shifted(model: Model, shift: Shift) -> Model:
+def shifted(model: StoredModel, shift: Shift) -> StoredModel:
     """Return the model with a shift folded into its arrays, without prediction sets and the world of its training.
 
     Neither is that of the site.

@@ -34,7 +34,7 @@ from cgid.identification.detection.windows import (
     windows_of,
 )
 from cgid.identification.inversion.through_beam import ThroughBeam
-from cgid.identification.model.model import Model
+from cgid.identification.model.model import StoredModel
 from cgid.identification.model.reference import Equalisations, MeanSpectrum, equalisations_of
 from cgid.identification.prediction.same_beam import (
     RockAssigner,
@@ -329,7 +329,7 @@ def record(
     reading: Reading | None = None,
     level_free: bool = False,
     augment: bool = False,
-    model: Model | None = None,
+    model: StoredModel | None = None,
     progress: Callable[[int], object] | None = None,
 ) -> Rows:
     """Return the rows of annotated recordings: the features of their windows or impacts."""
@@ -379,7 +379,7 @@ def record(
     )
 
 
-def _require_quantity(file: AnnotatedFile, model: Model) -> None:
+def _require_quantity(file: AnnotatedFile, model: StoredModel) -> None:
     quantity = quantity_of(file.unit)
     if quantity != model.quantity:
         raise BadData(
@@ -590,7 +590,7 @@ class Cutting:
     unit: str
     equalisations: Equalisations
     augment: bool = False
-    model: Model | None = None
+    model: StoredModel | None = None
 
     @cached_property
     def beams(self) -> list[ThroughBeam | None]:

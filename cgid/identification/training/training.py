@@ -26,7 +26,7 @@ from cgid._lib.workers import SERIAL, Workers
 from cgid.errors import BadData, InvalidValue
 from cgid.identification.model.conformal import Conformal
 from cgid.identification.model.families import Neighbourhood
-from cgid.identification.model.model import Model
+from cgid.identification.model.model import Model, StoredModel
 from cgid.identification.model.model_file import LEVEL_RANGE, UNEXPLAINED, VOTE_CORRELATION
 from cgid.identification.training.classifier import ImpactClassifier, Weights, contrast_of
 from cgid.identification.training.grouped import (
@@ -399,7 +399,7 @@ def _trained(
 ) -> Training:
     """Return the model of a classifier, with its `record` for the card and its rows and predictions in the test."""
     slicing = rows.slicing if rows.kind == "window" else None
-    model = Model.from_classifier(
+    model = StoredModel.from_classifier(
         classifier,
         known=rows.known_names,
         unit=rows.unit,
