@@ -406,21 +406,21 @@ def test_registers_are_what_a_client_reads(outputs) -> None:
         client.close()
 
 
-GROUNDS = ["seen", "blind", "wrong_scale", "mostly_unknown", "stopped"]
+GROUNDS = ["seen", "blind", "wrong_scale", "mostly_unknown", "stopped", "unproven"]
 
 
 def test_each_ground_has_its_register_and_only_a_seen_support_a_decision(outputs) -> None:
     own = outputs(channels=tuple(GROUNDS), modbus=f"127.0.0.1:{free_port()}")
-    feed(own, np.zeros((5, 100_000)))
+    feed(own, np.zeros((len(GROUNDS), 100_000)))
     times = {"ground_since_s": 60.0, "last_sound_s": 70.0, "last_identified_s": 20.0}
     for decision, number in (("draw", 1), ("shut", 2), ("none", 0)):
         for ground in GROUNDS:
             own(turn("shut" if decision == "shut" else "open", 90.0, 0.25, channel=ground))
             own(state(99.0, decision, ground, 0.25, channel=ground, **times))
         known = own.plant.read(lambda supports: registers(own.plant, supports))
-        by_ground = [known[HEAD + WIDTH * k : HEAD + WIDTH * (k + 1)] for k in range(5)]
-        assert [one[0] for one in by_ground] == [number, 0, 0, 0, 0]
-        assert [one[13] for one in by_ground] == [1, 2, 3, 4, 5]
+        by_ground = [known[HEAD + WIDTH * k : HEAD + WIDTH * (k + 1)] for k in range(len(GROUNDS))]
+        assert [one[0] for one in by_ground] == [number, 0, 0, 0, 0, 0]
+        assert [one[13] for one in by_ground] == [1, 2, 3, 4, 5, 6]
         for ground, one in zip(GROUNDS, by_ground, strict=True):
             assert one[1:6] == [2500, 1500, 3500, 20, 3]
             for register, age in ((10, 800), (11, 100), (14, 400), (15, 300)):
@@ -736,9 +736,9 @@ def test_page_shows_a_decision_only_of_what_is_seen(decision: str, outputs) -> N
     shown = page_functions(f"{cases}.map(one => [decisionOf(one, false), stateText(one, false)])")
     words = {"draw": "GO ON", "shut": "SHUT"}
     known = decision if decision in words else "none"
-    assert shown == [[known, words.get(decision, "NO DECISION YET")], *[["none", "NO DECISION"]] * 4]
+    assert shown == [[known, words.get(decision, "NO DECISION YET")], *[["none", "NO DECISION"]] * 5]
     void = page_functions(f"{cases}.map(one => [decisionOf(one, true), stateText(one, true)])")
-    assert void == [["none", "NO DECISION"]] * 5
+    assert void == [["none", "NO DECISION"]] * 6
 
 
 def test_page_names_the_ground_its_reason_and_its_age(outputs) -> None:
@@ -746,7 +746,14 @@ def test_page_names_the_ground_its_reason_and_its_age(outputs) -> None:
     last = page_functions(f"({data}).supports.map(one => groundText(one, 600, true))")
     assert all(text.startswith("last known: ") and "sample 10 min ago" in text for text in last)
     texts = page_functions(f"({data}).supports.map(one => groundText(one, 600, false))")
-    names = ("seen for", "BLIND for", "WRONG SCALE for", "MOSTLY UNKNOWN for", "STREAM STOPPED for")
+    names = (
+        "seen for",
+        "BLIND for",
+        "WRONG SCALE for",
+        "MOSTLY UNKNOWN for",
+        "STREAM STOPPED for",
+        "MODEL UNPROVEN for",
+    )
     for text, name in zip(texts, names, strict=True):
         assert text.startswith(f"{name} 10 min")
         assert ("the cable" in text) is (name != "seen for")

@@ -10,16 +10,18 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from scipy import stats
 from scipy.integrate import quad
 
 from cgid.errors import InvalidValue
 from cgid.identification.model.anchor import N_CLASSES, Anchor, Basis, class_edges
-from cgid.identification.model.confusion import Confusion, StreamAnswers
+from cgid.identification.model.confusion import Confusion, StreamAnswers, wilson_interval
 from cgid.identification.model.families import Network
 from cgid.identification.prediction.fraction import (
     LAPSE,
     MIN_IMPACTS,
+    HeldOut,
     NoConfusion,
     Share,
     ShareWindow,
@@ -28,6 +30,7 @@ from cgid.identification.prediction.fraction import (
     estimate_of,
     separates,
     trained_share,
+    unproven,
 )
 from cgid.identification.prediction.prediction import Answer, PredictionSettings
 from cgid.identification.prediction.support import CavingWatch, Decision, Ground, SupportReport
@@ -393,8 +396,10 @@ def answer(time: float, channel: str = "1", gangue: float = 0.3, novelty: float 
     return Answer(time=time, channel=channel, novelty=novelty, probabilities=probabilities, label=label)
 
 
-def reported(answers: list[Answer], untils: list[float], **settings: float) -> list[SupportReport]:
-    watch = CavingWatch(MODEL, ["1", "2"], PredictionSettings(**settings))
+def reported(
+    answers: list[Answer], untils: list[float], *, model: Any = MODEL, **settings: float
+) -> list[SupportReport]:
+    watch = CavingWatch(model, ["1", "2"], PredictionSettings(**settings))
     told: list[SupportReport] = []
     for last, until in zip([-1.0, *untils], untils, strict=False):
         told += watch.feed([one for one in answers if last < one.time <= until], until)
@@ -449,6 +454,77 @@ def test_nothing_is_decided_before_the_evidence_and_no_decision_outlives_its_gro
     assert 44 <= unknown[0].time <= 47
     assert {one.decision for one in unknown} == {Decision.NONE}
     assert all(one.last_identified == pytest.approx(39.9) for one in unknown)
+
+
+def of_a_test(confusion: list[list[int]], n_trials: float | None = None) -> dict[str, Any]:
+    """The metrics of a test with this confusion, of so many independent trials, by default its impacts."""
+    counts = np.array(confusion)
+    share = float(np.trace(counts) / counts.sum())
+    interval = list(wilson_interval(share, n_trials or float(counts.sum())))
+    return {"accuracy": share, "accuracy_interval_95": interval, "confusion": confusion}
+
+
+def with_record(**training: Any) -> Any:
+    labels = ("coal", "gangue", "steel")[: len(training["metrics"].get("confusion", MODEL.labels))]
+    return SimpleNamespace(**{**vars(MODEL), "labels": labels, "training": training})
+
+
+def test_interval_of_a_difference_is_the_published_one() -> None:
+    """Newcombe 1998, table II (a): 56 of 70 less 48 of 80, method 10."""
+    found = HeldOut.of(of_a_test([[32, 48], [14, 56]]), np.array([False, True]))
+    assert found is not None
+    assert (found.gangue, found.others) == (0.8, 0.6)
+    assert (found.low, found.high) == pytest.approx((0.0524, 0.3339), abs=5e-5)
+
+
+@pytest.mark.parametrize("gangue", [0.5, 0.15])
+def test_chance_is_no_proof_and_a_good_model_is_proven_by_few_impacts(gangue: float) -> None:
+    rng, n_models, n = np.random.default_rng(57), 400, 60
+    truth = (rng.random((n_models, n)) < gangue).astype(int)
+    right = np.where(rng.random(truth.shape) < 0.85, truth, 1 - truth)
+    chance = (rng.random(truth.shape) < rng.random((n_models, 1))).astype(int)
+
+    def proven(called: NDArray[Any]) -> float:
+        tables = np.zeros((n_models, 2, 2), int)
+        np.add.at(tables, (np.arange(n_models)[:, None], truth, called), 1)
+        records = (with_record(metrics=of_a_test(table.tolist())) for table in tables)
+        return float(np.mean([not unproven(one, ("gangue",)) for one in records]))
+
+    assert proven(chance) <= 0.025 + 3 * (0.025 / n_models) ** 0.5  # one end of an interval of 95 %
+    assert proven(right) >= 0.9
+
+
+@pytest.mark.parametrize(
+    ("training", "is_proven"),
+    [
+        ({"metrics": of_a_test([[15, 15], [12, 18]])}, False),
+        ({"metrics": of_a_test([[95, 0], [5, 0]])}, False),  # right in .95, and never says gangue
+        ({"metrics": of_a_test([[90, 5], [2, 3]])}, True),
+        ({"metrics": of_a_test([[40, 0], [1, 39]], n_trials=2)}, False),  # two recordings, however many impacts
+        ({"metrics": of_a_test([[40, 0], [1, 39]], n_trials=5)}, True),
+        ({"metrics": of_a_test([[30, 0, 30], [0, 60, 0], [30, 0, 30]])}, True),  # coal for steel, never for gangue
+        ({"metrics": {}}, True),  # of a file that states nothing
+        (
+            {"metrics": of_a_test([[900, 100], [150, 850]]), "correction": of_a_test([[20, 0], [1, 19]], n_trials=2)},
+            True,
+        ),
+        ({"metrics": of_a_test([[900, 100], [150, 850]]), "correction": of_a_test([[8, 7], [7, 8]])}, False),
+        ({"metrics": of_a_test([[55, 45], [45, 55]]), "correction": of_a_test([[28, 2], [3, 27]])}, True),
+    ],
+)
+def test_model_that_is_not_better_than_chance_decides_nothing(training: dict[str, Any], is_proven: bool) -> None:
+    model = with_record(**training)
+    assert (not unproven(model, ("gangue",))) is is_proven
+    answers = flow(np.random.default_rng(3), 0, 30, 0.95)
+    reports = [one for one in reported(answers, [30.0], model=model) if one.state.share.channel == "1"]
+    assert reports[-1].state.share.share > 0.7
+    if is_proven:
+        assert "shut" in {one.kind for one in reports}
+        return
+    assert {one.state.ground for one in reports} == {Ground.UNPROVEN}
+    assert {one.state.decision for one in reports} == {Decision.NONE}
+    assert {one.kind for one in reports} == {"share", "state"}
+    assert "better than chance" in reports[0].state.reason
 
 
 def test_a_pause_withdraws_the_decision_after_a_stated_time() -> None:

@@ -228,6 +228,7 @@ _GROUNDS = {
     "blind": "blind",
     "wrong_scale": "of a wrong scale",
     "mostly_unknown": "mostly unknown",
+    "unproven": "of an unproven model",
     "stopped": "stopped",
 }
 _OVER = {
@@ -462,6 +463,8 @@ class RecordingRows:
     def _state_message(self, state: SupportState) -> str | None:
         """Return in words that a ground is lost or won, or that a decision is withdrawn; None for a first decision."""
         ground, decided = self._grounds.get(state.share.channel, ("seen", False))
+        if (ground, state.ground) == ("seen", "unproven"):  # said of the model, once for all supports
+            return None
         withdrawn = ", so the decision is withdrawn" if decided else ""
         if state.ground != ground and state.ground != "seen":
             return f"{_GROUNDS[state.ground]} since {state.since:.6g} s ({state.reason}){withdrawn}"

@@ -6,6 +6,7 @@ import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from cgid.cli.options import warn_of_chance
 from cgid.cli.output import accuracy_text, print_json, progress_bar, say, warn
 
 if TYPE_CHECKING:
@@ -41,6 +42,7 @@ def correct_model(
     correction = correct(model, rows)
     for warning in correction.warnings:
         warn(warning)
+    warn_of_chance(correction.model)
     training = Training(
         correction.model, dict(correction.after), correction.labels, correction.probabilities, None, correction.rows
     )

@@ -640,10 +640,22 @@ def warn_of_model(
             f"{source}: the model knows few recordings of each label; its probabilities are valid for recordings like "
             "those; expect lower accuracy on another day"
         )
+    warn_of_chance(model, f"{source}: ", settings.shares.gangue)
     low, high = model.sampling_rates
     if not model.covers(sampling_rate):
         trained = f"{low:g}" if low == high else f"{low:g} to {high:g}"
         warn(f"{name}: sampled at {sampling_rate:g} Hz, the model was trained at {trained} Hz")
+
+
+def warn_of_chance(model: Model, source: str = "", gangue: Sequence[str] = ("gangue",)) -> None:
+    """Warn if a model is not shown to be better than chance."""
+    from cgid.identification.prediction.fraction import unproven
+
+    if reason := unproven(model, gangue):
+        warn(
+            f"{source}the model is not shown to be better than chance, so neither SHUT nor OPEN follows from it: "
+            f"{reason}; label impacts of more recordings"
+        )
 
 
 def share_of(flag: str, text: str) -> float:

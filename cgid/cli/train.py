@@ -32,6 +32,7 @@ from cgid.cli.options import (
     seed_option,
     share_of,
     strict_option,
+    warn_of_chance,
     worker_options,
 )
 from cgid.cli.output import accuracy_text, print_json, progress_bar, say, warn
@@ -440,6 +441,7 @@ def print_training(training: Any, path: Path, written: list[Path], as_json: bool
     if without is not None and without > metrics["accuracy"]:
         summary = f"{metrics['accuracy']:.4f} accuracy on the recorded impacts, without them {without:.4f}"
         warn(f"with synthetic impacts {summary}; leave the scenes out")
+    warn_of_chance(training.model)
     if as_json:
         print_json({"model": str(path), **metrics})
         return

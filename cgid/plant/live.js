@@ -46,7 +46,7 @@ function stateText(one, isVoid) {
 }
 function groundText(one, old, isVoid) {  // `old` is the age of the data [s]
   const age = moment => durationText(Math.max(one.time_s - moment + old, 0));
-  const words = { seen: "seen", blind: "BLIND", wrong_scale: "WRONG SCALE", mostly_unknown: "MOSTLY UNKNOWN", stopped: "STREAM STOPPED" };
+  const words = { seen: "seen", blind: "BLIND", wrong_scale: "WRONG SCALE", mostly_unknown: "MOSTLY UNKNOWN", unproven: "MODEL UNPROVEN", stopped: "STREAM STOPPED" };
   const known = isVoid ? `last known: ${words[one.ground]}` : `${words[one.ground]} for ${age(one.ground_since_s)}`;
   const parts = [known + (one.reason ? `: ${one.reason}` : "")];
   if (one.foreign) parts.push(`${one.foreign} unlike the training`);

@@ -23,7 +23,14 @@ HEAD, WIDTH, MAX_SUPPORTS = 16, 16, 256
 _SIZE = HEAD + WIDTH * MAX_SUPPORTS
 _NOT_KNOWN = 0xFFFF
 _DECISIONS = {Decision.NONE: 0, Decision.DRAW: 1, Decision.SHUT: 2}
-_GROUNDS = {Ground.SEEN: 1, Ground.BLIND: 2, Ground.WRONG_SCALE: 3, Ground.MOSTLY_UNKNOWN: 4, Ground.STOPPED: 5}
+_GROUNDS = {
+    Ground.SEEN: 1,
+    Ground.BLIND: 2,
+    Ground.WRONG_SCALE: 3,
+    Ground.MOSTLY_UNKNOWN: 4,
+    Ground.STOPPED: 5,
+    Ground.UNPROVEN: 6,
+}
 #: A client without requests for this time is disconnected [s].
 TIMEOUT = 60.0
 #: Supported functions, maximum number of registers in a response, and of bytes in a frame after its length.

@@ -272,19 +272,21 @@ def check_numbers(model: StoredModel) -> None:
 def check_training(model: StoredModel) -> None:
     """Raise unless the entries of the training record that answers and reports use have the right type."""
     training, n_labels = model.training, len(model.labels)
-    metrics, recorded = training.get("metrics", {}), training.get("recorded", {})
-    if not isinstance(metrics, Mapping) or not isinstance(recorded, Mapping):
-        raise BadData("metrics and recorded must be objects if the header has them")
+    metrics, recorded, correction = (training.get(name, {}) for name in ("metrics", "recorded", "correction"))
+    if not all(isinstance(one, Mapping) for one in (metrics, recorded, correction)):
+        raise BadData("metrics, recorded and correction must be objects if the header has them")
     shapes: dict[str, tuple[int, ...]] = {
         "accuracy": (),
         "accuracy_interval_95": (2,),
         "confusion": (n_labels, n_labels),
     }
-    for name, shape in shapes.items():
-        if name in metrics:
-            numbers = validation.not_negative(name, metrics[name])
-            if numbers.shape != shape or numbers.max() > _MAX_NUMBER:
-                raise BadData(f"{name} must be numbers of shape {shape} up to {_MAX_NUMBER:g}")
+    for found in (metrics, correction):
+        for name in shapes.keys() & found.keys():
+            numbers = validation.not_negative(name, found[name])
+            if numbers.shape != shapes[name] or numbers.max() > _MAX_NUMBER:
+                raise BadData(f"{name} must be numbers of shape {shapes[name]} up to {_MAX_NUMBER:g}")
+        if "confusion" in found and np.sum(found["confusion"]) < 1:
+            raise BadData("confusion must count at least one impact")
     for name in (UNEXPLAINED, VOTE_CORRELATION):
         if name in training and np.ndim(validation.not_negative(name, training[name])):
             raise BadData(f"{name} must be one number")
@@ -292,8 +294,6 @@ def check_training(model: StoredModel) -> None:
         _check_level_range(training[LEVEL_RANGE])
     if training.get(VOTE_CORRELATION, 0.0) > 1:
         raise BadData(f"{VOTE_CORRELATION} must be at most 1, got {training[VOTE_CORRELATION]:g}")
-    if "confusion" in metrics and np.sum(metrics["confusion"]) < 1:
-        raise BadData("confusion must count at least one impact")
     if "fewest_groups" in recorded:
         validation.count("fewest_groups", recorded["fewest_groups"])
     for weights in (training.get("class_weights"), recorded.get("class_weights")):

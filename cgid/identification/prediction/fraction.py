@@ -33,15 +33,16 @@ from collections import deque
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from functools import cache
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cgid._lib import validation
 from cgid._lib.validation import Floats
 from cgid.errors import InvalidValue
 from cgid.identification.model.anchor import Anchor, Basis, Impacts, SeamNetworks, class_edges, impacts_of
-from cgid.identification.model.confusion import SUREST, Confusion, logit
+from cgid.identification.model.confusion import SUREST, Confusion, logit, trials_of, wilson_interval
 from cgid.identification.prediction.settings import COST_EARLY, COST_LATE, RULES, require_costs
 
 if TYPE_CHECKING:
@@ -55,6 +56,8 @@ LEVEL = 0.95
 LAPSE = 120.0
 #: Minimum number of identified impacts of a window for the networks of seams, whose windows have 5 rocks and more.
 MIN_WINDOW = 3
+#: Width of the narrowest interval of an accuracy.
+_NARROWEST = 1e-6
 #: Nodes of the density, evenly spaced in the angle of share = sin^2(angle): finer towards 0 and 1.
 _NODES = 401
 
@@ -397,6 +400,59 @@ class ShutDecision:
     def withdraw(self) -> None:
         """Decide nothing, because the ground of the decision is gone."""
         self.shut, self._since = None, -np.inf
+
+
+class HeldOut(NamedTuple):
+    """How often a model called gangue of its test gangue, and other labels, and the interval of the difference."""
+
+    gangue: float
+    others: float
+    low: float
+    high: float
+
+    @classmethod
+    def of(cls, metrics: Mapping[str, Any], is_gangue: NDArray[np.bool_]) -> HeldOut | None:
+        """Return it from the metrics of a test and a mask of the labels; None if they do not state it."""
+        if not metrics.keys() >= {"accuracy", "accuracy_interval_95", "confusion"}:
+            return None
+        sides = np.stack([is_gangue, ~is_gangue]).astype(float)
+        counts = sides @ np.asarray(metrics["confusion"], float) @ sides.T
+        n = counts.sum(axis=1)
+        first, second = (counts[:, 0] / np.maximum(n, 1.0)).tolist()
+        # As many independent trials, such as recordings, as the interval of the accuracy rests on.
+        accuracy, low, high = np.clip([metrics["accuracy"], *metrics["accuracy_interval_95"]], 0.0, 1.0).tolist()
+        n_trials = trials_of(accuracy, max(high - low, _NARROWEST)) if high - low < 1 else 0.0
+        if not (n_trials and n.all()):
+            return cls(first, second, -1.0, 1.0)
+        of_gangue, of_others = (n_trials * n / n.sum()).tolist()
+        (low, high), (least, most) = wilson_interval(first, of_gangue), wilson_interval(second, of_others)
+        # Newcombe 1998, method 10.
+        below, above = np.hypot(first - low, most - second), np.hypot(high - first, second - least)
+        return cls(first, second, float(first - second - below), float(first - second + above))
+
+    def __str__(self) -> str:
+        """Return why it proves nothing."""
+        return (
+            f"it called {self.gangue:.2f} of the gangue of its test gangue, and {self.others:.2f} of the rest "
+            f"(difference {self.low:.2f} to {self.high:.2f})"
+        )
+
+
+def unproven(model: StoredModel, gangue: Collection[str]) -> str:
+    """Return why a model is not shown to tell gangue from the rest better than chance; nothing if it is.
+
+    By chance, gangue is called gangue as often as the rest is, and no fraction follows. A decision concerns recordings
+    to come, so the interval of the difference counts what that of the accuracy does: recordings, where their impacts
+    resemble each other. A corrected model was tested on thousands of impacts elsewhere: those of its new beam disprove
+    it if chance explains them and that test does not.
+    """
+    if not separates(gangue, model):
+        return ""
+    is_gangue = np.isin(model.labels, as_in(model, gangue))
+    own, here = (HeldOut.of(model.training.get(name, {}), is_gangue) for name in ("metrics", "correction"))
+    if here is not None and (own is None or here.low > 0 or here.high < own.gangue - own.others):
+        own = here
+    return "" if own is None or own.low > 0 else str(own)
 
 
 def separates(gangue: Collection[str], model: StoredModel) -> bool:

@@ -31,6 +31,7 @@ from cgid.identification.prediction.fraction import (
     answers_of,
     as_in,
     separates,
+    unproven,
 )
 from cgid.identification.prediction.settings import PredictionSettings
 from cgid.recordings.soundness import SensorWatch
@@ -53,6 +54,7 @@ class Ground(StrEnum):
     BLIND = "blind"  # samples are missing, constant, or far below the channel's own earlier noise
     WRONG_SCALE = "wrong_scale"  # the levels are not those of the training, or of a mixture with the stated coal
     MOSTLY_UNKNOWN = "mostly_unknown"  # most impacts of the last minutes are unknown
+    UNPROVEN = "unproven"  # the model is not shown to be better than chance
     STOPPED = "stopped"  # no samples arrive
 
 
@@ -179,6 +181,7 @@ class CavingWatch:
                 "at least one label must remain besides gangue, got all of the model's: "
                 f"{', '.join(gangue)}; leave one out"
             )
+        self._unproven = "" if self.threshold is None else unproven(model, gangue)
         answers = answers_of(model, gangue)
         # The seams of the simulation have coal and gangue; other labels may be anything.
         seams = self._seams = None if shares.trained_seam or gangue != ("gangue",) else model.seams
@@ -298,6 +301,8 @@ class CavingWatch:
             return Ground.WRONG_SCALE, end, "the levels of its impacts are not those of the training"
         if Condition.MOSTLY_UNKNOWN in conditions:
             return Ground.MOSTLY_UNKNOWN, end, "most of its latest impacts are unknown"
+        if self._unproven:
+            return Ground.UNPROVEN, end, f"the model is not shown to be better than chance: {self._unproven}"
         return Ground.SEEN, end, ""
 
     def _probability(self, answer: Answer) -> float:
@@ -363,7 +368,7 @@ class _Support:
             last_identified=self.last_identified,
             foreign=self.foreign,
         )
-        if before is None and ground == Ground.SEEN:
+        if before is None and ground in (Ground.SEEN, Ground.UNPROVEN):
             state = replace(state, since=0.0)
         self.state = state
         was_silent, self.is_silent = self.is_silent, not share.n_impacts + share.n_unknown
