@@ -604,6 +604,7 @@ _COMMANDS = r"""
 65 | events - -o e.csv | stdin
 65 | events good.csv twice.csv --audacity a.txt -o e.csv | --audacity
 65 | events good.csv --audacity pair.csv -o e.csv | pair.csv
+73 | events good.csv --audacity ./e.csv -o e.csv | e.csv
 65 | label - | stdin
 66 | label gone.csv | gone.csv
 73 | label good.csv -o l.xlsx | l.xlsx

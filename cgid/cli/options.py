@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial, wraps
@@ -12,7 +13,7 @@ import click
 from click.shell_completion import CompletionItem
 
 from cgid.cli.output import say_error, warn
-from cgid.errors import BadData, CgidError, InvalidValue
+from cgid.errors import BadData, CannotCreate, CgidError, InvalidValue
 from cgid.shipped import MODELS, SCENES
 from cgid.signals import Signal, channel_name
 
@@ -82,7 +83,7 @@ OUTPUT = OutputName()
 
 
 def require_no_input_written(inputs: Iterable[str | Path] = ()) -> None:
-    """Raise `CannotCreate` if a file that the current command writes is one of its inputs, or of more `inputs`.
+    """Raise `CannotCreate` if a file that the current command writes is written twice, or is an input, or in `inputs`.
 
     Every command checks its arguments, and the files that they name, before it runs.
     """
@@ -96,6 +97,10 @@ def require_no_input_written(inputs: Iterable[str | Path] = ()) -> None:
         if isinstance(kind, OutputName):
             paths = [Path(name) for name in names if name != "-"]
             written += [*paths, *(other for path in paths for other in kind.beside(path))]
+    real = [os.path.realpath(path) for path in written]
+    for path, own in zip(written, real, strict=True):
+        if real.count(own) > 1:
+            raise CannotCreate(f"{path}: must be the name of one output, it is that of two; choose another name")
     if not written:
         return  # what inputs name takes a tenth of the start of predict to find out
     for names, kind in named:
