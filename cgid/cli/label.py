@@ -41,6 +41,7 @@ _PORT = 8062
 @click.option(
     "-o",
     "--output",
+    "written",  # not `output`, with which stdout may be closed: the address is printed there
     type=OUTPUT,
     default="labels.csv",
     show_default=True,
@@ -53,7 +54,7 @@ _PORT = 8062
 @reading_options
 def label(
     files: tuple[str, ...],
-    output: str,
+    written: str,
     model: str | None,
     labels: str,
     saved_as: str | None,
@@ -73,7 +74,7 @@ def label(
     from cgid.labelling.table import LabelTable
     from cgid.pages.server import Address
 
-    path = check_new(Path(output), "a table of impacts", (".csv",), overwrite=True)
+    path = check_new(Path(written), "a table of impacts", (".csv",), overwrite=True)
     model_path = path.with_suffix(".npz") if saved_as is None else Path(saved_as)
     if saved_as is not None:
         check_new(model_path, "a model", (".npz",), overwrite=False)
@@ -103,10 +104,10 @@ def label(
     except BaseException:
         table.close()
         raise
-    say(address)
-    say(f"cgid: open it in a browser of this machine; labels go to {path}; Ctrl-C ends the page", err=True)
     bench.start()
     try:
+        say(address)
+        say(f"cgid: open it in a browser of this machine; labels go to {path}; Ctrl-C ends the page", err=True)
         threading.Event().wait()
     finally:
         server.request_end()
