@@ -652,7 +652,7 @@ def warn_of_model(
         warn(f"{name}: sampled at {sampling_rate:g} Hz, the model was trained at {trained} Hz")
 
 
-def warn_of_chance(model: Model, source: str = "", gangue: Sequence[str] = ("gangue",)) -> None:
+def warn_of_chance(model: StoredModel, source: str = "", gangue: Sequence[str] = ("gangue",)) -> None:
     """Warn if a model is not shown to be better than chance."""
     from cgid.identification.prediction.fraction import unproven
 

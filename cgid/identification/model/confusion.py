@@ -221,4 +221,4 @@ def trials_of(share: float, width: float) -> float:
     """
     # width (1 + x) = 2 sqrt(share (1 - share) x + x^2 / 4), for x the square of _Z over the number
     a, b, c = 1 - width**2, 4 * share * (1 - share) - 2 * width**2, width**2
-    return 2 * a * _Z * _Z / ((b * b + 4 * a * c) ** 0.5 - b)
+    return float(2 * a * _Z * _Z / ((b * b + 4 * a * c) ** 0.5 - b))
