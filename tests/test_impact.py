@@ -437,6 +437,7 @@ def test_interpreted_and_compiled_agree(name, monkeypatch):
     times = one.contact_duration[:, None] * np.linspace(0, 1, 40)
     compiled = one.force(times), one.restitution, one.time_of_peak
     monkeypatch.setattr(curves, "_FEW_IMPACTS", 5)
+    monkeypatch.setattr(curves, "_is_ready", lambda kernel: False)
     monkeypatch.setattr(curves, "_interpreted_samples", 0)
     two = replace(MECHANISMS[name])
     for one_by_one, together in zip((two.force(times), two.restitution, two.time_of_peak), compiled, strict=True):
@@ -448,7 +449,19 @@ def test_interpreted_and_compiled_agree(name, monkeypatch):
         monkeypatch.setattr(curves, "_interpreted_samples", 0)
 
 
+def test_what_was_compiled_is_not_interpreted(monkeypatch):
+    monkeypatch.setattr(curves, "_interpreted_samples", 0)
+    ball = Sphere(material=YANG2018_SPHERES[3], radius=0.01)
+    loss = Viscoelastic(time_constant=5e-6)
+    five = Impact(sphere=ball, target=RIGID, velocity=np.ones(5), stiffness="hertz", dissipation=loss)
+    assert (five.restitution < 1).all()
+    assert curves.kernel(_contact, "summaries", 1) is _contact.summaries
+    monkeypatch.setattr(_contact.summaries, "overloads", {})
+    assert curves.kernel(_contact, "summaries", 1) is not _contact.summaries
+
+
 def test_how_much_is_interpreted_follows_from_the_work_alone(monkeypatch):
+    monkeypatch.setattr(curves, "_is_ready", lambda kernel: False)
     monkeypatch.setattr(curves, "_interpreted_samples", 0)
     chosen = [curves.kernel(_contact, "summaries", 1) is _contact.summaries for _ in range(300)]
     assert chosen == [False] * 256 + [True] * 44

@@ -41,7 +41,8 @@ MAX_WEIGHT = 1e4
 _CREATED, _CLOSED = 10.0, 1e-6
 #: Up to this number of samples nothing is compiled: kernels are interpreted, and numpy evaluates the table.
 FEW_SAMPLES = 4096
-#: Up to this number of impacts kernels are interpreted, until so many samples were, of which an impact costs so many.
+#: Up to this number of impacts kernels are interpreted unless compiled before, until so many samples were, of which an
+#: impact costs so many.
 #: No time is measured: which code runs does not depend on how busy a machine is.
 _FEW_IMPACTS, _MAX_INTERPRETED, _SAMPLES_OF_IMPACT = 4, 8 * FEW_SAMPLES, 128
 _interpreted_samples = 0
@@ -606,19 +607,25 @@ def verbs_of(law: Law | type[Law], *, compiled: bool) -> tuple[Any, ...]:
 
 
 def kernel(module: ModuleType, name: str, n_impacts: int, n_samples: int = 0) -> Callable[..., None]:
-    """Return a kernel for this amount of work: compiled, or interpreted for a few impacts of a process.
+    """Return a kernel for this amount of work: compiled, or interpreted for the first few impacts of a process.
 
     Compiling takes seconds, once after installing; interpreting takes milliseconds per pulse. Both run the same
     operations in the same order and return the same bits. Pass the size of the complete batch, not only of the rows
     that need the kernel.
     """
     global _interpreted_samples
+    compiled: Callable[..., None] = getattr(module, name)
     total = _interpreted_samples + n_impacts * max(n_samples, _SAMPLES_OF_IMPACT)
-    if n_impacts > _FEW_IMPACTS or n_impacts * n_samples > FEW_SAMPLES or total > _MAX_INTERPRETED:
-        compiled: Callable[..., None] = getattr(module, name)
+    few = n_impacts <= _FEW_IMPACTS and n_impacts * n_samples <= FEW_SAMPLES and total <= _MAX_INTERPRETED
+    if not few or _is_ready(compiled):
         return compiled
     _interpreted_samples = total
     return partial(_interpret, module, name)
+
+
+def _is_ready(kernel: Any) -> bool:
+    """Return whether the process has compiled a kernel, or read it from the cache."""
+    return bool(getattr(kernel, "overloads", True))
 
 
 def _interpret(module: ModuleType, name: str, *arguments: Any) -> None:
