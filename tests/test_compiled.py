@@ -22,7 +22,7 @@ import numpy as np
 import pytest
 from packaging.requirements import Requirement
 
-from cgid._lib import compiled
+from cgid._lib import compiled, user_cache
 from cgid.cli import output
 from cgid.store._packing import fletcher32
 
@@ -114,13 +114,13 @@ def test_every_flipped_bit_is_found(folder: Path):
     from_disk(folder)
     (path,) = folder.iterdir()
     content = path.read_bytes()
-    assert compiled.read_payload(path) is not None
+    assert user_cache.read_payload(path) is not None
     chance = np.random.default_rng(7)
     for bit in chance.choice(8 * len(content), 300, replace=False):
         damaged = bytearray(content)
         damaged[bit // 8] ^= 1 << bit % 8
         path.write_bytes(damaged)
-        assert compiled.read_payload(path) is None, bit
+        assert user_cache.read_payload(path) is None, bit
 
 
 def test_a_file_whose_checksum_is_right_but_which_is_no_kernel_is_compiled_anew(folder: Path):
@@ -290,7 +290,6 @@ def test_numba_is_bounded_because_the_cache_uses_what_it_may_change():
         "numba.core.compiler.CompileResult",
         "numba.core.serialize.dumps",
         "numba.core.sigutils.normalize_signature",
-        "numba.misc.appdirs.AppDirs",
     }
 
 

@@ -2,10 +2,9 @@
 
 numba's own cache breaks when two processes compile at once, misses edits in other files, and unpickles files that other
 users may have written; it is not faster. This one uses names that numba may change, so pyproject.toml bounds numba.
-Here every compiled kernel is one file in a folder that only the user can write to. Its name contains a hash of
-everything it depends on (sources in cgid, versions of Python, numpy, numba and llvmlite), and it begins with the
-SHA-256 of its content. A file that cannot be read is compiled again; one that cannot be written stays in memory. The
-folder is `kernels-<digest>` in `NUMBA_CACHE_DIR` or the user's cache folder (`XDG_CACHE_HOME`).
+Here every compiled kernel is one file of the user's cache (`user_cache`). It depends on sources in cgid and on the
+versions of Python, numpy, numba and llvmlite. The folder is `kernels-<digest>` in `NUMBA_CACHE_DIR` or the user's cache
+folder (`XDG_CACHE_HOME`).
 """
 
 from __future__ import annotations
@@ -14,12 +13,9 @@ import contextlib
 import hashlib
 import itertools
 import logging
-import os
 import pickle
 import shutil
-import stat
 import sys
-import tempfile
 import time
 from collections.abc import Callable
 from functools import cache
@@ -33,13 +29,16 @@ from numba.core.caching import NullCache
 from numba.core.compiler import CompileResult
 from numba.core.serialize import dumps
 from numba.core.sigutils import normalize_signature
-from numba.misc.appdirs import AppDirs
+
+from cgid._lib.user_cache import PACKAGE, is_private, private_folder, read_payload, write_payload
+from cgid._lib.user_cache import digest as digest_of
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 #: Files whose text is in the compiled kernels: those with kernels, and those they take constants from.
 SOURCES = (
     "_lib/compiled.py",
+    "_lib/user_cache.py",
     "measure/fit/family.py",
     "physics/contact/_contact.py",
     "physics/contact/_dop853.py",
@@ -53,7 +52,6 @@ SOURCES = (
     "scene/synthesis/_noise.py",
     "store/_packing.py",
 )
-_PACKAGE = Path(__file__).parents[1]
 #: Folders of other sources or versions are removed after this time without a new kernel [s]: 30 days.
 _FORGOTTEN = 30 * 86400.0
 #: NUMBA_... variables that change the kernel compiled from the same source.
@@ -69,7 +67,6 @@ _SETTINGS = (
     "SLP_VECTORIZE",
     "USING_SVML",
 )
-_CHECKSUM = 32  # bytes
 #: What is compiled is told here; a command shows it on a terminal.
 _LOG, _COUNT = logging.getLogger("cgid.kernels"), itertools.count(1)
 _OPTIONS = {"nogil": True, "error_model": "numpy"}
@@ -148,7 +145,7 @@ class KernelCache(NullCache):
         self._name = f"{function.__module__}.{function.__qualname__}"
         # The digest in the name of the folder covers cgid alone.
         path = Path(function.__code__.co_filename)
-        self._source = "" if _PACKAGE in path.parents else hashlib.sha256(path.read_bytes()).hexdigest()
+        self._source = "" if PACKAGE in path.parents else hashlib.sha256(path.read_bytes()).hexdigest()
         self._folder = folder
 
     @property
@@ -189,61 +186,18 @@ class KernelCache(NullCache):
 def kernel_folder() -> Path | None:
     """Return the folder of this version's compiled kernels, created if needed; None if it cannot be trusted."""
     try:
-        configured, default = getattr(numba.config, "CACHE_DIR", ""), Path(AppDirs("cgid", False).user_cache_dir)
-        if not configured and not default.is_absolute():  # there is no home folder
-            return None
-        folder = (Path(configured).absolute() if configured else default) / f"kernels-{digest(_PACKAGE)}"
-        if not folder.exists():
-            folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        folder = private_folder(f"kernels-{digest(PACKAGE)}", getattr(numba.config, "CACHE_DIR", ""))
+        if folder is not None and not any(folder.iterdir()):
             _clear_forgotten(folder)
-        return folder if stat.S_ISDIR(folder.lstat().st_mode) and _private(folder.lstat()) else None
-    except (OSError, ValueError):
+    except OSError:
         return None
+    return folder
 
 
 def digest(package: Path) -> str:
     """Return a digest of the kernels' sources in a folder and the libraries' versions: 16 hexadecimal digits."""
     versions = (sys.implementation.cache_tag, np.__version__, numba.__version__, llvmlite.__version__)
-    hash_ = hashlib.sha256(repr(versions).encode())
-    for name in SOURCES:
-        hash_.update(hashlib.sha256((package / name).read_bytes()).digest())
-    return hash_.hexdigest()[:16]
-
-
-def _private(status: os.stat_result) -> bool:
-    """Return whether only this user or the administrator can have written it: pickles run code."""
-    if not hasattr(os, "getuid"):  # Windows: a user's cache folder is that user's
-        return True
-    return status.st_uid in (os.getuid(), 0) and not status.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
-
-
-def read_payload(path: Path) -> bytes | None:
-    """Return the payload of a file, None if it is damaged or others may have written it."""
-    # Do not block on a pipe or a device.
-    file = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
-    with os.fdopen(file, "rb") as stream:
-        status = os.fstat(file)
-        if not stat.S_ISREG(status.st_mode) or not _private(status):
-            return None
-        checksum, payload = stream.read(_CHECKSUM), stream.read()
-    return payload if _checksum(path, payload) == checksum else None
-
-
-def _checksum(path: Path, payload: bytes) -> bytes:
-    return hashlib.sha256(path.name.encode() + payload).digest()
-
-
-def write_payload(path: Path, payload: bytes) -> None:
-    """Write a file atomically; it need not survive a power cut, so there is no fsync."""
-    file, name = tempfile.mkstemp(prefix=".", dir=path.parent)
-    temporary = Path(name)
-    try:
-        with os.fdopen(file, "wb") as stream:
-            stream.write(_checksum(path, payload) + payload)
-        temporary.replace(path)
-    except BaseException:
-        temporary.unlink(missing_ok=True)
-        raise
+    return digest_of((package / name for name in SOURCES), *versions)
 
 
 def _clear_forgotten(folder: Path) -> None:
@@ -251,5 +205,5 @@ def _clear_forgotten(folder: Path) -> None:
     for other in folder.parent.glob("kernels-*"):
         with contextlib.suppress(OSError):
             status = other.lstat()
-            if other != folder and _private(status) and time.time() - status.st_mtime > _FORGOTTEN:
+            if other != folder and is_private(status) and time.time() - status.st_mtime > _FORGOTTEN:
                 shutil.rmtree(other, ignore_errors=True)
