@@ -1,4 +1,4 @@
-"""The user's cache: files that can be made again, such as compiled kernels (`compiled`).
+"""The user's cache: files that can be made again, compiled kernels (`compiled`) and tables of beams.
 
 A file is in a folder that only the user can write to. Its name contains a hash of all that its content depends on, and
 it begins with the SHA-256 of its name and content. So there is neither an index nor a lock: whatever is wrong with a
@@ -7,15 +7,28 @@ file or the disk, the content is made again, in memory.
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
+import json
 import os
 import stat
 import sys
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import cache
 from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 PACKAGE = Path(__file__).parents[1]
 _CHECKSUM = 32  # bytes
+#: What tables are made by.
+_TABLE_SOURCES = ("identification/inversion", "measure/modal", "measure/fit")
+#: The oldest tables are removed beyond this size of all [bytes]: some ten beams.
+_MAX_TABLES = 256 << 20
+#: Arrays begin at multiples of this in a file of tables [bytes].
+_ALIGNED = 64
 
 
 def private_folder(name: str, configured: str = "") -> Path | None:
@@ -88,3 +101,69 @@ def write_payload(path: Path, payload: bytes) -> None:
     except BaseException:
         temporary.unlink(missing_ok=True)
         raise
+
+
+# ---- tables ----------------------------------------------------------------------------------------------------------
+
+
+@cache
+def _table_folder() -> Path | None:
+    return private_folder("tables", os.environ.get("NUMBA_CACHE_DIR", ""))
+
+
+@cache
+def _table_sources() -> str:
+    files = [file for name in _TABLE_SOURCES for file in sorted((PACKAGE / name).iterdir()) if file.is_file()]
+    return digest(files, np.__version__)
+
+
+def identity_of(arrays: Mapping[str, NDArray[Any]]) -> str:
+    """Return a digest of arrays: 16 hexadecimal digits."""
+    hash_ = hashlib.sha256()
+    for name, array in sorted(arrays.items()):
+        hash_.update(repr((name, array.dtype.str, array.shape)).encode() + np.ascontiguousarray(array).tobytes())
+    return hash_.hexdigest()[:16]
+
+
+def kept(name: str, make: Callable[[], Sequence[NDArray[Any]]]) -> Sequence[NDArray[Any]]:
+    """Return tables from the cache, or make and keep them; they may be read-only."""
+    path = None
+    with contextlib.suppress(Exception):
+        folder = _table_folder()
+        path = None if folder is None else folder / f"{name}-{_table_sources()}"
+        if path is not None and path.exists() and (content := read_payload(path)) is not None:
+            return _unpacked(content)
+    arrays = make()
+    with contextlib.suppress(Exception):
+        if path is not None:
+            _make_room(path.parent)
+            write_payload(path, _packed(arrays))
+    return arrays
+
+
+def _packed(arrays: Sequence[NDArray[Any]]) -> bytes:
+    header = json.dumps([(array.dtype.str, array.shape) for array in arrays]).encode()
+    parts = [len(header).to_bytes(8, "little") + header, *(np.ascontiguousarray(array).tobytes() for array in arrays)]
+    return b"".join(part + bytes(-len(part) % _ALIGNED) for part in parts)
+
+
+def _unpacked(content: memoryview) -> list[NDArray[Any]]:
+    begin = 8 + int.from_bytes(content[:8], "little")
+    header = json.loads(bytes(content[8:begin]))
+    arrays = []
+    for dtype, shape in header:
+        begin += -begin % _ALIGNED
+        array = np.frombuffer(content, dtype, int(np.prod(shape)), begin).reshape(shape)
+        arrays.append(array)
+        begin += array.nbytes
+    return arrays
+
+
+def _make_room(folder: Path) -> None:
+    """Remove the oldest tables beyond `_MAX_TABLES`."""
+    files = sorted(((file.stat(), file) for file in folder.iterdir()), key=lambda one: -one[0].st_mtime)
+    total = 0
+    for status, file in files:
+        total += status.st_size
+        if total > _MAX_TABLES:
+            file.unlink(missing_ok=True)

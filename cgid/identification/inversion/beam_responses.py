@@ -5,7 +5,7 @@ Signals and tables are discrete Fourier transforms, in which coloured noise is a
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, ClassVar, Self
@@ -13,6 +13,7 @@ from typing import Any, ClassVar, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from cgid._lib import user_cache
 from cgid._lib.validation import Floats
 from cgid.errors import BadData
 from cgid.measure.fit.ar_noise import ORDER
@@ -126,6 +127,16 @@ class ResponseTable:
     #: mixtures, coefficients, and responses (n_mixtures, n_shapes, n_coefficients)
     bands: list[tuple[slice, slice, Singles]]
 
+    @classmethod
+    def of(cls, beam: Beam, participation: NDArray[Any], kept: NDArray[np.intp], *tables: Singles) -> ResponseTable:
+        """Return the table of these bands; arrays as of `BeamResponses.table`."""
+        bands, mixtures, first = [], 0, 0
+        for table in tables:
+            last = mixtures + len(table), first + table.shape[2]
+            bands.append((slice(mixtures, last[0]), slice(first, last[1]), table))
+            mixtures, first = last
+        return cls(beam.with_shapes(participation), kept, bands)
+
     @property
     def n_shapes(self) -> int:
         """Number of shapes of the force."""
@@ -175,11 +186,22 @@ class ResponseTable:
 
 
 class BeamResponses:
-    """Fourier coefficients of one beam up to the frequency `limit` [Hz], its responses, and noise weights."""
+    """Fourier coefficients of one beam up to the frequency `limit` [Hz], its responses, and noise weights.
 
-    def __init__(self, beam: Beam, limit: float = np.inf) -> None:
-        self.beam, self.limit = beam, limit
+    Tables of a beam that is used often, such as that of a model file, are `lasting`: in the user's cache.
+    """
+
+    def __init__(self, beam: Beam, limit: float = np.inf, *, lasting: bool = False) -> None:
+        self.beam, self.limit, self.lasting = beam, limit, lasting
         self.n_samples = beam.n_samples
+
+    @cached_property
+    def _identity(self) -> str:
+        return user_cache.identity_of(self.beam.arrays)
+
+    def kept(self, name: str, make: Callable[[], Sequence[NDArray[Any]]]) -> Sequence[NDArray[Any]]:
+        """Return the tables that `make` makes, perhaps as they were made before for this beam."""
+        return user_cache.kept(f"{self._identity}-{name}-{self.limit:g}", make) if self.lasting else make()
 
     # -- Fourier coefficients -------------------------------------------------------------------------
 
@@ -245,8 +267,10 @@ class BeamResponses:
     @cached_property
     def errors(self) -> ModeErrors | None:
         """The errors of the modes; None if negligible."""
-        errors = None if self.beam.errors is None else self._responses[1]
-        return errors if errors is not None and errors.power.sum() > _NEGLIGIBLE * errors.energy.sum() else None
+        if self.beam.errors is None:
+            return None
+        errors = ModeErrors(*self.kept("errors", lambda: [*vars(self._responses[1]).values()]))
+        return errors if errors.power.sum() > _NEGLIGIBLE * errors.energy.sum() else None
 
     def turned(self, coefficients: Singles) -> Singles:
         """Return coefficients whose noise is independent, from Fourier coefficients, each (n, n_coefficients)."""
@@ -261,20 +285,23 @@ class BeamResponses:
         """Return the responses below `top` [Hz] to the first shapes."""
         # Mixtures may differ from modes by `share` of the amplitude. Rotated coefficients (`turned`) have no frequency
         # where the modes have errors.
+        name = f"responses-{n_shapes}-{share:g}-{top:g}-{turned:d}"
+        return ResponseTable.of(self.beam, *self.kept(name, lambda: self._bands(n_shapes, share, top, turned)))
+
+    def _bands(self, n_shapes: int, share: float, top: float, turned: bool) -> list[NDArray[Any]]:
+        """Return participation of the mixtures, numbers of coefficients, and the responses of each band."""
         responses = self._turned_responses if turned else self._responses[0]
         n_low, n_bands = int(min(max(top * self.n_samples / self.beam.sampling_rate, 16), self.n_bins)), 1
         if turned:
             n_low, n_bands = (n_low, _BANDS) if self.errors is None else (self.n_bins, 1)
-        participation, kept, bands, mixtures, first = [], [], [], 0, 0
+        participation, kept, bands = [], [], []
         for band in np.array_split(np.arange(2 * n_low), n_bands):
             columns = np.add.outer(np.arange(self.beam.n_sensors) * 2 * self.n_bins, band).ravel()
             part, mixed = _mixed(self.beam, responses[:, :n_shapes, columns], share)
             participation.append(part)
             kept.append(columns)
-            bands.append((slice(mixtures, mixtures + len(mixed)), slice(first, first + columns.size), mixed))
-            mixtures, first = mixtures + len(mixed), first + columns.size
-        beam = self.beam.with_shapes(np.concatenate(participation).astype(np.float32))
-        return ResponseTable(beam, np.concatenate(kept), bands)
+            bands.append(mixed)
+        return [np.concatenate(participation).astype(np.float32), np.concatenate(kept), *bands]
 
     # -- weights --------------------------------------------------------------------------------------
 

@@ -83,6 +83,7 @@ class ContactFit:
         beam = inversion.beam
         self.beam: Beam = beam if filters is None else replace(beam, filters=filters)
         self.forces = inversion.forces
+        self._kept = inversion.kept if filters is None else lambda _, make: make()
 
     @cached_property
     def _frequencies(self) -> Floats:
@@ -145,6 +146,9 @@ class ContactFit:
     @cached_property
     def _bank(self) -> NDArray[np.float32]:
         """Coefficients of the pulses of the table, (*_NODES, n_shapes)."""
+        return np.asarray(self._kept("bank", lambda: [self._made_bank()])[0])
+
+    def _made_bank(self) -> NDArray[np.float32]:
         width, shape, touch = (np.linspace(low, high, n) for low, high, n in zip(*_LIMITS, _NODES, strict=True))
         turn = np.exp(-2j * np.pi * np.outer(self._frequencies, touch / self.beam.sampling_rate))
         later = (turn[:, :, None] * self._projection[:, None]).reshape(len(turn), -1).astype(np.complex64)

@@ -6,8 +6,9 @@ best locations from all frequencies.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -41,6 +42,8 @@ _RATIO, _FAINTEST = 8.0, 2
 _MIN_WEIGHT = 0.02
 #: Exponents of coloured noise, f^-a, with separate tables.
 _COLOURS = (0.0, 0.75, 1.5)
+#: Returns tables that its argument makes, perhaps as they were made before.
+Kept = Callable[[Callable[[], Sequence[NDArray[Any]]]], Sequence[NDArray[Any]]]
 #: Locations processed at once, which fit in the processor's cache.
 _LOCATIONS = 16
 
@@ -76,9 +79,9 @@ class CoarseTables:
 class NoiseTables:
     """Evidence of the force at all locations, for one weighting (n_kept,) of the coefficients by noise."""
 
-    def __init__(self, tables: CoarseTables, weight: Singles, every: int = 1) -> None:
+    def __init__(self, tables: CoarseTables, weight: Singles, kept: Kept, every: int = 1) -> None:
         self.tables, self.weight = tables, weight
-        power, self._rotation = tables.table.powers(tables.at, np.sqrt(weight))
+        power, self._rotation = kept(lambda: tables.table.powers(tables.at, np.sqrt(weight)))
         self.levels = _LEVELS / np.sqrt(np.median(power.sum(axis=1)))
         self._share, self._cost = _shares(power, self.levels[::every])
 
@@ -96,10 +99,10 @@ class NoiseTables:
 
 
 class NearTables:
-    """The same at some locations, with tables made on first use."""
+    """The same at some locations, with tables made on first use: those of all locations if they are kept."""
 
-    def __init__(self, tables: CoarseTables, weight: Singles, levels: Floats) -> None:
-        self.tables, self.weight, self.levels = tables, weight, levels
+    def __init__(self, tables: CoarseTables, weight: Singles, levels: Floats, kept: Kept | None) -> None:
+        self.tables, self.weight, self.levels, self._kept = tables, weight, levels, kept
         n_locations, n_shapes = len(tables.at), tables.table.n_shapes
         self._known = np.zeros(n_locations, bool)
         self._rotation = np.empty((n_locations, n_shapes, n_shapes), np.float32)
@@ -110,7 +113,12 @@ class NearTables:
         """Return the evidence at locations (n, n_locations), (n, n_locations, n_levels), from `by_mixture`."""
         at, new = self.tables.at, np.unique(locations[~self._known[locations]])
         if new.size:
-            power, self._rotation[new] = self.tables.table.powers(at[new], np.sqrt(self.weight))
+            make, root = self.tables.table.powers, np.sqrt(self.weight)
+            if self._kept is None:
+                power, self._rotation[new] = make(at[new], root)
+            else:
+                power, self._rotation = self._kept(lambda: make(at, root))
+                new = np.arange(len(at))
             self._share[new], self._cost[new] = _shares(power, self.levels)
             self._known[new] = True
         vector = (at[locations] @ by_mixture.reshape(len(by_mixture), at.shape[1], -1))[:, :, :, None]
@@ -165,16 +173,22 @@ class LocationGrid:
             law = np.repeat(law / law.mean(), 2) * responses.counts(limit)
             power = _RATIO ** -np.array(fainter or [0] * self.beam.n_sensors, np.float64)
             weight, strength = np.outer(power, law).reshape(1, -1).astype(np.float32), np.array([STRONGER**strong])
-            wide = NoiseTables(self.wide, responses.with_errors(weight, strength)[0, self.wide.table.kept])
             turned = responses.turned_weight(weight, strength)[0, self.fine.table.kept]
-            self._noise_tables[key] = wide, NearTables(self.fine, turned, wide.levels)
+            weight = responses.with_errors(weight, strength)[0, self.wide.table.kept]
+            name = "-".join(map(str, (f"{exponent:g}", limit, strong, *fainter)))
+            wide = NoiseTables(self.wide, weight, partial(responses.kept, f"wide-{name}"))
+            # Beams with errors or several sensors have too many kinds of noise to make the tables of all locations.
+            lasts = responses.lasting and responses.errors is None and self.beam.n_sensors == 1
+            near = partial(responses.kept, f"near-{name}") if lasts else None
+            self._noise_tables[key] = wide, NearTables(self.fine, turned, wide.levels, near)
         return self._noise_tables[key]
 
     def _tables_of_low(self, fainter: tuple[int, ...]) -> NoiseTables:
         if fainter not in self._low_tables:
             n_each = self.low.table.kept.size // self.beam.n_sensors
             weight = np.repeat(_RATIO ** -np.array(fainter, np.float64), n_each).astype(np.float32)
-            self._low_tables[fainter] = NoiseTables(self.low, weight, 2)
+            kept = partial(self.responses.kept, "-".join(map(str, ("low", *fainter))))
+            self._low_tables[fainter] = NoiseTables(self.low, weight, kept, 2)
         return self._low_tables[fainter]
 
     # -- the onset ------------------------------------------------------------------------------------

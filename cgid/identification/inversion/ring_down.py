@@ -21,12 +21,18 @@ class RingDown:
     LATER = 64
 
     def __init__(self, responses: BeamResponses, n_quiet: int, sensor: int = 0) -> None:
-        beam, self.n_quiet, self.n_samples = responses.beam, n_quiet, responses.n_samples + self.LATER
+        self.n_quiet, self.n_samples = n_quiet, responses.n_samples + self.LATER
+        tables = responses.kept(f"ring-down-{n_quiet}-{sensor}", lambda: self._made(responses, sensor))
+        self._tables = list(zip(*[iter(tables)] * 5, strict=True))
+
+    def _made(self, responses: BeamResponses, sensor: int) -> list[Floats]:
+        """Return powers, rotation, onward, total and spectrum of each age, one after the other."""
+        beam, n_quiet = responses.beam, self.n_quiet
         time = np.arange(n_quiet + self.n_samples) / beam.sampling_rate
         frequency = np.abs(beam.poles) / (2 * np.pi)
         loud = np.sqrt(np.mean(np.square(beam.participation), axis=(1, 2))) * np.abs(gain(beam.filters, frequency))
         loud *= np.abs(beam.poles) ** (beam.derivatives - 1) * np.abs(beam.shares[sensor])
-        self._tables = []
+        tables = []
         for age in self.AGES:
             size = loud * np.exp(beam.poles.real * age)
             selected = size > 1e-4 * size.max()
@@ -37,7 +43,8 @@ class RingDown:
             power, rotation = np.linalg.eigh(before @ before.T)
             onward = after @ (before.T @ rotation)
             spectra = [np.square(responses.transformed(part.T[:, : responses.n_samples])) for part in (after, onward)]
-            self._tables.append((np.maximum(power, 0.0), rotation, onward, spectra[0].sum(axis=0), spectra[1]))
+            tables += [np.maximum(power, 0.0), rotation, onward, spectra[0].sum(axis=0), spectra[1]]
+        return tables
 
     def after(self, before: Floats, innovation: Floats) -> tuple[Floats, Floats, Floats, NDArray[np.bool_]]:
         """Return the ring-down, the noise, the power of the error by coefficient, and whether there is any."""

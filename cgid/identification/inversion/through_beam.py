@@ -69,9 +69,9 @@ class ThroughBeam:
     # the same anti-alias filter, at the same fraction of its rate or, if it is faster, at the same frequency: whichever
     # force is more like a pulse.
 
-    def __init__(self, beam: Beam) -> None:
+    def __init__(self, beam: Beam, *, lasting: bool = False) -> None:
         self.beam = beam
-        self.inversion = Inversion(beam)
+        self.inversion = Inversion(beam, lasting=lasting)
         self.fit = ContactFit(self.inversion)
         self._ring_down: dict[tuple[int, int], RingDown] = {}
 

@@ -469,7 +469,7 @@ class StoredModel(Model):
             return None
         from cgid.identification.inversion.through_beam import ThroughBeam
 
-        return ThroughBeam(beam)
+        return ThroughBeam(beam, lasting=True)
 
     @cached_property
     def confusion(self) -> Confusion | None:
