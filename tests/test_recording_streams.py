@@ -13,6 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cgid.errors import BadData
+from cgid.identification.prediction.stream import _Quiet
 from cgid.recordings import open_recording, read_recording
 from cgid.recordings import text as rows
 from cgid.recordings.gaps import Gaps, largest
@@ -585,3 +586,18 @@ def test_gaps_are_the_same_sample_by_sample(seed, cuts, unit):
     with pytest.raises(BadData) as other:
         at_once.require("here")
     assert str(other.value) == str(caught.value)  # whatever the blocks
+
+
+def test_channel_without_a_quiet_moment_is_told_and_a_lost_sensor_is_none() -> None:
+    rate, rng = 1000.0, np.random.default_rng(57)
+    samples = rng.normal(0, 1, (3, 60_000))
+    # Windows of 20 ms: flow on half of the first channel, on all of the second; the third is lost from 16 to 32 s.
+    loud = 30.0 ** rng.uniform(0, 1, (2, 3000)).repeat(20, axis=1)
+    samples[0] *= np.where(np.arange(60_000) % 400 < 200, loud[0], 1.0)
+    samples[1] *= loud[1]
+    samples[2, 16_000:32_000] *= 1e-3
+    for length in (777, 60_000):
+        watch, told = _Quiet(rate, 3), set[int]()
+        for first in range(0, 60_000, length):
+            told |= watch.loud(samples[:, first : first + length])
+        assert told == {1}

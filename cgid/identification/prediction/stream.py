@@ -6,6 +6,7 @@ Memory use is that of the detector and one batch of impacts, for recordings of a
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -30,6 +31,7 @@ from cgid.measure.features.extraction import FEATURES, require_measurable
 from cgid.measure.features.table import MIN_BANDWIDTH, ImpactKind
 from cgid.measure.filters import Equalisation
 from cgid.recordings.lines import Lines
+from cgid.recordings.soundness import FAR_BELOW
 from cgid.signals import channel_name
 
 if TYPE_CHECKING:
@@ -46,8 +48,9 @@ _QUIET_WINDOW, _QUIET_STRETCH = 0.02, 500
 #: Where the noise is reached between impacts, the power at the second of these quantiles is at most this many times
 #: that at the first: 2 in `caving` with 8 and 16 rocks a second, 6 with 40, where four of ten impacts are missed.
 _QUIET_SHARES, _QUIET_RATIO = (0.01, 0.2), 4.0
-#: A channel is quiet again after so many stretches that are.
-_N_QUIET = 3
+#: A channel is quiet again after so many stretches that are. Of so many stretches, one with noise far below that of
+#: another is of a lost sensor and tells nothing.
+_N_QUIET, _N_BEFORE = 3, 60
 _NEVER_QUIET = (
     "there is no quiet moment in 10 s, so many impacts are missed and the gangue fraction is that of the others; move "
     "the sensor to a quieter point, or train a model of windows (cgid train MANIFEST --by window)"
@@ -201,6 +204,7 @@ class _Quiet:
         self._remaining: Floats = np.empty((n_channels, 0))
         self._powers: Floats = np.empty((n_channels, 0))
         self._n_quiet = np.full(n_channels, _N_QUIET)
+        self._floors: deque[Floats] = deque(maxlen=_N_BEFORE)
 
     def loud(self, block: NDArray[Any]) -> set[int]:
         """Take a block (n_channels, n) and return the channels that were not quiet in one of the last stretches."""
@@ -212,7 +216,10 @@ class _Quiet:
         while self._powers.shape[1] >= _QUIET_STRETCH:
             stretch, self._powers = np.split(self._powers, [_QUIET_STRETCH], axis=1)
             floor, low = np.quantile(stretch, _QUIET_SHARES, axis=1)
-            self._n_quiet = np.where((floor > 0) & (low > _QUIET_RATIO * floor), 0, self._n_quiet + 1)
+            self._floors.append(floor)
+            is_lost = floor < FAR_BELOW**2 * np.fmax.reduce(self._floors)
+            is_loud = (floor > 0) & (low > _QUIET_RATIO * floor) & ~is_lost
+            self._n_quiet = np.where(is_loud, 0, self._n_quiet + ~is_lost)
         return set(np.flatnonzero(self._n_quiet < _N_QUIET).tolist())
 
 
