@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import wave
 import xml.etree.ElementTree as ElementTree
 from dataclasses import replace
@@ -17,7 +18,7 @@ from cgid.cli.main import run
 from cgid.measure.overview import OverviewStream
 from cgid.plots import picture, share_figure
 from cgid.plots.answers import drawn_figure
-from cgid.plots.figure import FORMATS
+from cgid.plots.figure import COLOURS, FORMATS, colours_of
 from cgid.plots.recording import Mark, overview_figure
 from cgid.recordings import Channel
 from cgid.scene import generate
@@ -185,3 +186,20 @@ def test_plot_draws_one_signal_of_a_dataset(tmp_path: Path, reference_scene: Any
     assert told["impacts"] == 1 and told["source"].endswith("data.h5 index 3")
     assert run(["plot", str(tmp_path / "data.h5"), "-o", str(tmp_path / "b.pdf")]) == 65
     assert "--index" in capsys.readouterr().err
+
+
+def test_coal_and_gangue_have_one_colour_everywhere() -> None:
+    """In pictures, with whatever other labels, on the live page, the page of labels and in the documentation."""
+    coal, gangue = COLOURS[:2]
+    for labels in (["coal"], ["gangue"], ["gangue", "unknown"], ["brass", "coal", "gangue", "steel"]):
+        drawn = colours_of(labels)
+        assert [drawn.get("coal", coal), drawn.get("gangue", gangue)] == [coal, gangue]
+        assert len(set(drawn.values())) == len(labels)
+    root = Path(__file__).parents[1]
+    sheets = {
+        name: (root / name).read_text(encoding="utf-8") for name in ("cgid/pages/common.css", "docs/_static/cgid.css")
+    }
+    sheets |= {path.name: path.read_text(encoding="utf-8") for path in root.glob("cgid/*/*.css")}
+    stated = [found for text in sheets.values() for found in re.findall(r"--(?:color-)?(coal|gangue): (#\w+)", text)]
+    assert set(stated) == {("coal", coal), ("gangue", gangue)}
+    assert len(stated) >= 4

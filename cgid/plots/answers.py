@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cgid._lib.validation import Floats
-from cgid.plots.figure import COLOURS, colours_of, picture, plain, require_matplotlib
+from cgid.plots.figure import COLOURS, NEUTRAL, colours_of, picture, plain, require_matplotlib
 from cgid.plots.recording import MAX_CHANNELS, MAX_LABEL_LENGTH, WIDTH, Clock
 
 if TYPE_CHECKING:
@@ -16,7 +16,8 @@ if TYPE_CHECKING:
 
 #: Height of a panel of gangue fractions and of the title [inches].
 _SHARE_PANEL, _SHARE_TITLE = 1.9, 0.5
-_LINE, _LIMIT = COLOURS[0], COLOURS[1]
+#: Colour of the gangue fraction, and of decisions.
+_LINE, _LIMIT = COLOURS[1], "0.1"
 #: Height of the operators' curve [inches], rocks before its first point, and times between its marks [s].
 _DRAWN_HEIGHT, _FIRST_ROCKS, _STEPS = 4.2, 20, (1.0, 2.0, 5.0, 10.0, 30.0, 60.0, 300.0, 600.0, 3600.0)
 
@@ -183,11 +184,11 @@ def draw_sizes(axes: Any, distribution: Any, truth: Any = None) -> None:
     below = (distribution.total - distribution.low_total)[is_known].clip(0)
     above = (distribution.high_total - distribution.total)[is_known].clip(0)
     axes.errorbar(
-        middle[is_known], distribution.total[is_known], (below, above), fmt="o", ms=4, capsize=2, color=COLOURS[0],
+        middle[is_known], distribution.total[is_known], (below, above), fmt="o", ms=4, capsize=2, color=NEUTRAL,
         label="corrected for undetected impacts (90 %)",
     )  # fmt: skip
     if truth is not None:
-        axes.stairs(truth, edges, color=COLOURS[1], lw=1.5, label="truth")
+        axes.stairs(truth, edges, color="k", lw=1.5, label="truth")
     unknown = np.flatnonzero(~is_known)
     if unknown.size and unknown[0] == 0:
         last = int(np.argmax(is_known)) if is_known.any() else is_known.size

@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import warnings
 from collections.abc import Collection, Iterable
-from itertools import pairwise
+from itertools import cycle, pairwise
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +19,8 @@ from cgid.errors import optional
 #: Blue, vermilion, green, purple, sky, orange of Okabe and Ito (jfly.uni-koeln.de/color, 2008); distinct for every
 #: kind of colour vision.
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00")
+#: Coal and gangue have one colour each in all pictures and pages (`cgid/pages/common.css`).
+_FIXED = {"coal": COLOURS[0], "gangue": COLOURS[1]}
 #: Colour of everything other than the labels of a model.
 NEUTRAL = "#555555"
 #: Formats by file name ending, with the metadata to omit so that equal figures give equal bytes.
@@ -81,10 +83,12 @@ def colours_of(labels: Iterable[str]) -> dict[str, str]:
 
     >>> colours_of(["gangue", "unknown", "coal"])
     {'coal': '#0072b2', 'gangue': '#d55e00', 'unknown': '#555555'}
+    >>> colours_of(["gangue", "brass"])
+    {'brass': '#009e73', 'gangue': '#d55e00'}
     """
     labels = set(labels)
-    names = sorted(labels - {"unknown"})
-    colours = {name: COLOURS[k % len(COLOURS)] for k, name in enumerate(names)}
+    free = cycle(COLOURS[len(_FIXED) :] if labels & set(_FIXED) else COLOURS)
+    colours = {name: _FIXED.get(name) or next(free) for name in sorted(labels - {"unknown"})}
     return colours | ({"unknown": NEUTRAL} if "unknown" in labels else {})
 
 
@@ -120,7 +124,7 @@ def judgement_pictures(
 def _confusion(counts: NDArray[np.int_], classes: tuple[str, ...]) -> bytes:
     figure = require_matplotlib()(figsize=(4.2, 3.8), layout="constrained")
     axes = figure.subplots()
-    axes.imshow(counts / counts.sum(axis=1, keepdims=True), cmap="Blues", vmin=0, vmax=1)
+    axes.imshow(counts / counts.sum(axis=1, keepdims=True), cmap="Greys", vmin=0, vmax=1)
     for (row, column), count in np.ndenumerate(counts):
         share = count / counts[row].sum()
         axes.text(column, row, f"{count}\n{share:.1%}", ha="center", va="center", color="w" if share > 0.5 else "k")
@@ -135,12 +139,12 @@ def _reliability(bins: list[list[float]]) -> bytes:
     axes, below = figure.subplots(2, 1, sharex=True, height_ratios=(3, 1))
     confidence, accuracy, counts = zip(*bins, strict=True)
     axes.plot([0, 1], [0, 1], color="0.7", label="calibrated")
-    axes.plot(confidence, accuracy, "o-", label="model")
+    axes.plot(confidence, accuracy, "o-", color=NEUTRAL, label="model")
     lowest = min(0.5, *confidence, *accuracy)
     axes.set(ylabel="fraction of correct predictions", xlim=(lowest, 1), ylim=(lowest, 1))
     axes.legend()
     gaps = [later - earlier for earlier, later in pairwise(confidence)]
-    below.bar(confidence, counts, width=0.5 * min(gaps, default=0.1), color="C0", alpha=0.6)
+    below.bar(confidence, counts, width=0.5 * min(gaps, default=0.1), color=NEUTRAL, alpha=0.6)
     for x, count in zip(confidence, counts, strict=True):
         below.annotate(f"{count:.0f}", (x, count), (0, 2), textcoords="offset points", ha="center", fontsize=6)
     below.margins(y=0.25)
@@ -155,7 +159,7 @@ def _roc(labels: NDArray[np.str_], probabilities: Floats, classes: tuple[str, ..
     axes = figure.subplots()
     for column, label in enumerate(classes):
         wrong, right, _ = roc_curve(labels == label, probabilities[:, column])
-        axes.plot(wrong, right, label=label)
+        axes.plot(wrong, right, color=colours_of(classes)[label], label=label)
     axes.plot([0, 1], [0, 1], color="0.7")
     axes.set(xlabel="false positive rate", ylabel="true positive rate")
     axes.legend()
@@ -170,7 +174,7 @@ def modes_picture(before: Any, after: Any) -> bytes:
     change = 100 * (after.frequency / before.frequency - 1)
     upper.fill_between(x, -200 * before.deviation[0], 200 * before.deviation[0], color="0.9", label="before")
     upper.axhline(0.0, color="0.6", lw=0.8)
-    upper.errorbar(x, change, 200 * after.deviation[0], fmt=".", color="C0", capsize=2, label="after")
+    upper.errorbar(x, change, 200 * after.deviation[0], fmt=".", color=NEUTRAL, capsize=2, label="after")
     upper.set(ylabel="change of frequency [%]\n(2 std. deviations)")
     damping = 100 * before.damping_ratio
     spread = np.exp(2 * before.deviation[1])
@@ -181,7 +185,7 @@ def modes_picture(before: Any, after: Any) -> bytes:
         ratio - ratio * np.exp(-2 * after.deviation[1]),
         ratio * np.expm1(2 * after.deviation[1]),
     )
-    lower.errorbar(x, ratio, bars, fmt=".", color="C0", capsize=2)
+    lower.errorbar(x, ratio, bars, fmt=".", color=NEUTRAL, capsize=2)
     lower.set(xlabel="natural frequency before [kHz]", ylabel="damping ratio [%]", yscale="log")
     for axes in (upper, lower):
         axes.grid(alpha=0.3)
@@ -194,14 +198,14 @@ def stabilisation_picture(test: Any) -> bytes:
     figure = require_matplotlib()(figsize=(10, 7), layout="constrained")
     upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))
     order, frequency, _, stable = test.poles.chart.T
-    for value, colour, label in ((0, "0.8", "unstable"), (1, "C0", "stable")):
+    for value, colour, label in ((0, "0.8", "unstable"), (1, NEUTRAL, "stable")):
         rows = stable == value
         upper.plot(frequency[rows] / 1e3, order[rows], ".", color=colour, ms=4, label=label)
     modes = test.modes
     for mode in modes.frequency / 1e3:
-        upper.axvline(mode, color="C3", lw=0.6, zorder=0)
+        upper.axvline(mode, color=COLOURS[5], lw=0.6, zorder=0)
     upper.set(ylabel="order of the model in its band")
-    upper.legend(fontsize="small", loc="upper right")
+    figure.legend(fontsize="small", loc="outside upper right", ncols=2)
     ratio = 100 * modes.damping_ratio
     spread = np.exp(2 * modes.deviation[1])
     lower.errorbar(
@@ -209,9 +213,11 @@ def stabilisation_picture(test: Any) -> bytes:
         ratio,
         (ratio - ratio / spread, ratio * spread - ratio),
         fmt=".",
-        color="C3",
+        color=COLOURS[5],
         capsize=2,
     )
     lower.set(xlabel="frequency [kHz]", ylabel="damping ratio [%]\n(2 std. deviations)", yscale="log")
+    for formatter in (lower.yaxis.set_major_formatter, lower.yaxis.set_minor_formatter):
+        formatter("{x:.2g}")
     lower.grid(alpha=0.3)
     return png(figure)

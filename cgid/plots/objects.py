@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from cgid._lib import validation
 from cgid.errors import InvalidValue, optional
-from cgid.plots.figure import colours_of, plain
+from cgid.plots.figure import NEUTRAL, colours_of, plain
 from cgid.plots.recording import written
 from cgid.units import quantity_of
 
@@ -32,7 +32,7 @@ def plot_signal(signal: Signal, axes: Any = None) -> Any:
     """Draw a signal over time."""
     axes, short = _axes(axes), signal.duration <= _SHORT
     times, samples = _thinned(signal.samples)
-    axes.plot(times / signal.sampling_rate * (1e3 if short else 1.0), samples, lw=0.8, color="C0")
+    axes.plot(times / signal.sampling_rate * (1e3 if short else 1.0), samples, lw=0.8, color=NEUTRAL)
     axes.set(xlabel=f"time [{'ms' if short else 's'}]", ylabel=_quantity(signal.unit), title=plain(signal.name))
     return axes
 
@@ -44,7 +44,7 @@ def plot_impact(impact: Impact, axes: Any = None) -> Any:
         raise InvalidValue(f"impact must be 1 to {MAX_LINES} to be drawn, got {n}; take some of its values")
     times = np.linspace(-0.05, 1.1, 600) * float(np.max(impact.contact_duration))
     force = impact.force(times).reshape(n, -1)
-    axes.plot(times * 1e3, force.T / 1e3, lw=1.2 if n < 9 else 0.8, color="C0" if n > 9 else None)
+    axes.plot(times * 1e3, force.T / 1e3, lw=1.2 if n < 9 else 0.8, color=NEUTRAL if n > 9 else None)
     axes.set(xlabel="time after first contact [ms]", ylabel="contact force [kN]")
     return axes
 
