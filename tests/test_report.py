@@ -12,6 +12,7 @@ import subprocess
 import threading
 from collections.abc import Iterator
 from dataclasses import replace
+from datetime import datetime
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -232,6 +233,8 @@ def test_the_result_stands_first_in_a_sentence(report: Report) -> None:
     text = " ".join(Page(report_page([replace(report, whole=whole[:1])])).texts)
     assert text.index("40 rocks: 55% gangue (40% to 69%)") < text.index("coal (43%)")
     assert "recorded from" not in text
+    day = f"{datetime.fromtimestamp(Path(report.source).stat().st_mtime):%Y-%m-%d}"
+    assert f"file of {day}" in text
     dated = report.recording | {"started": "2026-11-27 06:00:00"}
     text = " ".join(Page(report_page([replace(report, whole=whole, recording=dated)])).texts)
     assert "channel 2: 40 rocks" in text and "2 more unknown, recorded from 2026-11-27 06:00:00" in text

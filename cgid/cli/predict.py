@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
@@ -56,9 +57,10 @@ def _report(
     from cgid.plots.report import Report, model_facts, recording_facts
 
     weight = STRATEGIES[model.subject].weight(model, rows.settings)
+    stated = shlex.join([word for words in given_options() for word in words])
     return Report(
         source=recording.source,
-        recording=recording_facts(recording, overview, channels),
+        recording=recording_facts(recording, overview, channels) | ({"stated": stated} if stated else {}),
         model=model_facts(model, model_name),
         overview=overview,
         channels=channels,

@@ -8,6 +8,7 @@ import math
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from datetime import datetime
 from html import escape
 from importlib import resources
 from pathlib import Path
@@ -111,6 +112,8 @@ def recording_facts(recording: RecordingFile, overview: Overview, channels: Sequ
     }
     if recording.start_time is not None:
         facts["started"] = recording.start_time.isoformat(sep=" ")
+    elif Path(recording.source).is_file():
+        facts["file of"] = f"{datetime.fromtimestamp(Path(recording.source).stat().st_mtime):%Y-%m-%d}"
     if len(channels) < len(recording.channels):
         facts["channels"] = f"{len(recording.channels)}, of which {len(channels)} are shown here"
     for k, channel in enumerate(channels):
@@ -208,8 +211,8 @@ def _section(report: Report, *, named: bool) -> Iterator[str]:
 def _verdict(report: Report) -> Iterator[str]:
     """Yield the result in a sentence for each support, if it has enough answers for one."""
     subject = "rock" if report.unit_of_decision == "impact" else "window"
-    started = report.recording.get("started")
-    when = f", recorded from {started}" if started else ""
+    dates = (("started", "recorded from"), ("file of", "file of"))
+    when = "".join(f", {words} {report.recording[key]}" for key, words in dates if key in report.recording)
     for share in report.whole:
         if share.n_impacts < MIN_IMPACTS:
             continue
