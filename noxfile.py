@@ -10,7 +10,7 @@ from pathlib import Path
 import nox
 
 nox.options.default_venv_backend = "none"
-nox.options.sessions = ["lint", "docs", "wheel", "tests", "long"]
+nox.options.sessions = ["lint", "docs", "wheel", "claims", "tests", "long"]
 PYTHON = sys.executable
 
 
@@ -36,6 +36,12 @@ def lint(session: nox.Session) -> None:
         PYTHON, "-c", "from importlinter.cli import lint_imports_command as run; run(['--no-logo'])", external=True
     )
     session.run(PYTHON, "benchmarks/house.py", "--limits", external=True)
+
+
+@nox.session
+def claims(session: nox.Session) -> None:
+    """Measure again what takes little time of the figures of README and docs; no times."""
+    session.run(PYTHON, "-m", "benchmarks.claims", "--quick", external=True)
 
 
 @nox.session

@@ -212,22 +212,21 @@ def test_shares_and_the_cost_of_a_wrong_time_are_counted_by_hand() -> None:
     assert [(one.metric, one.value) for one in false] == [("share error", 0.0), ("false shut", 1.0)]
 
 
-def test_an_entry_replaces_its_earlier_one_and_fills_the_page(
+def test_an_entry_replaces_its_earlier_one_in_the_table(
     truth_folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    frames, streams, page = tmp_path / "f.csv", tmp_path / "s.csv", tmp_path / "page.md"
+    frames, streams = tmp_path / "f.csv", tmp_path / "s.csv"
     frames.write_text(frames_text())
     streams.write_text(streams_text())
-    page.write_text("# Title\n\n<!-- table -->\nold\n<!-- end of table -->\nafter\n")
     results = ["--results", str(tmp_path / "results.csv")]
     truth = ["-d", str(truth_folder), *results]
     assert program.run(["enter", "first", str(frames), str(streams), *truth]) == 0
     assert program.run(["enter", "second", str(frames), *truth]) == 0
     frames.write_text(frames_text().replace("0.3,0.7", "0.7,0.3"))
     assert program.run(["enter", "first", str(frames), *truth]) == 0
-    assert program.run(["table", "--page", str(page), *results]) == 0
-    text = page.read_text()
-    assert text.startswith("# Title\n") and text.endswith("<!-- end of table -->\nafter\n") and "old" not in text
+    capsys.readouterr()
+    assert program.run(["table", *results]) == 0
+    text = capsys.readouterr().out
     assert "|  | first | second |" in text
     assert "| `reference` | 0.650 (0.495 to 0.779) | 0.350 (0.221 to 0.505) |" in text
     assert "Streams" not in text  # the first entry was replaced

@@ -4,7 +4,7 @@ python -m benchmarks.open make -o sets                     # public sets; two to
 python -m benchmarks.open make -o contest --private        # test parts of a seed that is drawn
 python -m benchmarks.open answer defaults -d sets -o .     # predictions of one of our own entries
 python -m benchmarks.open enter "my network" mine.csv -d sets
-python -m benchmarks.open table --page docs/benchmarks/open.md
+python -m benchmarks.open table
 """
 
 from __future__ import annotations
@@ -14,12 +14,11 @@ import sys
 from pathlib import Path
 
 from benchmarks.open.sets import HERE, draw_seed, make
-from cgid._lib.files import read_regular, write_whole
-from cgid.errors import BadData, CannotCreate, CgidError
+from cgid.errors import CannotCreate, CgidError
 from cgid.store.folder import SUMS
 
-#: Results of the public sets; the table goes between these lines of a page.
-RESULTS, BEGIN, END = HERE / "results.csv", "<!-- table -->\n", "<!-- end of table -->\n"
+#: Results of the public sets.
+RESULTS = HERE / "results.csv"
 
 
 def options() -> argparse.ArgumentParser:
@@ -40,7 +39,6 @@ def options() -> argparse.ArgumentParser:
     enter.add_argument("files", type=Path, nargs="+", help="CSV of predictions of frames or streams")
     enter.add_argument("-d", "--sets", type=Path, required=True, help="folder that make has made")
     table = commands.add_parser("table", help="print the table of all entries")
-    table.add_argument("--page", type=Path, help="put it into this page instead")
     for one in (enter, table):
         one.add_argument("--results", type=Path, default=RESULTS, help="CSV of results (default: the public ones)")
     return parser
@@ -87,15 +85,7 @@ def _enter(chosen: argparse.Namespace) -> int:
 def _table(chosen: argparse.Namespace) -> int:
     from benchmarks.open.judge import markdown, read_results
 
-    text = markdown(read_results(chosen.results))
-    if chosen.page is None:
-        print(text, end="")
-        return 0
-    page = read_regular(chosen.page, "page", 1 << 24).decode()
-    if page.count(BEGIN) != 1 or page.count(END) != 1 or page.index(BEGIN) > page.index(END):
-        raise BadData(f"{chosen.page}: must have the lines {BEGIN.strip()} and {END.strip()} once each; add them")
-    before, after = page.split(BEGIN)[0], page.split(END)[1]
-    write_whole(chosen.page, f"{before}{BEGIN}\n{text}\n{END}{after}".encode())
+    print(markdown(read_results(chosen.results)), end="")
     return 0
 
 
