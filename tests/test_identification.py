@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import os
+import pickle
 import subprocess
 import sys
 from dataclasses import replace
@@ -15,7 +16,15 @@ import pytest
 from scipy import stats
 from sklearn import config_context
 from sklearn import metrics as reference_metrics
-from sklearn.model_selection import GroupKFold, cross_val_score
+from sklearn.cluster import KMeans
+from sklearn.decomposition import PCA
+from sklearn.ensemble import ExtraTreesClassifier, HistGradientBoostingClassifier, RandomForestClassifier
+from sklearn.linear_model import LinearRegression, LogisticRegression, RidgeClassifier
+from sklearn.model_selection import GridSearchCV, GroupKFold, cross_val_score
+from sklearn.neighbors import KNeighborsClassifier
+from sklearn.pipeline import make_pipeline
+from sklearn.svm import SVC
+from sklearn.tree import DecisionTreeClassifier
 from sklearn.utils.estimator_checks import check_estimator
 
 from cgid.errors import BadData, InvalidValue
@@ -23,7 +32,7 @@ from cgid.identification.model.model import StoredModel
 from cgid.identification.model.model_file import signed
 from cgid.identification.prediction import identify, identify_frames
 from cgid.identification.training.card import write_model
-from cgid.identification.training.classifier import FAMILIES, ImpactClassifier
+from cgid.identification.training.classifier import FAMILIES, ImpactClassifier, named_classifier
 from cgid.identification.training.metrics import evaluate
 from cgid.identification.training.rows import DEFAULT_FEATURES, FEW_FEATURES
 from cgid.identification.training.training import Training, hold_out, measure, train_on_specimens
@@ -151,19 +160,81 @@ def test_file_gives_scikit_learns_probabilities(
 
 @pytest.mark.parametrize("family", FAMILIES)
 def test_three_labels_are_exported_too(family: str) -> None:
-    generator = np.random.default_rng(3)
-    labels = np.repeat(["coal", "sandstone", "shale"], 200)
-    features = np.exp(generator.normal(size=(600, 3)) + np.repeat(np.eye(3), 200, axis=0))
-    classifier = ImpactClassifier(family, n_trees=30).fit(features, labels)
-    model = StoredModel.from_classifier(
-        classifier,
-        features=("peak_force", "width_10", "impulse"),
-        unit="N",
-        sampling_rates=(1e5, 2e5),
-        training={},
-    )
+    classifier, features, stated = classified(family, 3)
+    model = StoredModel.from_classifier(classifier, **stated)
     np.testing.assert_allclose(model.probabilities(features), classifier.predict_proba(features), rtol=0, atol=1e-12)
     assert (model.decide(model.probabilities(features)) == classifier.predict(features)).all()
+
+
+def classified(family: Any, n_labels: int) -> tuple[ImpactClassifier, np.ndarray, dict[str, Any]]:
+    generator = np.random.default_rng(3)
+    labels = np.repeat(["coal", "sandstone", "shale"][:n_labels], 200)
+    features = np.exp(generator.normal(size=(len(labels), 3)) + np.repeat(np.eye(3)[:n_labels], 200, axis=0))
+    stated = {"features": ("peak_force", "width_10", "impulse"), "unit": "N", "sampling_rates": (1e5, 2e5)}
+    return ImpactClassifier(family, n_trees=30).fit(features, labels), features, {**stated, "training": {}}
+
+
+@pytest.mark.parametrize("n_labels", [2, 3])
+@pytest.mark.parametrize(
+    ("own", "family"),
+    [
+        (RandomForestClassifier(20, random_state=0), "forest"),
+        (ExtraTreesClassifier(10, random_state=0), "forest"),
+        (DecisionTreeClassifier(max_depth=4), "forest"),
+        (HistGradientBoostingClassifier(max_iter=10), "boosting"),
+        (LogisticRegression(C=0.1), "linear"),
+        (RidgeClassifier(), "linear"),
+        (KNeighborsClassifier(30), None),
+        (make_pipeline(PCA(2), SVC()), None),
+        (GridSearchCV(LogisticRegression(), {"C": [0.1, 10.0]}), None),
+    ],
+    ids=str,
+)
+def test_any_classifier_trains_and_plain_numbers_have_a_file(own: Any, family: str | None, n_labels: int) -> None:
+    classifier, features, stated = classified(own, n_labels)
+    model = StoredModel.from_classifier(classifier, **stated)
+    expected = classifier.predict_proba(features)
+    np.testing.assert_allclose(model.probabilities(features), expected, rtol=0, atol=1e-9)
+    assert np.mean(classifier.predict(features) == np.repeat(classifier.classes_, 200)) > 0.5
+    if family is None:
+        with pytest.raises(InvalidValue, match=f"got {type(own).__name__}.*joblib"):
+            model.to_bytes()
+        again = pickle.loads(pickle.dumps(model))
+    else:
+        again = StoredModel.from_bytes(model.to_bytes())
+        assert again.family == family
+    assert np.array_equal(again.probabilities(features), model.probabilities(features))
+
+
+def test_what_is_no_classifier_is_refused() -> None:
+    for own in (RandomForestClassifier, LinearRegression(), KMeans(2), make_pipeline(PCA(2)), object(), "svm", None):
+        with pytest.raises(InvalidValue, match="family must be"):
+            classified(own, 2)
+    features, labels, weights = rows_of_two()
+    with pytest.raises(InvalidValue, match="KNeighborsClassifier takes no sample_weight"):
+        ImpactClassifier(KNeighborsClassifier()).fit(features, labels, sample_weight=weights)
+    with pytest.raises(InvalidValue, match="KNeighborsClassifier takes no sample_weight"):
+        ImpactClassifier(KNeighborsClassifier(), class_weight="balanced").fit(features, labels)
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        ("sklearn.neighbors.KNeighborsClassifier", "train_on_specimens"),
+        ("sklearn.ensemble.RandomForestClassifier(n_estimators=-3)", "n_estimators"),
+        ("sklearn.ensemble.RandomForestClassifier(5)", "none"),
+        ("sklearn.ensemble.RandomForestClassifier(x", "none"),
+        ("sklearn.linear_model.LinearRegression", "class of classifiers"),
+        ("os.system(command='x')", "none"),
+        ("absent.Forest", "absent"),
+        ("RandomForestClassifier()", "none"),
+        ("forest", "none"),
+    ],
+)
+def test_names_of_classifiers_that_no_file_holds_are_refused(text: str, reason: str) -> None:
+    with pytest.raises(InvalidValue, match=reason):
+        named_classifier(text)
+    assert named_classifier("sklearn.svm.LinearSVC(C=0.1)").C == 0.1
 
 
 @pytest.mark.long

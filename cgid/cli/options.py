@@ -91,7 +91,8 @@ def require_no_input_written(inputs: Iterable[str | Path] = ()) -> None:
 
     context = click.get_current_context()
     written, read = [], list(inputs)
-    given = [(context.params.get(parameter.name or ""), parameter.type) for parameter in context.command.params]
+    parameters = [one for one in context.command.params if isinstance(one.type, PathName)]
+    given = [(context.params.get(one.name or ""), one.type) for one in parameters]
     named = [([value] if isinstance(value, str) else value or (), kind) for value, kind in given]
     for names, kind in named:
         if isinstance(kind, OutputName):
@@ -104,7 +105,7 @@ def require_no_input_written(inputs: Iterable[str | Path] = ()) -> None:
     if not written:
         return  # what inputs name takes a tenth of the start of predict to find out
     for names, kind in named:
-        if isinstance(kind, PathName) and not isinstance(kind, OutputName):
+        if not isinstance(kind, OutputName):
             read += [part for name in names for part in (name, *_named_by(name))]
     for path in written:
         require_not_input(path, read)

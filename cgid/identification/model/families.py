@@ -6,7 +6,7 @@ Each family is a class with `scores(standardised)`, (n,) or (n, n_classes); its 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
@@ -102,6 +102,16 @@ def softmax(scores: Floats) -> Floats:
         scores = np.stack([np.zeros(len(scores)), scores], axis=1)
     weights = np.exp(scores - scores.max(axis=1, keepdims=True))
     return np.asarray(weights / weights.sum(axis=1, keepdims=True))
+
+
+#: Smallest probability of a classifier of scikit-learn: those of forests and neighbours may be 0 for want of rows.
+_LEAST = 1e-4
+
+
+def log_scores(probabilities: Floats) -> Floats:
+    """Return the logarithms of probabilities (n, n_classes), or of the odds (n,) of the second of two classes."""
+    logs = np.log(np.maximum(probabilities, _LEAST))
+    return np.asarray(logs[:, 1] - logs[:, 0] if logs.shape[1] == 2 else logs)
 
 
 def _or_infinite(novelty: Floats) -> Floats:
@@ -230,7 +240,7 @@ class Linear(Family):
     @staticmethod
     def export(estimator: Any) -> dict[str, NDArray[Any]]:
         """Return the arrays of a fitted estimator with `coef_` and `intercept_`."""
-        return {"coefficients": estimator.coef_, "intercepts": estimator.intercept_}
+        return {"coefficients": np.atleast_2d(estimator.coef_), "intercepts": np.atleast_1d(estimator.intercept_)}
 
     def check(self) -> None:
         """Check the shapes against the numbers of features and classes."""
@@ -263,6 +273,38 @@ class Logistic(Linear):
         return squares(standardised)
 
 
+#: What a node of HistGradientBoostingClassifier has, in the order of `_as_table`.
+_NODES_OF_BOOSTING = ("feature_idx", "num_threshold", "left", "right", "value")
+
+
+def _as_table(
+    baseline: Floats, columns: Sequence[int], trees: Iterable[Sequence[NDArray[Any]]]
+) -> dict[str, NDArray[Any]]:
+    """Return the arrays of trees, each given as is_leaf, feature, threshold, left, right and value of its nodes."""
+    roots, tables, first = [], [], 0
+    for leaf, feature, threshold, left, right, value in trees:
+        node_index = np.arange(len(leaf)) + first
+        tables.append(
+            (
+                np.where(leaf, 0, feature).astype(np.int32),
+                np.where(leaf, 0.0, threshold),
+                # A leaf is its own child, so that a descent stays there.
+                np.where(leaf, node_index, left.astype(np.int64) + first).astype(np.int32),
+                np.where(leaf, node_index, right.astype(np.int64) + first).astype(np.int32),
+                np.where(leaf, value, 0.0),
+            )
+        )
+        roots.append(first)
+        first += len(leaf)
+    named = zip(("feature", "threshold", "left", "right", "value"), zip(*tables, strict=True), strict=True)
+    return {
+        "baseline": baseline,
+        "roots": np.array(roots, np.int32),
+        "columns": np.array(columns, np.int32),
+        **{name: np.concatenate(parts) for name, parts in named},
+    }
+
+
 class Boosting(Family):
     """Sums of decision trees; one table contains the nodes of all trees."""
 
@@ -282,33 +324,12 @@ class Boosting(Family):
     @staticmethod
     def export(estimator: Any) -> dict[str, NDArray[Any]]:
         """Return the arrays of a fitted HistGradientBoostingClassifier without missing values."""
-        roots, columns, tables = [], [], []
-        first = 0
-        for iteration in estimator._predictors:
-            for column, tree in enumerate(iteration):
-                nodes = tree.nodes
-                leaf = nodes["is_leaf"].astype(bool)
-                node_index = np.arange(len(nodes)) + first
-                tables.append(
-                    (
-                        np.where(leaf, 0, nodes["feature_idx"]).astype(np.int32),
-                        np.where(leaf, 0.0, nodes["num_threshold"]),
-                        # A leaf is its own child, so that a descent stays there.
-                        np.where(leaf, node_index, nodes["left"].astype(np.int64) + first).astype(np.int32),
-                        np.where(leaf, node_index, nodes["right"].astype(np.int64) + first).astype(np.int32),
-                        np.where(leaf, nodes["value"], 0.0),
-                    )
-                )
-                roots.append(first)
-                columns.append(column)
-                first += len(nodes)
-        named = zip(("feature", "threshold", "left", "right", "value"), zip(*tables, strict=True), strict=True)
-        return {
-            "baseline": np.ravel(estimator._baseline_prediction).astype(np.float64),
-            "roots": np.array(roots, np.int32),
-            "columns": np.array(columns, np.int32),
-            **{name: np.concatenate(parts) for name, parts in named},
-        }
+        trees = [(column, tree.nodes) for each in estimator._predictors for column, tree in enumerate(each)]
+        return _as_table(
+            np.ravel(estimator._baseline_prediction).astype(np.float64),
+            [column for column, _ in trees],
+            ([n["is_leaf"] > 0, *(n[name] for name in _NODES_OF_BOOSTING)] for _, n in trees),
+        )
 
     def check(self) -> None:
         """Check that children follow their parent within the same tree, and that features and columns exist."""
@@ -366,7 +387,7 @@ class Boosting(Family):
             out[:, column] = self.arrays["baseline"][column] + of_column.sum(axis=1)
         return out[:, 0] if self.n_scores == 1 else out
 
-    def _walk(self, rows: Floats) -> NDArray[np.int32]:
+    def _walk(self, rows: NDArray[np.floating]) -> NDArray[np.int32]:
         a, order = self.arrays, np.arange(len(rows))[:, None]
         node = np.broadcast_to(a["roots"], (len(rows), len(a["roots"])))
         while True:
@@ -375,6 +396,35 @@ class Boosting(Family):
             if np.array_equal(child, node):
                 return np.asarray(node, np.int32)
             node = child
+
+
+class Forest(Boosting):
+    """The mean of the probabilities of decision trees: random forests and extremely randomised trees."""
+
+    @staticmethod
+    def export(estimator: Any) -> dict[str, NDArray[Any]]:
+        """Return the arrays of a fitted forest of scikit-learn, or of one of its trees."""
+        trees = [one.tree_ for one in getattr(estimator, "estimators_", [estimator])]
+        columns = [1] if len(estimator.classes_) == 2 else list(range(len(estimator.classes_)))
+        return _as_table(
+            np.zeros(len(columns)),
+            [number for _ in trees for number in range(len(columns))],
+            (
+                (
+                    tree.children_left < 0,
+                    *(tree.feature, tree.threshold, tree.children_left, tree.children_right),
+                    (tree.value[:, 0] / tree.value[:, 0].sum(axis=1, keepdims=True))[:, column] / len(trees),
+                )
+                for tree in trees
+                for column in columns
+            ),
+        )
+
+    def scores(self, standardised: Floats) -> Floats:
+        """Return the logarithms of the mean probabilities; trees of scikit-learn compare numbers of 32 bits."""
+        baseline = self.arrays["baseline"]
+        shares = super().scores(standardised.astype(np.float32)) - baseline
+        return log_scores(np.stack([1 - shares, shares], axis=1) if self.n_scores == 1 else shares) + baseline
 
 
 class Network(Family):
@@ -464,10 +514,50 @@ class Contrast:
         return _or_infinite(np.exp(np.minimum((self.scores(features) - self.limit) / self.SCALE, 100.0)))
 
 
+class Fitted(Family):
+    """A fitted classifier of scikit-learn as it is, which no file can hold."""
+
+    AXES: ClassVar[Mapping[str, int]] = {}
+
+    def __init__(self, estimator: Any, n_features: int, n_classes: int) -> None:
+        self.estimator = estimator
+        super().__init__({}, n_features, n_classes)
+
+    def check(self) -> None:
+        """Do nothing: it was fitted to these features and classes."""
+
+    @property
+    def width(self) -> int:
+        """Number of features."""
+        return self.n_features
+
+    def scores(self, standardised: Floats) -> Floats:
+        """Return its scores, or the logarithms of its probabilities if it has no scores."""
+        if hasattr(self.estimator, "decision_function"):
+            return np.asarray(self.estimator.decision_function(standardised), np.float64)
+        return log_scores(self.estimator.predict_proba(standardised))
+
+
 #: The families by their names in model files.
-BY_NAME: Mapping[str, type[Boosting] | type[Linear] | type[Network]] = {
+BY_NAME: Mapping[str, type[Boosting] | type[Forest] | type[Linear] | type[Network]] = {
     "boosting": Boosting,
+    "forest": Forest,
     "linear": Linear,
     "logistic": Logistic,
     "network": Network,
 }
+
+
+def as_numbers(fitted: Fitted) -> tuple[str, dict[str, NDArray[Any]]] | None:
+    """Return name and arrays of the family that has the scores of a fitted classifier; None without one."""
+    rows = np.random.default_rng(0).normal(scale=2.0, size=(256, fitted.n_features))  # inputs are standardised
+    scores = fitted.scores(rows)
+    for name, family in BY_NAME.items():
+        try:
+            arrays = family.export(fitted.estimator)
+            found = family(arrays, fitted.n_features, fitted.n_classes).scores(rows)
+        except (AttributeError, BadData, LookupError, TypeError, ValueError):
+            continue  # a classifier of another kind
+        if found.shape == scores.shape and np.allclose(found, scores, rtol=1e-9, atol=1e-9):
+            return name, arrays
+    return None

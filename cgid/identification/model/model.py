@@ -27,8 +27,10 @@ from cgid.identification.model.families import (
     MIN_DIVISOR,
     Contrast,
     Family,
+    Fitted,
     Neighbourhood,
     Standardiser,
+    as_numbers,
     softmax,
 )
 from cgid.identification.model.model_file import (
@@ -134,7 +136,7 @@ class Model(ABC):
     Attributes
     ----------
     family : str
-        "boosting", "linear", "logistic" or "network".
+        "boosting", "forest", "linear", "logistic", "network", or the name of another class of scikit-learn.
     labels : tuple of str
         In the order of the probabilities.
     features : tuple of str
@@ -248,6 +250,8 @@ class StoredModel(Model):
         Channels per answer; the features are measured on each of them.
     sensors : tuple of str
         Sensors with reference spectra in the model.
+    estimator : object, optional
+        The fitted classifier of scikit-learn if no family has its scores; such a model has no file.
     """
 
     temperature: float
@@ -260,6 +264,7 @@ class StoredModel(Model):
     hop_time: float = 0.0
     n_channels: int = 1
     sensors: tuple[str, ...] = ()
+    estimator: Any = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "arrays", with_floats(self.arrays))
@@ -355,6 +360,8 @@ class StoredModel(Model):
 
     @cached_property
     def _classifier(self) -> Family:
+        if self.estimator is not None:
+            return Fitted(self.estimator, len(self.inputs), len(self.labels))
         stored = {name.removeprefix("family."): a for name, a in self.arrays.items() if name.startswith("family.")}
         return BY_NAME[self.family](stored, len(self.inputs), len(self.labels))
 
@@ -661,7 +668,12 @@ class StoredModel(Model):
         """
         guards = guards or {}
         standardiser, neighbourhood = classifier.standardiser_, classifier.neighbourhood_
-        family = BY_NAME[classifier.family].export(classifier.estimator_)
+        name, estimator = classifier.family, classifier.estimator_
+        if isinstance(name, str):
+            found: tuple[str, dict[str, NDArray[Any]]] | None = name, BY_NAME[name].export(estimator)
+        else:
+            found = as_numbers(Fitted(estimator, classifier.n_features_in_, len(classifier.classes_)))
+        name, family = found or (type(estimator).__name__, {})
         arrays: dict[str, NDArray[Any]] = standardiser.arrays(STANDARDISER)
         arrays |= {"neighbourhood.centres": neighbourhood.centres, "neighbourhood.whitening": neighbourhood.whitening}
         arrays |= {f"family.{name}": array for name, array in family.items()}
@@ -676,7 +688,7 @@ class StoredModel(Model):
         # C order, as in the file: the last digit of a product may depend on the order.
         arrays = {name: np.ascontiguousarray(array) for name, array in arrays.items()}
         return cls(
-            family=classifier.family,
+            family=name,
             labels=tuple(str(label) for label in classifier.classes_),
             temperature=classifier.temperature_,
             neighbourhood_limit=neighbourhood.limit,
@@ -684,6 +696,7 @@ class StoredModel(Model):
             guards=tuple(guards),
             guard_limits=tuple(guards.values()),
             sensors=tuple(references or ()),
+            estimator=None if found else estimator,
             **fields,
         )
 
@@ -705,7 +718,17 @@ class StoredModel(Model):
         Returns
         -------
         bytes
+
+        Raises
+        ------
+        InvalidValue
+            The classifier is an object of scikit-learn that no family has the scores of.
         """
+        if self.estimator is not None:
+            raise InvalidValue(
+                f"family must be {', '.join(BY_NAME)} in a file, got {self.family}, which only a pickle stores, and a "
+                "pickle runs code when it is opened; train another family, or keep this model by joblib.dump and load"
+            )
         stream = io.BytesIO()
         header = np.frombuffer(signed(self.header, self.arrays), np.uint8)
         np.savez(stream, header=header, **dict(sorted(self.arrays.items())))  # type: ignore[arg-type]

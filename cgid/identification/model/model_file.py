@@ -23,7 +23,16 @@ from cgid._lib import validation
 from cgid.errors import BadData, InvalidValue
 from cgid.identification.model.anchor import SeamNetworks, pulse_names
 from cgid.identification.model.confusion import Confusion
-from cgid.identification.model.families import BY_NAME, MIN_DIVISOR, Boosting, Contrast, Linear, Network, Standardiser
+from cgid.identification.model.families import (
+    BY_NAME,
+    MIN_DIVISOR,
+    Boosting,
+    Contrast,
+    Fitted,
+    Linear,
+    Network,
+    Standardiser,
+)
 from cgid.identification.model.reference import equalisations_of
 from cgid.identification.model.world import World, trait_names
 from cgid.measure.features.extraction import any_through_beam, require_known
@@ -147,7 +156,7 @@ def read_header(stored: NDArray[Any]) -> dict[str, Any]:
 def stored_fields(model: type[StoredModel]) -> dict[str, type]:
     """Return the fields of a model that its header has, all required, and their types in JSON."""
     kinds = {"str": str, "float": float, "int": int, "Mapping[str, Any]": dict}
-    declared = {field.name: str(field.type) for field in fields(model) if field.name != "arrays"}
+    declared = {field.name: str(field.type) for field in fields(model) if field.name not in ("arrays", "estimator")}
     return {name: list if kind.startswith("tuple") else kinds[kind] for name, kind in declared.items()}
 
 
@@ -227,7 +236,8 @@ def with_floats(arrays: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
 
 def check_names(model: StoredModel) -> None:
     """Raise unless family, labels, features, guards and known quantities are valid and distinct."""
-    validation.choice("family", model.family, tuple(BY_NAME))
+    if model.estimator is None:
+        validation.choice("family", model.family, tuple(BY_NAME))
     for name, values, min_count in (
         ("labels", model.labels, 2),
         ("features", model.features, 1),
@@ -340,7 +350,8 @@ def _check_arrays(model: StoredModel) -> None:
     if ("conformal.scores" in arrays) != ("conformal.labels" in arrays):
         raise BadData("arrays conformal.scores and conformal.labels must both be present or absent")
     known = shapes.keys() | {"conformal.scores", "conformal.labels", "reference.spectra"}
-    known |= {f"family.{name}" for name in BY_NAME[model.family].AXES} | {f"beam.{name}" for name in Beam.ARRAYS}
+    family = Fitted if model.estimator is not None else BY_NAME[model.family]
+    known |= {f"family.{name}" for name in family.AXES} | {f"beam.{name}" for name in Beam.ARRAYS}
     known |= {Contrast.PREFIX + name for name in (*Standardiser.NAMES, *Network.AXES, *Linear.AXES, "limit")}
     known |= {part.PREFIX + name for part in (Confusion, SeamNetworks, World) for name in part.ARRAYS}
     for name, array in arrays.items():

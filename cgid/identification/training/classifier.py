@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import ast
 import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import cache
+from importlib import import_module
 from typing import Any, ClassVar
 
 import numpy as np
@@ -13,7 +15,7 @@ from joblib import effective_n_jobs
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import cho_factor, cho_solve
 from scipy.optimize import minimize_scalar
-from sklearn.base import BaseEstimator, ClassifierMixin
+from sklearn.base import BaseEstimator, ClassifierMixin, clone, is_classifier
 from sklearn.ensemble import HistGradientBoostingClassifier
 from sklearn.exceptions import ConvergenceWarning
 from sklearn.linear_model import LogisticRegression
@@ -22,14 +24,24 @@ from sklearn.neural_network import MLPClassifier
 from sklearn.utils.class_weight import compute_sample_weight
 from sklearn.utils.metadata_routing import UNUSED
 from sklearn.utils.multiclass import check_classification_targets
-from sklearn.utils.validation import check_is_fitted, validate_data
+from sklearn.utils.validation import check_is_fitted, has_fit_parameter, validate_data
 from threadpoolctl import ThreadpoolController
 
 from cgid._lib import validation
 from cgid._lib.validation import Floats
 from cgid._lib.workers import Workers
 from cgid.errors import InvalidValue
-from cgid.identification.model.families import Contrast, Linear, Neighbourhood, Network, Standardiser, softmax, squares
+from cgid.identification.model.families import (
+    Contrast,
+    Fitted,
+    Linear,
+    Neighbourhood,
+    Network,
+    Standardiser,
+    as_numbers,
+    softmax,
+    squares,
+)
 
 #: Maximum number of rows of either side in the training of a contrast, and its iterations.
 _MAX_CONTRASTED, _CONTRAST_ITERATIONS = 100_000, 300
@@ -186,9 +198,10 @@ class ImpactClassifier(ClassifierMixin, BaseEstimator):  # type: ignore[misc]
 
     Parameters
     ----------
-    family : {"logistic", "boosting", "network", "linear"}
+    family : {"logistic", "boosting", "network", "linear"} or classifier
         Logistic regression on features and their products; histogram gradient boosting; network of two hidden layers;
-        linear discriminant analysis with a shrunken covariance, for many features and few recordings.
+        linear discriminant analysis with a shrunken covariance, for many features and few recordings; or any classifier
+        of scikit-learn's kind with scores or probabilities, which learns from standardised features.
     linear : tuple of int
         Columns that never get a logarithm; the others do if all their training values are above 0.
     n_trees : int
@@ -232,7 +245,7 @@ class ImpactClassifier(ClassifierMixin, BaseEstimator):  # type: ignore[misc]
 
     def __init__(
         self,
-        family: str = "logistic",
+        family: str | ClassifierMixin = "logistic",
         *,
         linear: tuple[int, ...] = (),
         n_trees: int = 200,
@@ -288,7 +301,7 @@ class ImpactClassifier(ClassifierMixin, BaseEstimator):  # type: ignore[misc]
         ImpactClassifier
             The fitted estimator.
         """
-        validation.choice("family", self.family, tuple(self.ESTIMATORS))
+        estimator = self._unfitted()
         validation.plain("X", X)
         features, labels = validate_data(self, X, y, dtype=np.float64, ensure_min_samples=2)
         check_classification_targets(labels)
@@ -302,13 +315,15 @@ class ImpactClassifier(ClassifierMixin, BaseEstimator):  # type: ignore[misc]
         if len(self.classes_) < 2:
             raise ValueError(f"classifier needs at least 2 classes, got 1 class: {self.classes_[0]!r}")
         weights = row_weights(labels, self.class_weight)
+        if weights is not None or given is not None:
+            _require_weights(estimator)
         if given is not None:
             weights = given if weights is None else given * weights
         crew = Workers(effective_n_jobs(self.n_jobs)) if workers is None else workers
         with _libraries().limit(limits=1):
             self.standardiser_, standardised = Standardiser.fit(features, self.linear, given)
             inputs = self._inputs(standardised)
-            self.estimator_ = self.ESTIMATORS[self.family](self).fit(inputs, encoded, sample_weight=weights)
+            self.estimator_ = _fit(estimator, inputs, encoded, weights)
             if self.rejects:
                 covariance = self.estimator_.covariance_ if self.family == "linear" else None
                 self.neighbourhood_ = Neighbourhood.fit(standardised, encoded, covariance)
@@ -327,8 +342,7 @@ class ImpactClassifier(ClassifierMixin, BaseEstimator):  # type: ignore[misc]
         -------
         ndarray, (n_impacts, n_classes), or (n_impacts,) for two classes
         """
-        inputs = self._inputs(self._standardised(X))
-        return np.asarray(self.estimator_.decision_function(inputs))
+        return self._scores(self.estimator_, self._inputs(self._standardised(X)))
 
     def predict_proba(self, X: ArrayLike) -> Floats:
         """Return the probabilities.
@@ -380,6 +394,24 @@ class ImpactClassifier(ClassifierMixin, BaseEstimator):  # type: ignore[misc]
         validation.plain("X", X)
         return self.standardiser_.apply(validate_data(self, X, dtype=np.float64, reset=False))
 
+    def _unfitted(self) -> Any:
+        """Return the classifier of the family; raises `InvalidValue` without one."""
+        if isinstance(self.family, str):
+            validation.choice("family", self.family, tuple(self.ESTIMATORS))
+            return self.ESTIMATORS[self.family](self)
+        able = not isinstance(self.family, type) and hasattr(self.family, "get_params") and is_classifier(self.family)
+        if not able or not (hasattr(self.family, "decision_function") or hasattr(self.family, "predict_proba")):
+            raise InvalidValue(
+                f"family must be {', '.join(self.ESTIMATORS)}, or a classifier of scikit-learn with scores or "
+                f"probabilities, such as RandomForestClassifier(), got {str(self.family)[:60]}"
+            )
+        return clone(self.family)
+
+    def _scores(self, estimator: Any, inputs: Floats) -> Floats:
+        if isinstance(self.family, str):
+            return np.asarray(estimator.decision_function(inputs))
+        return Fitted(estimator, inputs.shape[1], len(self.classes_)).scores(inputs)
+
     def _inputs(self, standardised: Floats) -> Floats:
         return squares(standardised) if self.family == "logistic" else standardised
 
@@ -419,10 +451,46 @@ def _scores_left_out(
     """Return the scores of the rows of a fold by a fit to the other rows."""
     classifier, inputs, encoded, weights = fitting
     training, test = part
-    estimator = classifier.ESTIMATORS[classifier.family](classifier)
     with _libraries().limit(limits=1):
-        estimator.fit(inputs[training], encoded[training], sample_weight=None if weights is None else weights[training])
-        return np.asarray(estimator.decision_function(inputs[test]))
+        part_weights = None if weights is None else weights[training]
+        estimator = _fit(classifier._unfitted(), inputs[training], encoded[training], part_weights)
+        return classifier._scores(estimator, inputs[test])
+
+
+def _fit(estimator: Any, inputs: Floats, encoded: NDArray[np.intp], weights: Floats | None) -> Any:
+    """Return a classifier fitted to rows, with their weights if there are any."""
+    return estimator.fit(inputs, encoded, **({} if weights is None else {"sample_weight": weights}))
+
+
+def _require_weights(estimator: Any) -> None:
+    """Raise `InvalidValue` unless a classifier can be fitted to weighted rows."""
+    if not has_fit_parameter(estimator, "sample_weight"):
+        raise InvalidValue(
+            f"weights must be left out, {type(estimator).__name__} takes no sample_weight; use another family"
+        )
+
+
+def named_classifier(text: str) -> Any:
+    """Return a classifier by its dotted name and parameters, as in "sklearn.svm.LinearSVC(C=0.1)".
+
+    Raises `InvalidValue` for any that a model file cannot hold.
+    """
+    try:
+        call = ast.parse(text, mode="eval").body
+        name, given = (call.func, call.keywords) if isinstance(call, ast.Call) and not call.args else (call, [])
+        module, _, last = ast.unparse(name).rpartition(".")
+        settings = {str(one.arg): ast.literal_eval(one.value) for one in given}
+        kind = getattr(import_module(module), last)
+        if not issubclass(kind, ClassifierMixin):
+            raise InvalidValue("give a class of classifiers, its parameters by name")
+        classifier = kind(**settings)
+        trial = ImpactClassifier(classifier, calibration_folds=0).fit([[0.0, 1.0], [1.0, 0.5]] * 20, [0, 1] * 20)
+        is_stored = as_numbers(Fitted(trial.estimator_, 2, 2)) is not None
+    except (AttributeError, ImportError, InvalidValue, SyntaxError, TypeError, ValueError) as error:
+        raise InvalidValue(f"{text!r} is none ({' '.join(str(error).split())[:100]})") from None
+    if not is_stored:
+        raise InvalidValue(f"{last} has no plain numbers for a file; in Python, give it to train_on_specimens(family=)")
+    return classifier
 
 
 def _one_weight_a_row(sample_weight: ArrayLike, n_rows: int) -> Floats:

@@ -42,7 +42,13 @@ _NOTHING = 0.75
 #: Logarithms of the gains tried, over the prior standard deviation.
 _GAINS = np.linspace(-2.0, 2.0, 9)
 #: The array with the intercept of each score, by family.
-_INTERCEPTS = {"boosting": "baseline", "linear": "intercepts", "logistic": "intercepts", "network": "biases_3"}
+_INTERCEPTS = {
+    "boosting": "baseline",
+    "forest": "baseline",
+    "linear": "intercepts",
+    "logistic": "intercepts",
+    "network": "biases_3",
+}
 #: Metrics of the correction stored in a model.
 _REPORTED = ("accuracy", "accuracy_interval_95", "recall", "confusion", "log_loss", "expected_calibration_error")
 #: Maximum number of folds of held-out impacts: up to this number of impacts each is one.

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 from scipy.optimize import minimize_scalar
+from sklearn.base import ClassifierMixin
 from sklearn.model_selection import StratifiedGroupKFold
 from threadpoolctl import threadpool_limits
 
@@ -54,14 +55,14 @@ _KNOWN_OF_FEW = 0.5
 
 @dataclass(frozen=True, kw_only=True)
 class Candidate:
-    """A set of features, measured on each channel, and a family of `classifier.FAMILIES`."""
+    """A set of features, measured on each channel, and the family of an `ImpactClassifier`."""
 
     name: str
     features: tuple[str, ...]
-    family: str
+    family: str | ClassifierMixin
 
 
-def candidates_for(sets: Sets, measured: Sequence[str], family: str) -> tuple[Candidate, ...]:
+def candidates_for(sets: Sets, measured: Sequence[str], family: str | ClassifierMixin) -> tuple[Candidate, ...]:
     """Return a candidate for each set of features of which at least one was measured."""
     measured_sets = {name: tuple(feature for feature in names if feature in measured) for name, names in sets.items()}
     return tuple(

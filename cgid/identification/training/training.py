@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from sklearn.base import ClassifierMixin
 from threadpoolctl import threadpool_limits
 
 from cgid import __version__
@@ -165,7 +166,7 @@ def train_on_specimens(  # noqa: PLR0913
     features: Iterable[Named] | None = None,
     guards: Iterable[str] | None = None,
     known: Iterable[str] = (),
-    family: str = "logistic",
+    family: str | ClassifierMixin = "logistic",
     test_share: float = TEST_SHARE,
     calibration_share: float = CALIBRATION_SHARE,
     judged_on: str | None = None,
@@ -193,7 +194,9 @@ def train_on_specimens(  # noqa: PLR0913
         `DEFAULT_GUARDS` for batches of pulses, else none.
     known : iterable of str
         Known quantities from `cgid.signals.KNOWN`.
-    family : {"boosting", "logistic", "network", "linear"}
+    family : {"boosting", "logistic", "network", "linear"} or classifier
+        A classifier of scikit-learn's kind may stand here, as in `cgid.ImpactClassifier`. Forests, linear scores and
+        histogram boosting can be saved as a model file, any other is for this Python.
     test_share : float
         Share of the specimens held out, in (0, 1).
     calibration_share : float
@@ -254,7 +257,7 @@ def train_on_groups(
     rows: Rows,
     *,
     features: Iterable[Named] | None = None,
-    family: str = "linear",
+    family: str | ClassifierMixin = "linear",
     level_free: bool = False,
     synthetic: Rows | None = None,
     class_weights: Weights = None,
@@ -271,7 +274,9 @@ def train_on_groups(
         From recordings (`cgid.identification.training.recordings.record`).
     features : iterable of str, function or Feature, optional
         Default: the best of the sets of `cgid.identification.training.rows`.
-    family : {"boosting", "logistic", "network", "linear"}
+    family : {"boosting", "logistic", "network", "linear"} or classifier
+        A classifier of scikit-learn's kind may stand here, as in `cgid.ImpactClassifier`. Forests, linear scores and
+        histogram boosting can be saved as a model file, any other is for this Python.
     level_free : bool
         Choose only among feature sets in which the gain of the sensor cancels.
     synthetic : Rows, optional
@@ -488,7 +493,7 @@ def _tried_on_left_out(
     out_of_distribution: Rows | None,
     open_sets: tuple[tuple[str, ...], ...],
     guards: tuple[str, ...],
-    family: str,
+    family: str | ClassifierMixin,
     class_weights: Weights,
     seed: int,
     workers: Workers,
@@ -653,7 +658,7 @@ def _comparison(candidates: Sequence[Candidate], selection: Selection, selected:
     return [
         {
             "name": candidate.name,
-            "family": candidate.family,
+            "family": candidate.family if isinstance(candidate.family, str) else type(candidate.family).__name__,
             "n_features": len(candidate.features),
             "accuracy": accuracy,
             "taken_in_folds": selected.count(k),
