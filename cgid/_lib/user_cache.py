@@ -25,7 +25,7 @@ PACKAGE = Path(__file__).parents[1]
 _CHECKSUM = 32  # bytes
 #: What tables are made by.
 _TABLE_SOURCES = ("identification/inversion", "measure/modal", "measure/fit")
-#: The oldest tables are removed beyond this size of all [bytes]: some ten beams.
+#: The oldest tables are removed beyond this size of all [bytes], of four beams or more.
 _MAX_TABLES = 256 << 20
 #: Arrays begin at multiples of this in a file of tables [bytes].
 _ALIGNED = 64
