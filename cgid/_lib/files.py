@@ -9,7 +9,6 @@ import contextlib
 import errno
 import os
 import re
-import secrets
 import shutil
 import stat
 import time
@@ -58,7 +57,7 @@ def whole_file(
     is_descriptor = path.is_symlink() and str(path.readlink()).startswith("/proc/")
     if is_descriptor or (path.exists() and not (path.is_file() or path.is_dir())):
         raise CannotCreate(f"{path}: must be a regular file, it is a device or a pipe; choose another name")
-    temporary = path.with_name(f".{path.name}.{secrets.token_hex(6)}.part")
+    temporary = path.with_name(f".{path.name}.{os.urandom(6).hex()}.part")
     try:
         try:
             temporary.open("xb").close()  # a plain open applies the user's umask
@@ -161,7 +160,7 @@ def write_together(contents: Mapping[Path, bytes], *, overwrite: bool = True) ->
 @contextmanager
 def _restored(path: Path, made: Mapping[Path, int]) -> Iterator[None]:
     """Keep an existing file, and restore it if an error follows its replacement by the file in `made`."""
-    old = path.with_name(f".{path.name}.{secrets.token_hex(6)}.part")
+    old = path.with_name(f".{path.name}.{os.urandom(6).hex()}.part")
     had, is_restorable = path.is_file(), False
     try:
         if had:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from html import escape
 
 
 def facts_table(title: str, facts: Mapping[str, object]) -> str:
@@ -12,6 +11,8 @@ def facts_table(title: str, facts: Mapping[str, object]) -> str:
     >>> facts_table("Signal", {"unit": "N"})
     '<table><caption>Signal</caption><tr><th scope="row">unit</th><td>N</td></tr></table>'
     """
+    from html import escape
+
     rows = "".join(
         f'<tr><th scope="row">{escape(name)}</th><td>{escape(str(value))}</td></tr>' for name, value in facts.items()
     )

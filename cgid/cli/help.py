@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from importlib import import_module
 from typing import Any
 
 import click
@@ -136,6 +137,25 @@ class Command(click.Command):
                     formatter.write(f"{'':>{formatter.current_indent}}{line}\n")
 
 
+class Commands(Mapping[str, click.Command]):
+    """The commands by name, each imported when it is asked for."""
+
+    _names = " ".join(_COMMANDS.values()).split()
+
+    def __getitem__(self, name: str) -> click.Command:
+        if name not in self._names:
+            raise KeyError(name)
+        module = import_module(f"cgid.cli.{name.removesuffix('-model')}")
+        command: click.Command = getattr(module, name.replace("-", "_"))
+        return command
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._names)
+
+    def __len__(self) -> int:
+        return len(self._names)
+
+
 class Group(Command, click.Group):
     """The commands under headings, and how to enable completion by the shell."""
 
@@ -146,9 +166,7 @@ class Group(Command, click.Group):
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write one line for each command, under its heading."""
-        rows = {heading: self._rows(names.split()) for heading, names in _COMMANDS.items()}
-        known = " ".join(_COMMANDS.values()).split()
-        _write(formatter, {**rows, _OTHERS: self._rows(name for name in self.list_commands(ctx) if name not in known)})
+        _write(formatter, {heading: self._rows(names.split()) for heading, names in _COMMANDS.items()})
 
     def format_epilog(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the example, and the line for each shell."""
@@ -157,7 +175,7 @@ class Group(Command, click.Group):
             formatter.write_dl(_COMPLETION)
 
     def _rows(self, names: Iterable[str]) -> list[tuple[str, str]]:
-        return [(name, self.commands[name].short_help or "") for name in names if name in self.commands]
+        return [(name, self.commands[name].short_help or "") for name in names]
 
 
 def _write(formatter: click.HelpFormatter, rows: Mapping[str, list[tuple[str, str]]]) -> None:

@@ -13,19 +13,7 @@ from typing import Any
 import click
 
 from cgid import __version__
-from cgid.cli.calibrate import calibrate
-from cgid.cli.check import check
-from cgid.cli.events import events
-from cgid.cli.export import export, export_model
-from cgid.cli.features import features
-from cgid.cli.fetch import fetch
-from cgid.cli.generate import generate
-from cgid.cli.help import Group
-from cgid.cli.info import info
-from cgid.cli.invert import invert
-from cgid.cli.label import label
-from cgid.cli.models import models
-from cgid.cli.monitor import monitor
+from cgid.cli.help import Commands, Group
 from cgid.cli.output import (
     drop,
     exit_code_of_interruption,
@@ -37,11 +25,6 @@ from cgid.cli.output import (
     show_compilation,
     warn,
 )
-from cgid.cli.plot import plot
-from cgid.cli.predict import predict
-from cgid.cli.tap import tap
-from cgid.cli.train import train
-from cgid.cli.verify import verify
 from cgid.errors import CgidError, MissingExtra, installed_from
 
 #: Number of threads for numba, whose import fails below 1.
@@ -60,35 +43,13 @@ _MEMORY_SHORT = (
 
 @click.group(
     cls=Group,
+    commands=Commands(),
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110},
     example="cgid predict --sample",
 )
 @click.version_option(__version__, prog_name="cgid")
 def cli() -> None:
     """Tell coal from gangue by the impact of falling rocks on steel."""
-
-
-for command in (
-    generate,
-    check,
-    calibrate,
-    tap,
-    invert,
-    events,
-    label,
-    train,
-    predict,
-    monitor,
-    features,
-    info,
-    models,
-    plot,
-    verify,
-    export,
-    export_model,
-    fetch,
-):
-    cli.add_command(command)
 
 
 def run(arguments: list[str] | None = None) -> int:

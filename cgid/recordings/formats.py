@@ -5,7 +5,6 @@ from __future__ import annotations
 import errno
 import re
 import sys
-import tempfile
 import warnings
 import weakref
 from collections.abc import Callable, Iterator, Sequence
@@ -411,6 +410,8 @@ def _regular(path: str | Path, source: str) -> tuple[Path, ExitStack]:
 
 def _saved(given: Path | BinaryIO, source: str) -> tuple[Path, ExitStack]:
     """Save a stream to a temporary file; return its path and the stack that removes it."""
+    import tempfile
+
     waiting = Timer(WAITING_TIME, warn_of_waiting, [source])
     waiting.daemon = True
     waiting.start()

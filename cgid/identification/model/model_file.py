@@ -96,16 +96,15 @@ def _array(stored: bytes, name: str) -> NDArray[Any]:
     stream = io.BytesIO(stored)
     if np.lib.format.read_magic(stream) != (1, 0):
         raise BadData(f"array {name} must be in version 1.0 of the array format")
-    shape, _, dtype = np.lib.format.read_array_header_1_0(stream)
+    shape, is_fortran, dtype = np.lib.format.read_array_header_1_0(stream)
     # With Python's integers the product cannot overflow.
     size = math.prod(map(int, shape)) * dtype.itemsize
     if dtype.str not in _TYPES or size != len(stored) - stream.tell() or 0 in shape or len(shape) > _MAX_AXES:
         raise BadData(f"array {name} must contain numbers (float64, int32, int64 or bool), as many as declared")
-    array: NDArray[Any] = np.load(io.BytesIO(stored), allow_pickle=False)
+    array: NDArray[Any] = np.frombuffer(stored, dtype, offset=stream.tell())  # read-only
     if dtype.kind == "b" and (array.view(np.uint8) > 1).any():
         raise BadData(f"array {name} must contain truth values, bytes 0 and 1")
-    array.flags.writeable = False
-    return array
+    return array.reshape(shape, order="F" if is_fortran else "C")
 
 
 # -- the header -------------------------------------------------------------------------------------------

@@ -23,7 +23,6 @@ from cgid.identification.prediction.settings import PredictionSettings
 from cgid.recordings import is_dataset, read_recording
 from cgid.recordings.chain import Chain, Statement
 from cgid.recordings.recording import Blocks, Channel, require_one_rate
-from cgid.recordings.variables import full_scale_of
 from cgid.shipped import MODELS, model_path
 from cgid.signals import Batch, Signal
 from cgid.units import quantity_of
@@ -212,7 +211,11 @@ def _measured(samples: Any, sampling_rate: float | None, unit: str | None, chain
     if not of_signals and unit is None and chain == Chain():
         raise MissingOption("samples: an array has no unit; give it, as in unit='N' or unit='m/s^2'")
     dtype = None if of_signals else validation.plain("samples", samples).dtype
-    largest = None if dtype is None or dtype.kind == "f" else full_scale_of(dtype)
+    largest = None
+    if dtype is not None and dtype.kind != "f":
+        from cgid.recordings.variables import full_scale_of
+
+        largest = full_scale_of(dtype)
     contents = Blocks(
         n_channels=len(signals),
         read=lambda length, channels: iter(()),

@@ -30,7 +30,6 @@ from cgid.identification.prediction.vote import RunningVote
 from cgid.measure.features.extraction import FEATURES, require_measurable
 from cgid.measure.features.table import MIN_BANDWIDTH, ImpactKind
 from cgid.measure.filters import Equalisation
-from cgid.recordings.lines import Lines
 from cgid.recordings.soundness import FAR_BELOW
 from cgid.signals import channel_name
 
@@ -155,7 +154,11 @@ def _impacts(
         )
         require_measurable(model.measured, sampling_rate, detector.n_samples, None, model.beam)
         # A model of labelled recordings has learned with their tones.
-        lines = Lines(len(channels), sampling_rate) if settings.lines and beam is not None else None
+        lines = None
+        if settings.lines and beam is not None:
+            from cgid.recordings.lines import Lines
+
+            lines = Lines(len(channels), sampling_rate)
         for block in chain(blocks if lines is None else lines.taken_out(blocks), [None]):
             ended = block is None
             events = detector.finish() if block is None else detector.feed(block)
