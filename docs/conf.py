@@ -27,7 +27,9 @@ extensions = [
     "sphinx.ext.viewcode",
     "numpydoc",
     "sphinx_gallery.gen_gallery",
+    "sphinx_copybutton",
     "api_pages",  # docs/_extensions/api_pages.py: the pages of the Python API
+    "notebooks",  # docs/_extensions/notebooks.py: the notebooks as pages
     "generated",  # docs/_extensions/generated.py: commands, scene keys, features, formats, units, errors
 ]
 source_suffix = {".md": "markdown", ".rst": "restructuredtext"}
@@ -36,7 +38,7 @@ exclude_patterns = ["_build", "gallery", "_extensions", "decisions", "**/README.
 # Pages of a folder are found by pattern. Sphinx cannot suppress the warning that there is none, because it has no type.
 logging.getLogger("sphinx.sphinx.directives.other").addFilter(lambda record: "toctree glob" not in str(record.msg))
 
-myst_enable_extensions = ["colon_fence", "deflist"]
+myst_enable_extensions = ["attrs_inline", "colon_fence", "deflist"]
 myst_heading_anchors = 3
 
 autosummary_generate = False  # the pages of api_pages.py describe what they list
@@ -69,6 +71,17 @@ html_theme = "furo"
 html_title = f"cgid {version}"
 html_static_path = ["_static"]
 html_css_files = ["cgid.css"]
+html_logo = "_static/logo.svg"
+html_favicon = "_static/icon.svg"
+html_theme_options = {
+    "sidebar_hide_name": True,
+    "light_css_variables": {"color-brand-primary": "#22303c", "color-brand-content": "#005b8f"},
+    "dark_css_variables": {"color-brand-primary": "#cfd8e0", "color-brand-content": "#56b4e9"},
+}
+#: A prompt and what a command prints are not copied.
+copybutton_prompt_text = "$ "
+copybutton_only_copy_prompt_lines = True
+copybutton_selector = ", ".join(f"div.highlight-{name} pre" for name in ("sh", "console", "python", "toml"))
 html_copy_source = False
 html_show_sphinx = False
 pygments_style = "tango"

@@ -43,7 +43,7 @@ from cgid.identification.prediction.answers import COLUMNS
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
 #: Folders of docs/ that a build writes.
-BUILT = (DOCS / "_build", DOCS / "examples", DOCS / "reference" / "api" / "generated")
+BUILT = (DOCS / "_build", DOCS / "examples", DOCS / "notebooks", DOCS / "reference" / "api" / "generated")
 PAGES = [ROOT / "README.md", *sorted(path for path in DOCS.rglob("*.md") if not set(BUILT) & set(path.parents))]
 
 _FENCE = re.compile(r"(?P<fence>`{3,}|:{3,})(?P<language>[\w+-]*|\{.*\}.*) *")
@@ -315,13 +315,14 @@ def test_packages_say_what_is_public(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.long
 def test_pages_are_built_without_warnings_and_without_the_network(tmp_path: Path) -> None:
     """The build also runs the gallery, and ends at the first example that fails."""
-    for library in ("sphinx", "myst_parser", "numpydoc", "sphinx_gallery", "furo"):
+    for library in ("sphinx", "myst_parser", "numpydoc", "sphinx_gallery", "sphinx_copybutton", "furo"):
         pytest.importorskip(library)
     source, html = tmp_path / "docs", tmp_path / "html"
     # The checkout stays as it is, and pages show pictures beside docs/.
     for name in ("docs", "benchmarks", "datasets", "models"):
-        shutil.copytree(ROOT / name, tmp_path / name, ignore=shutil.ignore_patterns("_build", "examples", "generated"))
-    for name in ("cgid", "CHANGELOG.md", "SECURITY.md", "ARCHITECTURE.md"):
+        built = shutil.ignore_patterns("_build", "examples", "generated", "notebooks")
+        shutil.copytree(ROOT / name, tmp_path / name, ignore=built)
+    for name in ("cgid", "notebooks", "CHANGELOG.md", "SECURITY.md", "ARCHITECTURE.md"):
         (tmp_path / name).symlink_to(ROOT / name)
     command = [sys.executable, "-m", "sphinx", "-W", "--keep-going", "-q", "-b", "html", str(source), str(html)]
     closed = dict.fromkeys(("http_proxy", "https_proxy", "HTTP_PROXY", "HTTPS_PROXY"), "http://127.0.0.1:9")
