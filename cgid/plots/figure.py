@@ -87,7 +87,8 @@ def colours_of(labels: Iterable[str]) -> dict[str, str]:
     {'brass': '#009e73', 'gangue': '#d55e00'}
     """
     labels = set(labels)
-    free = cycle(COLOURS[len(_FIXED) :] if labels & set(_FIXED) else COLOURS)
+    fixed = len(_FIXED)  # their colours come last where neither is drawn
+    free = cycle(COLOURS[fixed:] if labels & set(_FIXED) else (*COLOURS[fixed:], *COLOURS[:fixed]))
     colours = {name: _FIXED.get(name) or next(free) for name in sorted(labels - {"unknown"})}
     return colours | ({"unknown": NEUTRAL} if "unknown" in labels else {})
 
