@@ -318,6 +318,11 @@ class StoredModel(Model):
         return self.features + self.guards
 
     @cached_property
+    def extras(self) -> tuple[str, ...]:
+        """Features to measure besides: what a beam shows of an impact, told with its answer and no part of it."""
+        return ("beam_misshapen", "beam_overlap") if "beam_unexplained" in self.guards else ()
+
+    @cached_property
     def kind(self) -> Kind:
         """Kind of the signals: pulse, vibration or window."""
         return kind_of(self.measured)

@@ -399,19 +399,17 @@ def _identified(
         text = f"a frame must contain at least {MINIMUM_FRAME} samples, got {frames.shape[-1]}"
         short = Problem(ProblemKind.TOO_SHORT, text)
         return [unmeasured(short)] * len(frames), np.full((len(frames), len(model.measured)), np.nan)
-    more = ("beam_misshapen", "beam_overlap") if "beam_unexplained" in model.guards else ()
-    values, problems = measured(
+    table, problems = measured(
         frames.reshape(-1, frames.shape[-1]),
         sampling_rate,
-        (*model.measured, *more),
+        model.measured + model.extras,
         pre_trigger=pre_trigger,
         detection_limit=detection_limit,
         equalisation=equalisation,
         beam=beam or model.beam,
         channel=channel,
     )
-    misshapen, overlap = values[:, -2:].T if more else np.full((2, len(values)), np.nan)
-    values = values[:, : len(model.measured)]
+    values, extras = np.split(table, [len(model.measured)], axis=1)
     sound = np.asarray(np.isfinite(values).all(axis=1))
     time = 0.0 if pre_trigger is None else pre_trigger / sampling_rate
     features, guards = np.split(values[sound], [len(model.features)], axis=1)
@@ -422,12 +420,9 @@ def _identified(
         else unmeasured(problems.get(row, "a feature has no finite value"), time)
         for row in range(len(frames))
     ]
-    if beam is not None:
-        doubles = sound & (overlap > _OVERLAP)
-        identified = [
-            _with_beam(answer, float(misshapen[row]), bool(doubles[row])) if sound[row] else answer
-            for row, answer in enumerate(identified)
-        ]
+    if beam is not None and model.extras:
+        rows = zip(identified, extras.tolist(), sound, strict=True)
+        identified = [_with_extras(answer, *more) if is_sound else answer for answer, more, is_sound in rows]
     identified = with_frames(identified, frames, sampling_rate, model, pre_trigger)
     if settings.impactors is None:
         return identified, values
@@ -435,10 +430,10 @@ def _identified(
     return [replace(answer, impactor=one) for answer, one in zip(identified, estimates, strict=True)], values
 
 
-def _with_beam(answer: Answer, misshapen: float, is_double: bool) -> Answer:
-    """Return an answer with what only a beam shows; two impacts at once are doubtful."""
+def _with_extras(answer: Answer, misshapen: float, overlap: float) -> Answer:
+    """Return an answer with the extras of its model; two impacts at once are doubtful."""
     answer = replace(answer, misshapen=misshapen)
-    if not is_double:
+    if not overlap > _OVERLAP:
         return answer
     return replace(answer, overlapping=True, problem=answer.problem or _DOUBLE)
 
