@@ -11,6 +11,7 @@ from cgid.errors import InvalidValue
 from cgid.measure.modal import Modes
 from cgid.physics import STEEL, Elastic, HalfSpace, HuntCrossley, Impact, LowPass, Material, Resonance, Response, Sphere
 from cgid.physics.structure.driving import steps_for
+from cgid.physics.structure.response import HighPass
 from cgid.scene.file.sections import SHAPES
 from cgid.scene.synthesis.impacts import TapPulses
 from tests import few
@@ -214,10 +215,11 @@ def test_square_pulse_on_one_mode_is_the_textbook_step_response():
     np.testing.assert_allclose(heard, step(t) - step(t - lasts), atol=1e-3 * heard.max())
 
 
-def test_frequency_response_is_that_of_transfer_functions():
+@pytest.mark.parametrize("coupled", [(), (HighPass(frequency=50.0),)])
+def test_frequency_response_is_that_of_transfer_functions(coupled):
     modes, participation = some_modes(5), np.random.default_rng(3).normal(size=5)
     frequencies = np.geomspace(10, 20e3, 50)
-    response = Response(sampling_rate=RATE, quantity="acceleration", modes=modes, filters=CHAIN)
+    response = Response(sampling_rate=RATE, quantity="acceleration", modes=modes, filters=CHAIN + coupled)
     s = 2j * np.pi * frequencies
     w = 2 * np.pi * modes.frequency
     expected = sum(
@@ -228,7 +230,23 @@ def test_frequency_response_is_that_of_transfer_functions():
     expected *= signal.freqs_zpk(
         *signal.butter(CHAIN[1].order, 2 * np.pi * CHAIN[1].frequency, analog=True, output="zpk"), s.imag
     )[1]
+    if coupled:
+        expected *= s / (s + 2 * np.pi * 50.0)
     np.testing.assert_allclose(response.frequency_response(frequencies, participation), expected, rtol=1e-9)
+
+
+def test_ac_coupling_takes_the_mean_of_a_force():
+    rate, edge = 200e3, 50.0
+    response = Response(sampling_rate=rate, quantity="force", filters=(HighPass(frequency=edge),))
+    pulses, onset = impacts(8), np.full(8, 10.3 / rate)
+    coupled, force = frames_of(response, pulses, onset, n_samples=2000), np.zeros((8, 2000))
+    pulses.add_to_frames(force, rate, onset)
+    # dy/dt = dx/dt - w y, exactly for straight lines between samples
+    decay = np.exp(-2 * np.pi * edge / rate)
+    slope = (1 - decay) / (2 * np.pi * edge / rate)
+    expected = signal.lfilter([slope, -slope], [1, -decay], force, axis=1)
+    assert np.abs(coupled - expected).max() < 2e-5 * force.max()
+    assert (coupled.min(axis=1) < -0.005 * force.max(axis=1)).all()
 
 
 @pytest.mark.parametrize("order", range(1, 13))

@@ -22,7 +22,7 @@ from cgid.measure.modal.modes import Modes, residues, resonator_poles
 from cgid.physics.contact.curves import in_parts
 from cgid.physics.structure.driving import DrivenSample, Pulses, Windows, polynomials_for
 
-__all__ = ["LowPass", "Resonance", "Response"]
+__all__ = ["Filter", "HighPass", "LowPass", "Resonance", "Response"]
 
 #: Quantities of a sensor on a beam, and the number of time derivatives of the displacement.
 DERIVATIVES = {"displacement": 0, "velocity": 1, "acceleration": 2}
@@ -89,6 +89,30 @@ class LowPass:
         return np.asarray(radius * (cosine + 1j * np.where(np.abs(sine) < 1e-9, 0.0, sine)))
 
 
+@dataclass(frozen=True, kw_only=True)
+class HighPass:
+    """A high-pass of first order, `s / (s + w)`: the AC coupling of a recorder.
+
+    Parameters
+    ----------
+    frequency : float [Hz]
+        3 dB cut-off.
+    """
+
+    frequency: float
+
+    def __post_init__(self) -> None:
+        validation.positive("frequency of the high-pass", self.frequency, "Hz")
+
+    @property
+    def poles(self) -> Complex:
+        """Its pole, on the real axis [rad/s], (1,)."""
+        return np.array([-2 * np.pi * self.frequency], complex)
+
+
+Filter = Resonance | LowPass | HighPass
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Response:
     """The linear path from a contact force to a recorder.
@@ -103,7 +127,7 @@ class Response:
         What the sensor measures: the contact force itself, or a motion of the beam.
     modes : Modes, optional
         Modes of the beam; None for a force.
-    filters : tuple of Resonance or LowPass
+    filters : tuple of Resonance, LowPass or HighPass
         Filters of the sensor and the recorder.
     tolerance : float
         Permitted error over the largest sample; sets the steps per contact and which quiet poles are omitted.
@@ -112,7 +136,7 @@ class Response:
     sampling_rate: float
     quantity: Quantity = "acceleration"
     modes: Modes | None = None
-    filters: tuple[Resonance | LowPass, ...] = ()
+    filters: tuple[Filter, ...] = ()
     tolerance: float = 1e-6
 
     def __post_init__(self) -> None:
@@ -152,14 +176,22 @@ class Response:
     def _filtered(self, s: Complex, without: int | None = None) -> Complex:
         """Return the gain of all filters at s; omit one of their poles to get the residue there."""
         gain = np.ones(np.shape(s), complex)
+        falls = np.concatenate([np.full(part.poles.size, isinstance(part, HighPass)) for part in self.filters] or [[]])
         for number, pole in enumerate(self._filter_poles):
             both = pole.imag != 0
-            gain = gain * (pole.real * pole.real + pole.imag * pole.imag if both else -pole.real)
+            gain = gain * (
+                pole.real * pole.real + pole.imag * pole.imag if both else s if falls[number] else -pole.real
+            )
             if number != without:
                 gain = gain / (s - pole)
             if both:
                 gain = gain / (s - pole.conjugate())
         return gain
+
+    @property
+    def _passes(self) -> bool:
+        """Whether the filters pass the highest frequencies."""
+        return all(isinstance(part, HighPass) for part in self.filters)
 
     @cached_property
     def _residues(self) -> tuple[Complex, Complex]:
@@ -193,10 +225,10 @@ class Response:
         """
         residues, filters = self._residues
         if participation is None:
-            return filters, np.zeros(1)
+            return filters, np.full(1, float(self._passes))
         # Not with BLAS, whose last digits depend on the number of threads.
         mixed = np.einsum("nm,mf->nf", participation, filters)
-        passes = self.quantity == "acceleration" and not self.filters
+        passes = self.quantity == "acceleration" and self._passes
         direct = participation.sum(axis=1) if passes else np.zeros(len(participation))
         return np.concatenate([participation * residues, mixed], axis=1), direct
 

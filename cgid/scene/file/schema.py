@@ -212,7 +212,7 @@ class Scene(Section):
 
     def _problems_of_band(self) -> list[str]:
         nyquist = self.sampling.sampling_rate / 2
-        limits = {"sensor.bandwidth": self.sensor.bandwidth}
+        limits = {"sensor.bandwidth": self.sensor.bandwidth, "sensor.ac_coupling": self.sensor.ac_coupling}
         if self.sensor.anti_alias is not None:
             limits["sensor.anti_alias.frequency"] = self.sensor.anti_alias.frequency
         return [

@@ -334,6 +334,9 @@ _Position = Annotated[Distribution, Quantity("length", Rule(0, LIMITS["length"][
 # Shapes may have any scale; the modal mass includes it.
 _ShapeValue = Annotated[Number, Quantity(rule=Rule(-1e6, 1e6))]
 
+    ac_coupling: _Frequency | None = None
+    """Drawn instead of `sensor.ac_coupling`; off below 0.01 Hz."""
+
 
 class ImpactPoint(Section):
     """The point of impact: x along the length from the clamped edge, y along the width."""

@@ -13,7 +13,7 @@ from pydantic import field_validator, model_validator
 
 from cgid._lib.validation import Floats, Rule
 from cgid.measure.filters import SENSOR_TAPER, fft_filter
-from cgid.physics.structure.response import LowPass, Resonance
+from cgid.physics.structure.response import Filter, HighPass, LowPass, Resonance
 from cgid.scene.file.background import QUANTITIES, ColouredNoise
 from cgid.scene.file.distributions import (
     LIMITS,
@@ -59,9 +59,9 @@ class AntiAlias(Section):
 class Sensor(Section):
     """A sensor and its recorder.
 
-    The stages of the measuring chain are, in order: mounting, anti-alias filter or bandwidth, gain, noise, offset and
-    drift, range, bits. Each stage is off by default. Levels are in the unit of the quantity, as numbers or strings with
-    a unit.
+    The stages of the measuring chain are, in order: mounting, anti-alias filter, AC coupling, bandwidth, gain,
+    noise, offset and drift, range, bits. Each stage is off by default. Levels are in the unit of the quantity, as
+    numbers or strings with a unit.
     """
 
     quantity: Literal["force", "acceleration", "velocity", "displacement"] = "force"
@@ -70,6 +70,8 @@ class Sensor(Section):
     """Resonance that amplifies nearby frequencies."""
     anti_alias: AntiAlias | None = None
     """Causal low-pass; it delays the signal."""
+    ac_coupling: Frequency | None = None
+    """-3 dB point of the high-pass of first order at the input of the recorder; none by default."""
     relative_noise: Annotated[float, Quantity("ratio", Rule(0, 1e6))] = 0.0
     """Standard deviation of the noise over the largest sample of each signal; for a force over the true peak."""
     absolute_noise: Level = 0.0
@@ -178,9 +180,9 @@ class Sensor(Section):
         return QUANTITIES[self.quantity][1]
 
     @property
-    def filters(self) -> tuple[Resonance | LowPass, ...]:
-        """The filters with poles: mounting and anti-alias."""
-        return _filters(self.mounting, self.anti_alias)
+    def filters(self) -> tuple[Filter, ...]:
+        """The filters with poles: mounting, anti-alias and AC coupling."""
+        return _filters(self.mounting, self.anti_alias, self.ac_coupling)
 
     @property
     def noisy(self) -> bool:
@@ -236,12 +238,14 @@ class Sensor(Section):
 
 
 @lru_cache(maxsize=16)
-def _filters(mounting: Mounting | None, anti_alias: AntiAlias | None) -> tuple[Resonance | LowPass, ...]:
-    parts: list[Resonance | LowPass] = []
+def _filters(mounting: Mounting | None, anti_alias: AntiAlias | None, coupling: float | None) -> tuple[Filter, ...]:
+    parts: list[Filter] = []
     if mounting is not None:
         parts.append(Resonance(**mounting.model_dump()))
     if anti_alias is not None:
         parts.append(LowPass(**anti_alias.model_dump()))
+    if coupling is not None:
+        parts.append(HighPass(frequency=coupling))
     return tuple(parts)
 
 

@@ -80,6 +80,8 @@ RANDOMISED_UNITS = _units(
 #: half as wide as its frequency, extends beyond the band of the frame.
 UNLIMITED = 0.45
 
+#: An AC coupling with an edge below this counts as none [Hz]: it shifts no frame by 1e-5 of its peak.
+COUPLED = 0.01
 
 def require_seed(seed: int) -> int:
     """Return a seed as an integer, or raise `InvalidValue` unless it is within 0 and 2^63 - 1."""
@@ -210,7 +212,7 @@ def laws_of(scene: Scene, which: NDArray[np.intp]) -> dict[str, Floats]:
 
 
 def settings_of(scene: Scene, seed: int, block: int) -> dict[str, float]:
-    """Return the randomised settings of one block by name, nan for a low-pass that is off."""
+    """Return the randomised settings of one block by name, nan for a filter that is off."""
     if scene.randomise is None:
         return {}
     names = RandomiseSection.model_fields
@@ -221,6 +223,8 @@ def settings_of(scene: Scene, seed: int, block: int) -> dict[str, float]:
         if values.get(name, 0.0) > UNLIMITED * sampling_rate:
             values[name] = np.nan
     if "bits" in values:
+    if values.get("ac_coupling", np.inf) < COUPLED:
+        values["ac_coupling"] = np.nan
         values["bits"] = float(np.rint(values["bits"]))
     return values
 
@@ -236,6 +240,8 @@ def settled(scene: Scene, settings: Mapping[str, float]) -> Scene:
     bandwidth = settings.get("bandwidth", scene.sensor.bandwidth)
     sensor["bandwidth"] = bandwidth if bandwidth is not None and bandwidth <= UNLIMITED * sampling_rate else None
     edge = settings.get("anti_alias_frequency")
+    coupling = settings.get("ac_coupling", scene.sensor.ac_coupling)
+    sensor["ac_coupling"] = None if coupling is None or np.isnan(coupling) else coupling
     if edge is not None:
         given = scene.sensor.anti_alias or AntiAlias(frequency=1.0)
         sensor["anti_alias"] = None if np.isnan(edge) else AntiAlias(frequency=edge, order=given.order)

@@ -63,6 +63,8 @@ BEYOND_BAND = 1.25
 MAX_RESPONSE_FREQUENCY = 20e3
 #: A frequency is in the band if the anti-alias filter passes at least this fraction of its amplitude.
 _MIN_AUDIBLE = 0.1
+#: Filters of the sensor that may be drawn, and by which key.
+_DRAWN_FILTERS = {"anti-alias": "anti_alias_frequency", "AC coupling": "ac_coupling"}
 #: Longer lists of features are abbreviated.
 _MAX_LISTED = 13
 
@@ -394,13 +396,16 @@ def _tail_beam(plan: Plan) -> StageDecision:
 
 def _sensor_chain(plan: Plan) -> str | StageDecision:
     sensor = plan.scene.sensor
-    if plan.scene.draws("anti_alias_frequency"):
-        mounting = "" if sensor.mounting is None else f"mounting {sensor.mounting.frequency:g} Hz, "
-        return StageDecision(True, f"{mounting}anti-alias drawn for each block", RESPONSE_TOLERANCE)
-    if not sensor.filters:
-        return ""
+    drawn = [name for name, key in _DRAWN_FILTERS.items() if plan.scene.draws(key)]
     parts = {"mounting": sensor.mounting, "anti-alias": sensor.anti_alias}
-    on = ", ".join(f"{name} {part.frequency:g} Hz" for name, part in parts.items() if part is not None)
+    edges = {name: part.frequency for name, part in parts.items() if part is not None}
+    edges |= {} if sensor.ac_coupling is None else {"AC coupling": sensor.ac_coupling}
+    on = ", ".join(f"{name} {edge:g} Hz" for name, edge in edges.items() if name not in drawn)
+    if drawn:
+        why = f"{on}{', ' * bool(on)}{' and '.join(drawn)} drawn for each block"
+        return StageDecision(True, why, RESPONSE_TOLERANCE)
+    if not on:
+        return ""
     return StageDecision(True, f"{on}: {sum(part.poles.size for part in sensor.filters)} poles", RESPONSE_TOLERANCE)
 
 
@@ -419,7 +424,7 @@ def _frame_remainder(plan: Plan) -> str | StageDecision:
         return "a background may have peaks anywhere"
     if sensor.coloured:
         return "coloured noise is made for complete frames"
-    drawn = [name for name in ("noise_exponent", "hum", "anti_alias_frequency") if scene.draws(name)]
+    drawn = [name for name in ("noise_exponent", "hum", *_DRAWN_FILTERS.values()) if scene.draws(name)]
     if drawn:
         return f"for each block whose {' or '.join(drawn)} needs it"
     if sensor.relative_noise * FAINT > 1 and not scene.draws("relative_noise"):

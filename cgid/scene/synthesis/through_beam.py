@@ -14,7 +14,7 @@ from cgid._lib.validation import Floats
 from cgid.errors import InvalidValue
 from cgid.measure.modal.beam import FINE, MAX_SENSORS, RATES, SPAN_TIME, TOUCH, Beam, bounded, filtered, points_of
 from cgid.measure.modal.modes import Modes, NodeShapes, nodes
-from cgid.physics.structure.response import DERIVATIVES
+from cgid.physics.structure.response import DERIVATIVES, HighPass
 from cgid.scene.file.schema import Scene, parse_scene, stored_scene
 from cgid.scene.synthesis.draws import BLOCK
 from cgid.scene.synthesis.impacts import beam_modes, draw
@@ -39,7 +39,8 @@ def beam_of(scene: Scene, n_shapes: int = N_SHAPES, sensors: Iterable[tuple[floa
         raise InvalidValue(
             f"scene {scene.name}: must have a [tail_beam] and a sensor of motion to look through the beam; add them"
         )
-    modes, chain = beam_modes(scene), scene.sensor.filters
+    # An AC coupling, which acts below the modes, is not looked through.
+    modes, chain = beam_modes(scene), [part for part in scene.sensor.filters if not isinstance(part, HighPass)]
     rate = scene.sampling.sampling_rate
     at_sensors = _at_sensors(scene, list(sensors))
     best = np.abs(at_sensors).max(axis=0) if len(at_sensors) > 1 else at_sensors[0]
