@@ -275,6 +275,15 @@ reference | label = "coal" | label = "coal"\ncurvature = nan | populations.0.cur
 reference | label = "coal" | label = "coal"\nstrength = "16 MPa" | populations.0.strength
 reference | label = "coal" | label = "coal"\nyield_pressure = "41 MPa" | populations.0.yield_pressure
 reference | label = "coal" | label = "coal"\nviscous_restitution = 0.5 | viscous_restitution
+reference | label = "coal" | label = "coal"\nexponent = 1.2 | populations.0.exponent
+reference | label = "coal" | label = "coal"\ndissipation = "power-law"\nexponent = 2.1 | populations.0.exponent
+reference | label = "coal" | label = "coal"\ndissipation = "power-law"\nexponent = 0.9 | populations.0.exponent
+reference | label = "coal" | label = "coal"\ndissipation = "power-law"\nstrength = "16 MPa" | populations.0.strength
+reference | label = "coal" | label = "coal"\ndissipation = "power-law"\nbreaking_force = 1.2 | breaking_force
+reference | label = "coal" | label = "coal"\ndissipation = "power-law"\nbreaking_force = 0.5 | populations.0
+reference | label = "coal" | label = "coal"\ndissipation = "power-law"\nremaining_force = 0 | remaining_force
+reference | relative_noise = 0.01 | relative_noise = 0.01\nac_coupling = "120 kHz" | sensor.ac_coupling
+crushing | yield_pressure | exponent = 2\nyield_pressure | populations.0.exponent
 reference | label = "coal" | label = "coal"\ndissipation = "thorton" | 'thornton'
 reference | [sensor] | [randomise]\n[sensor] | randomise
 reference | = 0.30 } | = 0.30, thickness = "5 mm" } | populations.1

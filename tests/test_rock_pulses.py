@@ -17,6 +17,7 @@ from benchmarks.impact.rock_pulses import CASES, LAWS, RATE, record, viscous
 from cgid import shipped
 from cgid.identification.model.model import StoredModel
 from cgid.physics import STEEL, HalfSpace, HuntCrossley, Impact, Material, Sphere, Thornton, Viscoelastic, WaltonBraun
+from cgid.physics.contact.laws import PowerLaw
 
 
 def test_hunt_crossley_has_its_exact_restitution():
@@ -82,14 +83,25 @@ def loss_of(law, rock, k):
             return Thornton(yield_pressure=2 * rock.modulus[k] / np.pi * np.sqrt(at_yield / rock.radius[k]))
         case "thornton by strength":
             return Thornton(yield_pressure=rock.yield_pressure[k])
+        case "cone":  # of half angles of 60 to 80 degrees
+            slope = np.tan(np.radians(60 + 20 * rock.other[k, 0]))
+            return PowerLaw(restitution=e, exponent=2, contact_radius=2 / slope)
+        case "face":  # of .1 to .4 of the radius
+            return PowerLaw(restitution=e, exponent=1, contact_radius=0.1 * 4 ** rock.other[k, 0])
+        case "fragmentation":
+            breaks, left = 0.4 + 0.5 * rock.other[k, 0], 0.3 + 0.4 * rock.other[k, 1]
+            return PowerLaw(restitution=e, breaking_force=breaks, remaining_force=left)
     return WaltonBraun(restitution=e)
 
 
 @pytest.mark.filterwarnings("ignore::cgid.physics.HertzRangeWarning")  # sharp corners
-@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize("law", [*LAWS, "cone", "face", "fragmentation"])
 def test_package_makes_the_same_pulses(law):
     """Two programs, one physics: eight rocks with sharp corners and eccentric blows."""
-    case = replace(CASES[law], curvature=("log-uniform", 0.1, 1.0), mass_share=("uniform", 0.4, 1.0))
+    stepped = law not in LAWS  # by steps of a fixed length, here and there across a kink
+    case = replace(
+        CASES[f"{law}, 1%" if stepped else law], curvature=("log-uniform", 0.1, 1.0), mass_share=("uniform", 0.4, 1.0)
+    )
     rock = rock_pulses.rocks(case, 8, np.random.default_rng(3))
     pulse = rock_pulses.pulses(rock)
     for k in range(8):
@@ -104,12 +116,14 @@ def test_package_makes_the_same_pulses(law):
             stiffness="hertz",
             dissipation=loss_of(law, rock, k),
         )
-        assert float(impact.restitution) == pytest.approx(pulse.restitution[k], abs=2e-6)
-        assert float(impact.peak_force) == pytest.approx(pulse.peak[k], rel=2e-6)
-        assert float(impact.contact_duration) == pytest.approx(pulse.duration[k], rel=2e-6)
+        if law != "fragmentation":
+            assert float(impact.restitution) == pytest.approx(pulse.restitution[k], abs=2e-6)
+        assert float(impact.peak_force) == pytest.approx(pulse.peak[k], rel=5e-3 if stepped else 2e-6)
+        assert float(impact.contact_duration) == pytest.approx(pulse.duration[k], rel=5e-3 if stepped else 2e-6)
         t = np.linspace(0, 1, 500)[1:-1] * pulse.duration[k]
         own = pulse.force(t, np.full(len(t), k))
-        assert np.abs(own - impact.force(t) / pulse.peak[k]).max() < 1e-5
+        error = np.abs(own - impact.force(t) / pulse.peak[k])
+        assert (np.quantile(error, 0.98) < 5e-3) if stepped else (error.max() < 1e-5)
 
 
 # -- recorder -----------------------------------------------------------------------------------------------

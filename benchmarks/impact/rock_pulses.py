@@ -9,6 +9,11 @@ In units of the depth (m v^2 / K)^(2/5) and of depth / v, with x the approach:
 * Thornton (1997), J. Appl. Mech. 64, 383: Hertz's loading up to yield, then force linear in the approach, then Hertz's
   unloading with a larger radius. Hertz's pulse is an incomplete beta function, the linear part a sine (`thornton`).
 * Walton and Braun (1986), J. Rheol. 30, 949: two springs, the first as deep as Hertz's contact without loss.
+* Contacts that are no spheres, and rocks that break (`OTHERS`), integrated by Runge-Kutta's steps of all rocks at once
+  (`stepped`): a cone of 60 to 80 degrees half angle and a flat face of .1 to .4 of the radius (Sneddon 1965), a sphere
+  that loses .3 to .7 of its force at .4 to .9 of the peak without loss, a layer of dust (x^3, then Hertz), loss by
+  hysteresis (unloading at e^2 of the force), two points and six asperities of different heights. All but hysteresis
+  are damped as Hunt and Crossley's sphere; sizes are assumed.
 
     from benchmarks.impact.rock_pulses import CASES, record
     impacts = record(CASES["kuwabara-kono"], 4096, seed=7)
@@ -32,7 +37,8 @@ from scipy.interpolate import CubicSpline, RectBivariateSpline
 from scipy.special import beta, betainc, betaincinv
 
 Floats = NDArray[np.float64]
-Law = Literal["hunt-crossley", "kuwabara-kono", "thornton", "thornton by strength", "walton-braun"]
+Law = str
+OTHERS = ("cone", "face", "fragmentation", "dust", "hysteresis", "two points", "six asperities")
 LAWS: tuple[Law, ...] = ("hunt-crossley", "kuwabara-kono", "thornton", "thornton by strength", "walton-braun")
 #: E / (1 - nu^2) of the steel [Pa].
 _STEEL = 210e9 / (1 - 0.3**2)
@@ -241,6 +247,8 @@ class Rocks(NamedTuple):
     restitution: Floats
     law: NDArray[np.intp]
     yield_pressure: Floats
+    #: Uniform numbers of what a law of `OTHERS` has beside, (n, 7).
+    other: Floats
 
 
 def rocks(case: Case, n: int, rng: np.random.Generator) -> Rocks:
@@ -255,7 +263,7 @@ def rocks(case: Case, n: int, rng: np.random.Generator) -> Rocks:
                 own.setdefault(name, np.empty(n))[here] = draw(spec, rng, len(here))
     radius, speed = own["radius"], own["velocity"] if "velocity" in own else np.sqrt(2 * _GRAVITY * own["drop_height"])
     modulus = 1 / ((1 - own["poisson_ratio"] ** 2) / own["youngs_modulus"] + 1 / _STEEL)
-    law = np.array([LAWS.index(name) for name in case.laws])[rng.integers(len(case.laws), size=n)]
+    law = np.array([(*LAWS, *OTHERS).index(name) for name in case.laws])[rng.integers(len(case.laws), size=n)]
     curvature, share = (
         np.ones(n) if bounds is None else draw(dict(zip(_BOUNDS, bounds, strict=True)), rng, n)
         for bounds in (case.curvature, case.mass_share)
@@ -264,7 +272,70 @@ def rocks(case: Case, n: int, rng: np.random.Generator) -> Rocks:
     strength = np.array([_STRENGTHS[name] for name in kinds])[label] * np.exp(rng.normal(0, _STRENGTH_SIGMA, n))
     pressure = np.where(law == LAWS.index("thornton by strength"), _YIELD_OVER_STRENGTH * strength, np.nan)
     mass = 4 / 3 * np.pi * own["density"] * radius**3 * share
-    return Rocks(labels, mass, radius * curvature, modulus, speed, own["restitution"], law, pressure)
+    return Rocks(
+        labels, mass, radius * curvature, modulus, speed, own["restitution"], law, pressure, rng.random((n, 7))
+    )
+
+
+#: Steps of `stepped` in units of depth over speed, and the most of them.
+_STEP, _MAX_STEPS = 0.004, 6000
+
+
+def contact_of(law: str, number: Floats, e: Floats, softness: Floats) -> tuple[Any, Floats]:
+    """Return the force without damping as a function of approach, deepest approach and whether it returns; its depth.
+
+    Everything is in Hertz's scaled units, in which `softness` is the depth over the radius; numbers are uniform.
+    """
+    first, second = number[:, 0], number[:, 1]
+    if law == "cone":
+        slope = np.tan(np.radians(60 + 20 * first))
+        k = (2 / np.pi) * slope / (4 / 3) * np.sqrt(softness)
+        return (lambda x, top, back: k * x**2), (1.5 / k) ** (1 / 3)
+    if law == "face":
+        k = 2 * 0.1 * 4**first / (4 / 3) / np.sqrt(softness)
+        return (lambda x, top, back: k * x), 1 / np.sqrt(k)
+    depth = np.full(len(e), _DEPTH)
+    if law == "fragmentation":
+        breaks, left = (0.4 + 0.5 * first) ** (2 / 3) * _DEPTH, 0.3 + 0.4 * second
+        return (lambda x, top, back: np.where(top >= breaks, left, 1.0) * x**1.5), depth
+    if law == "dust":
+        thick = (0.1 + 0.2 * first) * _DEPTH
+        return (lambda x, top, back: np.where(x < thick, thick**-1.5 * x**3, x**1.5)), depth
+    if law == "hysteresis":
+        return (lambda x, top, back: np.where(back, e**2, 1.0) * x**1.5), depth
+    if law == "two points":
+        gap = (0.2 + 0.4 * first) * _DEPTH
+        return (lambda x, top, back: np.sqrt(0.5) * (x**1.5 + np.maximum(x - gap, 0) ** 1.5)), depth
+    gaps = 0.3 * _DEPTH * np.column_stack([np.zeros(len(e)), number[:, :5]])
+    return (lambda x, top, back: (np.maximum(x[:, None] - gaps, 0) ** 1.5).sum(axis=1) / 3), depth
+
+
+def stepped(law: str, number: Floats, e: Floats, softness: Floats) -> tuple[Floats, Floats, Floats]:
+    """Return peak, duration and force (n, steps) of impacts of a law of `OTHERS`, in Hertz's scaled units."""
+    elastic, depth = contact_of(law, number, e, softness)
+    loss = np.zeros(len(e)) if law == "hysteresis" else np.asarray(viscous("hunt-crossley").loss(e))
+    step, x, v = _STEP * depth, np.zeros(len(e)), np.ones(len(e))
+    top, duration, forces = np.zeros(len(e)), np.full(len(e), np.nan), [np.zeros(len(e))]
+
+    def force(x: Floats, v: Floats) -> Floats:
+        x = np.maximum(x, 0)
+        return np.asarray(np.maximum(elastic(x, np.maximum(top, x), v < 0) * (1 + loss * v), 0))
+
+    for number_of_step in range(1, _MAX_STEPS):
+        a1 = -force(x, v)
+        a2 = -force(x + 0.5 * step * v, v + 0.5 * step * a1)
+        a3 = -force(x + 0.5 * step * (v + 0.5 * step * a1), v + 0.5 * step * a2)
+        a4 = -force(x + step * (v + 0.5 * step * a2), v + step * a3)
+        after = x + step * (v + step / 6 * (a1 + a2 + a3))
+        v = v + step / 6 * (a1 + 2 * a2 + 2 * a3 + a4)
+        top, apart = np.maximum(top, after), np.isnan(duration) & (after <= 0)
+        duration[apart] = (step * (number_of_step - 1 + x / np.maximum(x - after, 1e-300)))[apart]
+        x = after
+        forces.append(np.where(np.isnan(duration), force(x, v), 0.0))
+        if not np.isnan(duration).any():
+            break
+    curves = np.array(forces).T
+    return curves.max(axis=1), duration, curves
 
 
 class Pulses(NamedTuple):
@@ -289,9 +360,13 @@ def pulses(rock: Rocks) -> Pulses:
     plastic = thornton(ratio)
     e = np.where(crushed, plastic.restitution, rock.restitution)
     peak, duration = np.empty_like(e), np.empty_like(e)
-    for k, law in enumerate(LAWS):
+    curves: dict[int, Floats] = {}
+    for k, law in enumerate((*LAWS, *OTHERS)):
         own = rock.law == k
-        if law in ("hunt-crossley", "kuwabara-kono") and own.any():
+        if law in OTHERS and own.any():
+            softness = (depth / rock.radius)[own]
+            peak[own], duration[own], curves[k] = stepped(law, rock.other[own], e[own], softness)
+        elif law in ("hunt-crossley", "kuwabara-kono") and own.any():
             table = viscous(law)
             peak[own], duration[own] = table.peak(e[own]), table.duration(e[own])
         elif law == "walton-braun":
@@ -305,7 +380,7 @@ def pulses(rock: Rocks) -> Pulses:
         share = t / duration[row]
         out = np.zeros(len(t))
         inside = (share > 0) & (share < 1)
-        for k, law in enumerate(LAWS):
+        for k, law in enumerate((*LAWS, *OTHERS)):
             here = np.flatnonzero(inside & (rock.law[row] == k))
             who = row[here]
             if not len(here):
@@ -313,6 +388,12 @@ def pulses(rock: Rocks) -> Pulses:
             if law in ("hunt-crossley", "kuwabara-kono"):
                 s = 2 / np.pi * np.arcsin(np.sqrt(share[here]))
                 out[here] = viscous(law).force.ev(e[who], s)
+            elif law in OTHERS:
+                own = (np.cumsum(rock.law == k) - 1)[who]
+                step = _STEP * contact_of(law, rock.other, e, depth / rock.radius)[1][who]
+                left = np.minimum((t[here] / step).astype(np.intp), curves[k].shape[1] - 2)
+                low, high = curves[k][own, left], curves[k][own, left + 1]
+                out[here] = (low + (high - low) * (t[here] / step - left)) / peak[who]
             elif law == "walton-braun":
                 turn = 1 / (1 + e[who])
                 angle = np.where(share[here] < turn, share[here] / turn, (1 - share[here]) / (1 - turn))
@@ -334,7 +415,8 @@ class Case:
     `noise` is the white noise's standard deviation over the peak, `pink` that of noise of power 1 / f, `hum` the
     amplitude of a sine at 50 Hz over the peak. `bits` quantise 1.25 of the rock's own peak, or the largest peak of the
     population (`range`), to either side of 0. `edge` [Hz] is that of a causal Butterworth filter of order 8 ahead of
-    the noise. `clipped` is the limit over the peak. The touch is at sample `trigger` plus up to `jitter` samples.
+    the noise. `clipped` is the limit over the peak. `coupled` [Hz] is the edge of an AC coupling of
+    first order. The touch is at sample `trigger` plus up to `jitter` samples.
     """
 
     name: str
@@ -349,6 +431,7 @@ class Case:
     range: Literal["own", "fixed"] = "own"
     edge: float | None = None
     clipped: float | None = None
+    coupled: float | None = None
     trigger: int = 200
     jitter: float = 1.0
 
@@ -410,6 +493,8 @@ def record(case: Case, n: int, seed: int) -> Impacts:
     pulse = pulses(rock)
     touch = case.trigger + case.jitter * rng_touch.random(n)
     clean = sampled(pulse, touch / RATE, RATE, SAMPLES) if case.edge is None else _filtered(rock, touch, case.edge)
+    if case.coupled is not None:
+        clean = signal.lfilter(*signal.butter(1, case.coupled, "high", fs=RATE), clean, axis=1)
     peak = pulse.peak[:, None]
     out = clean + case.noise * peak * rng_noise.standard_normal(clean.shape)
     if case.pink:
@@ -449,6 +534,8 @@ def _cases() -> dict[str, Case]:
         Case(name="clipped at .7", clipped=0.7),
         *(Case(name=f"white {level:g}", noise=level) for level in (0.0001, 0.001, 0.05, 0.1, 0.3)),
         Case(name="kuwabara-kono, white 0.05", laws=("kuwabara-kono",), noise=0.05),
+        *(Case(name=f"{law}, {level:.0%}", laws=(law,), noise=level) for law in OTHERS for level in (0.01, 0.05)),
+        *(Case(name=f"AC coupling, {level:.0%}", coupled=50.0, noise=level) for level in (0.01, 0.05)),
         Case(name="dull", population="dull"),
         Case(name="peers", noise=0.02, **peers),
         Case(name="peers, pink 2 %", noise=0.0, pink=0.02, **peers),

@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.polynomial.chebyshev import chebval
 from numpy.typing import ArrayLike
+from scipy.special import gammaln
 
 from cgid._lib import validation
 from cgid._lib.validation import Floats
@@ -120,6 +121,10 @@ HUNT_CROSSLEY_LAWS: dict[str, Callable[[Floats], Floats]] = {
     # Hu & Guo (2015), Multibody Syst. Dyn. 35, 131.
     "hu-guo": lambda e: 1.5 * (1 - e) / e,
 }
+#: Exponents of a face and of a cone, and what may be left of the force of a rock that breaks: it must rebound.
+EXPONENTS, REMAINING = (1.0, 2.0), (0.01, 1.0)
+#: An approach that no impact reaches.
+_NEVER = 1e100
 #: Double precision cannot represent an impact with more damping anyway.
 _MAX_DAMPING = 1e100
 
@@ -510,6 +515,106 @@ class WaltonBraun(Law):
         return impact.plain_curves(walton_braun_curves, "restitution", "loading stiffness")
 
 
+@dataclass(frozen=True, kw_only=True)
+class PowerLaw(Law):
+    """A corner, an edge or a face in place of a sphere: `P = k delta^n (1 + chi delta')`, which may break.
+
+    The rock touches as a body of revolution of the shape `z = (c R / 2) c (r / c R)^(1 / (n - 1))`, which crosses the
+    sphere of its radius of curvature R where the contact radius is c R (Sneddon 1965, Int. J. Eng. Sci. 3, 47). A face
+    of radius c R has the exponent n = 1; a sphere 3/2, whatever c; a cone 2, whose half angle from its axis is
+    `arccot(c / 2)`, 60 to 80 degrees for c of 1.15 to 0.35. The damping delivers the restitution at every exponent,
+    since chi depends on the energy alone.
+
+    A rock that breaks loses a part of its force at once, when it first reaches a fraction of the peak that it would
+    reach without loss; from then on the force is that fraction of an unbroken one at every approach.
+
+    Parameters
+    ----------
+    restitution : array_like, in [0.05, 1]
+        Rebound speed over impact speed of an unbroken rock.
+    exponent : array_like, in [1, 2]
+        n; 3/2 by default.
+    contact_radius : array_like, above 0
+        c; 1 by default.
+    breaking_force : array_like, above 0
+        Force at which it breaks over the peak force without loss; from 1 on it never does.
+    remaining_force : array_like, in [0.01, 1]
+        What is left of the force.
+
+    Raises
+    ------
+    InvalidValue
+        A value is out of range.
+
+    Examples
+    --------
+    A corner is softer than the sphere it replaces, so that its contact lasts longer:
+
+    >>> from cgid.physics import RIGID, Impact, Sphere
+    >>> from cgid.physics import YANG2018_SPHERES
+    >>> impact = Impact(
+    ...     sphere=Sphere(material=YANG2018_SPHERES[1], radius=0.025), target=RIGID, velocity=2.0, stiffness="hertz",
+    ...     dissipation=PowerLaw(restitution=0.5, exponent=[1.5, 2.0], contact_radius=0.7),
+    ... )
+    >>> impact.restitution.round(6).tolist(), (impact.contact_duration * 1e6).round().tolist()
+    ([0.5, 0.5], [392.0, 814.0])
+    """
+
+    restitution: ArrayLike
+    exponent: ArrayLike = 1.5
+    contact_radius: ArrayLike = 1.0
+    breaking_force: ArrayLike = 1.0
+    remaining_force: ArrayLike = 1.0
+    name = "power-law"
+    keys = ("restitution", "exponent", "contact_radius", "breaking_force", "remaining_force")
+
+    @staticmethod
+    def force(p: Any, history: Any, w: float) -> tuple[float, float]:
+        """Return the force, whose history is its loss, and its damping."""
+        g = p[0] * (1.0 - history[1]) * math.pow(abs(w), p[1])
+        return g, p[2] * g
+
+    @staticmethod
+    def corner(p: Any, history: Any) -> float:
+        """Return where the rock breaks."""
+        depth: float = p[3] if history[1] == 0.0 else math.inf
+        return depth
+
+    @staticmethod
+    def turn(p: Any, history: Any, x: float) -> float:
+        """Break, unless the rock only turns."""
+        if x >= p[3]:
+            history[1] = p[4]
+        way: float = x
+        return way
+
+    def __post_init__(self) -> None:
+        validation.between("restitution", self.restitution, family.MIN_RESTITUTION, family.MAX_RESTITUTION)
+        validation.between("exponent", self.exponent, *EXPONENTS)
+        validation.positive("contact_radius", self.contact_radius)
+        validation.positive("breaking_force", self.breaking_force)
+        validation.between("remaining_force", self.remaining_force, *REMAINING)
+        validation.hold(self, *self.keys)
+
+    def numbers(self, impact: Impact) -> dict[str, ArrayLike]:
+        """Return stiffness, twice the exponent, damping number, where it breaks, and what it loses."""
+        n, c = np.asarray(self.exponent, np.float64), np.asarray(self.contact_radius, np.float64)
+        # Depth over height where the shape has the contact radius: 2 for a sphere, pi / 2 for a cone.
+        m = 1 / np.maximum(n - 1, 1e-9)
+        ratio = np.exp((1 - n) * (0.5 * np.log(np.pi) + gammaln(m / 2 + 1) - gammaln((m + 1) / 2) - np.log(2)))
+        depth = impact.length_scale / impact.reduced_radius
+        stiffness = 1.5 / n * c ** (3 - 2 * n) * ratio * depth ** (n - 1.5)
+        deepest = ((n + 1) / (2 * stiffness)) ** (1 / (n + 1))
+        broken = np.asarray(self.breaking_force)
+        return {
+            "stiffness": stiffness,
+            "twice the exponent": 2 * n,
+            "damping number": damping_number(self.restitution),
+            "breaks at": np.where(broken < 1, broken ** (1 / n) * deepest, _NEVER),
+            "loss": 1 - np.asarray(self.remaining_force),
+        }
+
+
 def _hold_viscous(law: Thornton | WaltonBraun, *names: str) -> None:
     """Check the viscous restitution of a law, and store it with its other parameters."""
     if law.viscous_restitution is not None:
@@ -523,7 +628,9 @@ def _viscous_damping(law: Thornton | WaltonBraun) -> Floats:
 
 
 #: The laws of scenes by name. The order defines their indices in data.
-LAWS: dict[str, type[Law]] = {law.name: law for law in (Elastic, HuntCrossley, Thornton, WaltonBraun, Viscoelastic)}
+LAWS: dict[str, type[Law]] = {
+    law.name: law for law in (Elastic, HuntCrossley, Thornton, WaltonBraun, Viscoelastic, PowerLaw)
+}
 
 
 def known(name: str) -> type[Law] | None:

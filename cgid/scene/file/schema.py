@@ -25,6 +25,7 @@ from cgid.scene.file.background import HUM_FREQUENCY, BackgroundSection, with_sp
 from cgid.scene.file.distributions import DISTRIBUTION_NAMES, Section, quantity_of
 from cgid.scene.file.gravity import problem_of_law, problem_of_weight, problem_on_plate
 from cgid.scene.file.sections import (
+    CONTACT_SHAPE,
     DISSIPATIONS,
     NUMBERED_LAWS,
     PLASTIC,
@@ -181,12 +182,19 @@ class Scene(Section):
                 given = getattr(population, name) is not None
                 if given and name not in (needed, instead):
                     hint = "; for viscous loss beside crushing give viscous_restitution" * (instead is not None)
+                    hint += "; for rock that breaks give breaking_force" * (dissipation == "power-law")
                     problems.append(f"{table}.{name}: must be left out when dissipation is {dissipation}{hint}")
                 if not given and name == needed and not (instead and getattr(population, instead) is not None):
                     other = f", or {instead}" * (instead is not None)
                     problems.append(f"{table}.{name}: is missing, {dissipation} dissipation needs it{other}")
             if population.yield_pressure is not None and population.strength is not None:
                 problems.append(f"{table}.strength: must be left out with yield_pressure, which it replaces")
+            for name in CONTACT_SHAPE:
+                if getattr(population, name) is not None and name not in named(dissipation).keys:
+                    problems.append(
+                        f"{table}.{name}: must be left out when dissipation is {dissipation}, whose contact is a "
+                        "sphere's; use power-law dissipation"
+                    )
             if population.viscous_restitution is not None and "viscous_restitution" not in named(dissipation).keys:
                 hint = "leave it out" if needed is None else "give restitution, which is viscous"
                 problems.append(

@@ -25,7 +25,7 @@ from cgid._lib.validation import Floats, Rule, poisson_ratio
 from cgid.measure.fit.family import MAX_RESTITUTION, MIN_RESTITUTION
 from cgid.measure.modal.modes import COLUMNS, LEARNED_COLUMNS, Modes, rows_of_table
 from cgid.physics.contact.bodies import RIGID, HalfSpace, RigidWall, ThinPlate
-from cgid.physics.contact.laws import HUNT_CROSSLEY_LAWS, LAWS, known, named
+from cgid.physics.contact.laws import EXPONENTS, HUNT_CROSSLEY_LAWS, LAWS, REMAINING, known, named
 from cgid.physics.contact.materials import Material
 from cgid.physics.structure.tail_beam import Ribs, TailBeam
 from cgid.scene.file.distributions import (
@@ -64,6 +64,8 @@ PLASTIC = ("thornton", "walton-braun")
 #: Limits of the curvature of a rock over its radius, and minimum fraction of its mass in an impact: wider than any
 #: rock.
 CURVATURES, MIN_MASS = (1e-3, 10.0), 1e-2
+#: The keys of power-law dissipation beside the restitution, and their defaults: a sphere that never breaks.
+CONTACT_SHAPE = {"exponent": 1.5, "contact_radius": 1.0, "breaking_force": 1.0, "remaining_force": 1.0}
 #: Maximum number of rows of a table of modes.
 _MAX_MODES = 10_000
 
@@ -104,6 +106,8 @@ _ImpactMass = Annotated[Distribution, Quantity("ratio", Rule(MIN_MASS, 1, note="
 _Relative = Annotated[Distribution, Quantity("ratio", Rule(0, 1e6))]
 _Range = Annotated[Distribution, Quantity("ratio", Rule(1e-3, 1e6))]
 _Exponent = Annotated[Distribution, Quantity("ratio", Rule(-1, 2))]
+_Shape = Annotated[Distribution, Quantity("ratio", Rule(*EXPONENTS, note=" and is 1.5 for a sphere"))]
+_Remaining = Annotated[Distribution, Quantity("ratio", Rule(*REMAINING))]
 _Bits = Annotated[Distribution, Quantity("ratio", Rule(2, 32))]
 
 
@@ -159,8 +163,8 @@ class Population(_Source):
     aside; 1 by default.
     """
     restitution: _Restitution | None = None
-    """Rebound speed over impact speed of the rock by itself; for hunt-crossley, walton-braun and
-    kuwabara-kono dissipation.
+    """Rebound speed over impact speed of the rock by itself; for hunt-crossley, walton-braun,
+    kuwabara-kono and power-law dissipation.
     """
     yield_pressure: _Pressure | None = None
     """Contact pressure at which the rock crushes; for thornton dissipation."""
@@ -170,6 +174,17 @@ class Population(_Source):
     """Rebound speed over impact speed by a viscous loss alone, for rocks with both losses: in addition to
     `yield_pressure` or `strength` of thornton dissipation, or `restitution` of walton-braun dissipation.
     """
+    exponent: _Shape | None = None
+    """Exponent of the force over the approach, of power-law dissipation: 1 of a face, 1.5 of a sphere, 2 of a corner.
+    """
+    contact_radius: _Factor | None = None
+    """Where the shape of that exponent crosses the sphere, over its radius of curvature: the radius of a face, or twice
+    the cotangent of a corner's half angle, 1.15 at 60 and 0.35 at 80 degrees; 1 by default, without effect on a sphere.
+    """
+    breaking_force: _Clipped | None = None
+    """Force at which the rock breaks, over the peak force without loss, of power-law dissipation; never by default."""
+    remaining_force: _Remaining | None = None
+    """Fraction of the force that is left when it breaks."""
     drop_height: _Length | None = None
     """Drop height of the rock; either this or `velocity`."""
     velocity: _Speed | None = None
@@ -179,6 +194,8 @@ class Population(_Source):
     def _one_way_to_fall(self) -> Self:
         if (self.drop_height is None) == (self.velocity is None):
             raise ValueError("must have either drop_height or velocity")
+        if (self.breaking_force is None) != (self.remaining_force is None):
+            raise ValueError("must have both breaking_force and remaining_force, or neither")
         return self
 
 
@@ -225,7 +242,8 @@ class ImpactSection(Section):
     """Theory of the contact stiffness; there is no default."""
     dissipation: Loss
     """How the rock loses energy: not at all, by hysteretic damping, by crushing at the contact (thornton), as
-    a bilinear spring (walton-braun), or as a viscoelastic sphere (kuwabara-kono). Rocks that crush, or are
+    a bilinear spring (walton-braun), as a viscoelastic sphere (kuwabara-kono), or as a face, an edge or a corner that
+    may break (power-law). Rocks that crush, or are
     bilinear, may also have a `viscous_restitution`.
     """
     law: Law = "exact"
@@ -316,6 +334,9 @@ class RandomiseSection(Section):
     rate.
     """
 
+    ac_coupling: _Frequency | None = None
+    """Drawn instead of `sensor.ac_coupling`; off below 0.01 Hz."""
+
     @model_validator(mode="after")
     def _something(self) -> Self:
         if not self.laws:
@@ -333,9 +354,6 @@ class RandomiseSection(Section):
 _Position = Annotated[Distribution, Quantity("length", Rule(0, LIMITS["length"][1]))]
 # Shapes may have any scale; the modal mass includes it.
 _ShapeValue = Annotated[Number, Quantity(rule=Rule(-1e6, 1e6))]
-
-    ac_coupling: _Frequency | None = None
-    """Drawn instead of `sensor.ac_coupling`; off below 0.01 Hz."""
 
 
 class ImpactPoint(Section):

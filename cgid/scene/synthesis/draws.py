@@ -22,7 +22,7 @@ from cgid.physics.contact.laws import speed_of_fall
 from cgid.physics.contact.materials import YIELD_OVER_STRENGTH
 from cgid.scene.file.background import HUM_FREQUENCY, BackgroundSection, HumLine
 from cgid.scene.file.distributions import Section, quantity_of
-from cgid.scene.file.sections import SHAPES, Population, PrescribedPulses, RandomiseSection
+from cgid.scene.file.sections import CONTACT_SHAPE, SHAPES, Population, PrescribedPulses, RandomiseSection
 from cgid.scene.file.sensor import AntiAlias
 
 if TYPE_CHECKING:
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 #: Samples that share one address.
 BLOCK = 256
 #: Purposes of random numbers; a new purpose gets a new number.
-PARAMETERS, NOISE, TAPS, SECOND_HITS, CLIPPING, RANDOMISED, ROCK_SHAPES, VISCOUS = 1, 2, 3, 4, 5, 6, 7, 8
+PARAMETERS, NOISE, TAPS, SECOND_HITS, CLIPPING, RANDOMISED, ROCK_SHAPES, VISCOUS, CONTACTS = 1, 2, 3, 4, 5, 6, 7, 8, 9
 IMPACT_POINTS, ARRIVALS, HUM, COLOURED, RECORDED, COLOURED_NOISE, MODES = 16, 17, 18, 19, 20, 21, 22
 
 PARTICLE = ("density", "youngs_modulus", "poisson_ratio", "radius")
@@ -47,6 +47,7 @@ _LATER = {
     CLIPPING: ("clipped_at",),
     ROCK_SHAPES: tuple(SPHERE_SHAPE),
     VISCOUS: ("viscous_restitution",),
+    CONTACTS: tuple(CONTACT_SHAPE),
 }
 #: Randomised settings that are settings of a sensor.
 _OF_SENSOR = ("relative_noise", "noise_exponent", "relative_range")
@@ -66,7 +67,7 @@ PARAMETER_UNITS = {
 }
 #: Parameters of some scenes; the sampling rate is not among them, because each batch states its own.
 _MORE_UNITS = {
-    **_units(Population, *SPHERE_SHAPE, "yield_pressure", "strength", "viscous_restitution"),
+    **_units(Population, *SPHERE_SHAPE, *CONTACT_SHAPE, "yield_pressure", "strength", "viscous_restitution"),
     "second_hit_delay": "s",
     "second_hit_ratio": "1",
     **_units(Population, "clipped_at"),
@@ -79,9 +80,9 @@ RANDOMISED_UNITS = _units(
 #: A low-pass with an edge above this fraction of the sampling rate counts as unlimited: the transition of a bandwidth,
 #: half as wide as its frequency, extends beyond the band of the frame.
 UNLIMITED = 0.45
-
 #: An AC coupling with an edge below this counts as none [Hz]: it shifts no frame by 1e-5 of its peak.
 COUPLED = 0.01
+
 
 def require_seed(seed: int) -> int:
     """Return a seed as an integer, or raise `InvalidValue` unless it is within 0 and 2^63 - 1."""
@@ -222,9 +223,9 @@ def settings_of(scene: Scene, seed: int, block: int) -> dict[str, float]:
     for name in ("bandwidth", "anti_alias_frequency"):
         if values.get(name, 0.0) > UNLIMITED * sampling_rate:
             values[name] = np.nan
-    if "bits" in values:
     if values.get("ac_coupling", np.inf) < COUPLED:
         values["ac_coupling"] = np.nan
+    if "bits" in values:
         values["bits"] = float(np.rint(values["bits"]))
     return values
 
@@ -239,9 +240,9 @@ def settled(scene: Scene, settings: Mapping[str, float]) -> Scene:
         sensor["bits"] = int(settings["bits"])
     bandwidth = settings.get("bandwidth", scene.sensor.bandwidth)
     sensor["bandwidth"] = bandwidth if bandwidth is not None and bandwidth <= UNLIMITED * sampling_rate else None
-    edge = settings.get("anti_alias_frequency")
     coupling = settings.get("ac_coupling", scene.sensor.ac_coupling)
     sensor["ac_coupling"] = None if coupling is None or np.isnan(coupling) else coupling
+    edge = settings.get("anti_alias_frequency")
     if edge is not None:
         given = scene.sensor.anti_alias or AntiAlias(frequency=1.0)
         sensor["anti_alias"] = None if np.isnan(edge) else AntiAlias(frequency=edge, order=given.order)

@@ -27,7 +27,7 @@ from cgid.physics.structure.response import Response
 from cgid.physics.structure.tail_beam import TailBeam
 from cgid.scene.file.gravity import weighed
 from cgid.scene.file.schema import Scene
-from cgid.scene.file.sections import SHAPES, TailBeamSection
+from cgid.scene.file.sections import CONTACT_SHAPE, SHAPES, TailBeamSection
 from cgid.scene.synthesis.draws import PARTICLE, SPHERE_SHAPE, at_once, drawn_block
 from cgid.scene.synthesis.plan import NEGLIGIBLE_ECHO, RESPONSE_TOLERANCE, STORED, Plan, highest_frequency
 
@@ -235,6 +235,9 @@ def _dissipation(scene: Scene, values: Mapping[str, Floats], rows: NDArray[np.in
         viscous = values["viscous_restitution"][rows]
         has = np.isfinite(viscous)
         given["viscous_restitution"] = np.where(has, viscous, 1.0) if has.any() else None
+    for key in CONTACT_SHAPE.keys() & given.keys():
+        drawn = values[key][rows]
+        given[key] = np.where(np.isfinite(drawn), drawn, CONTACT_SHAPE[key])
     if not is_builtin(law):
         with own_code(law):
             return law(**given)

@@ -316,7 +316,7 @@ def _impacts(plan: Plan) -> str:
         return "integrated: no closed form with a yielding plate or beam"
     if plan.runs("gravity"):
         return "closed forms, integrated if gravity matters"
-    one_by_one = [name for name in ("kuwabara-kono", *scene.own_laws) if name in scene.dissipations]
+    one_by_one = [name for name in ("kuwabara-kono", "power-law", *scene.own_laws) if name in scene.dissipations]
     integrated = f"{' and '.join(one_by_one)} impacts integrated one by one" * bool(one_by_one)
     if scene.plastic:
         names = ", ".join(dict.fromkeys(scene.dissipations))

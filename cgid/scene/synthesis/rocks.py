@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from cgid._lib.validation import Floats
 from cgid.scene.file.schema import Scene
+from cgid.scene.file.sections import CONTACT_SHAPE
 from cgid.scene.file.stream_section import RateTable, StreamSection
 from cgid.scene.synthesis.draws import (
     ARRIVALS,
@@ -178,7 +179,7 @@ def on_beam(scene: Scene, x: Floats, y: Floats) -> NDArray[np.bool_]:
     return np.asarray((x >= 0) & (x <= scene.panel.length) & (y >= 0) & (y <= scene.panel.width))
 
 
-_QUANTITIES = (*FALL, *SPHERE_SHAPE, "yield_pressure", "strength", "viscous_restitution", "velocity")
+_QUANTITIES = (*FALL, *SPHERE_SHAPE, *CONTACT_SHAPE, "yield_pressure", "strength", "viscous_restitution", "velocity")
 #: The state of a rock before an impact.
 COLUMNS = {
     "time": np.float64,  # of onset [s]
@@ -188,7 +189,7 @@ COLUMNS = {
     "specimen": np.uint64,
     **dict.fromkeys(
         (
-            *(*PARTICLE, *SPHERE_SHAPE, "restitution", "yield_pressure", "viscous_restitution"),
+            *(*PARTICLE, *SPHERE_SHAPE, *CONTACT_SHAPE, "restitution", "yield_pressure", "viscous_restitution"),
             *("drop_height", "velocity", "dissipation"),
         ),
         np.float64,

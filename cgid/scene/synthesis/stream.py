@@ -15,6 +15,7 @@ from cgid.errors import InvalidValue
 from cgid.physics.contact.impact import Impact
 from cgid.physics.structure.coupled import ModalImpact
 from cgid.scene.file.schema import Scene, load_scene, samples_of
+from cgid.scene.file.sections import CONTACT_SHAPE
 from cgid.scene.file.sensor import CHUNK
 from cgid.scene.synthesis.draws import PARAMETER_UNITS, POINT_UNITS, SPHERE_SHAPE, require_seed
 from cgid.scene.synthesis.impacts import Recorder, contacts_of, recorder_of
@@ -70,7 +71,8 @@ def impact_units(scene: Scene) -> dict[str, str]:
     - restitution: as delivered, including losses to the target; velocity: normal to the beam
     - yield_pressure: where a rock's dissipation is thornton; dissipation: where populations differ in it, an index in
       `Scene.law_names`
-    - curvature, effective_mass: where a population has a shape; viscous_restitution: where one has it
+    - curvature, effective_mass, exponent, contact_radius, breaking_force, remaining_force: where a population has a
+      shape; viscous_restitution: where one has it
     - drop_height: nan except for a first fall from a height
     - next_impact: time to the next onset of any rock, nan for the last; overlapping: 1 if contacts overlap
     - impact_x, impact_y: on a beam of known size
@@ -78,7 +80,7 @@ def impact_units(scene: Scene) -> dict[str, str]:
     more = {"yield_pressure": "Pa"} if "thornton" in scene.dissipations else {}
     more |= {"dissipation": "1"} if scene.mixes_laws else {}
     drawn = {name for population in scene.populations for name in population.laws}
-    more |= {name: "1" for name in (*SPHERE_SHAPE, "viscous_restitution") if name in drawn}
+    more |= {name: "1" for name in (*SPHERE_SHAPE, *CONTACT_SHAPE, "viscous_restitution") if name in drawn}
     place = {} if scene.panel is None else POINT_UNITS
     return {**_UNITS, **more, **place, **_NEIGHBOUR_UNITS}
 
