@@ -176,7 +176,7 @@ class Response:
     def _filtered(self, s: Complex, without: int | None = None) -> Complex:
         """Return the gain of all filters at s; omit one of their poles to get the residue there."""
         gain = np.ones(np.shape(s), complex)
-        falls = np.concatenate([np.full(part.poles.size, isinstance(part, HighPass)) for part in self.filters] or [[]])
+        falls = [isinstance(part, HighPass) for part in self.filters for _ in part.poles]
         for number, pole in enumerate(self._filter_poles):
             both = pole.imag != 0
             gain = gain * (
