@@ -137,7 +137,7 @@ class Command(click.Command):
                     formatter.write(f"{'':>{formatter.current_indent}}{line}\n")
 
 
-class Commands(Mapping[str, click.Command]):
+class CommandsOnDemand(Mapping[str, click.Command]):
     """The commands by name, each imported when it is asked for."""
 
     _names = " ".join(_COMMANDS.values()).split()

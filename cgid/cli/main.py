@@ -13,7 +13,7 @@ from typing import Any
 import click
 
 from cgid import __version__
-from cgid.cli.help import Commands, Group
+from cgid.cli.help import CommandsOnDemand, Group
 from cgid.cli.output import (
     drop,
     exit_code_of_interruption,
@@ -43,7 +43,7 @@ _MEMORY_SHORT = (
 
 @click.group(
     cls=Group,
-    commands=Commands(),
+    commands=CommandsOnDemand(),
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110},
     example="cgid predict --sample",
 )
