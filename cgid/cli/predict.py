@@ -61,7 +61,7 @@ def _report(
     return Report(
         source=recording.source,
         recording=recording_facts(recording, overview, channels) | ({"stated": stated} if stated else {}),
-        model=model_facts(model, model_name),
+        model=model_facts(model, model_name, rows.settings.shares.gangue),
         overview=overview,
         channels=channels,
         answers=rows.answers,

@@ -6,7 +6,7 @@ import base64
 import hashlib
 import math
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime
 from html import escape
@@ -25,7 +25,7 @@ from cgid._lib.validation import UNKNOWN
 from cgid.identification.model.model import StoredModel
 from cgid.identification.prediction.answers import Answer
 from cgid.identification.prediction.diagnosis import Hint, InWords
-from cgid.identification.prediction.fraction import MIN_IMPACTS, Share, Switch
+from cgid.identification.prediction.fraction import MIN_IMPACTS, Share, Switch, unproven
 from cgid.identification.prediction.support import SupportState
 from cgid.measure.overview import Overview
 from cgid.plots import picture, share_figure
@@ -125,8 +125,8 @@ def recording_facts(recording: RecordingFile, overview: Overview, channels: Sequ
     return facts
 
 
-def model_facts(model: StoredModel, name: str) -> dict[str, str]:
-    """Describe a model in words; `name` is that of its file."""
+def model_facts(model: StoredModel, name: str, gangue: Collection[str] = ("gangue",)) -> dict[str, str]:
+    """Describe a model in words, by which `gangue` is told from other labels; `name` is that of its file."""
     low, high = min(model.sampling_rates), max(model.sampling_rates)
     rates = hertz(low) if low == high else f"{hertz(low, 3)} to {hertz(high, 3)}"
     facts = {
@@ -140,6 +140,8 @@ def model_facts(model: StoredModel, name: str) -> dict[str, str]:
     if metrics.keys() >= {"accuracy", "accuracy_interval_95"}:
         low, high = metrics["accuracy_interval_95"]
         facts["test accuracy"] = f"{metrics['accuracy']:.3f} (95 % interval {low:.3f} to {high:.3f})"
+    if reason := unproven(model, gangue):
+        facts["not better than chance"] = reason
     return facts
 
 
