@@ -44,9 +44,9 @@ def lost(samples: np.ndarray, way: str) -> np.ndarray:
     return out
 
 
-def monitored(samples: np.ndarray) -> list[dict]:
-    """Return the lines that the command prints for the minute and, on channel 2, the minute turned round."""
-    both = np.stack([samples, np.nan_to_num(samples[::-1])], axis=1).astype("<f4")
+def monitored(samples: np.ndarray, sound: np.ndarray) -> list[dict]:
+    """Return the lines that the command prints for the minute and, on channel 2, a sound one that begins half-way."""
+    both = np.stack([samples, np.roll(sound, len(sound) // 2)], axis=1).astype("<f4")
     raw = ["--rate", str(RATE), "--channels", "2", "--sample-format", "f32le", "--unit", "m/s^2", "--json"]
     done = subprocess.run(
         [sys.executable, "-m", "cgid", "monitor", "-", *raw], input=both.tobytes(), capture_output=True, check=True
@@ -63,7 +63,7 @@ def sensors() -> None:
         samples = read_recording(file)[0].samples[: END * RATE].astype(float)
     rows = []
     for way in ("(sound)", "nan", "zeros", "stuck at 500 m/s^2", "noise of 0.01 m/s^2", "every second sample nan"):
-        lines = monitored(samples if way == "(sound)" else lost(samples, way))
+        lines = monitored(samples if way == "(sound)" else lost(samples, way), samples)
         own = [line for line in lines if line.get("channel") == "1"]
         states = [line for line in own if line["kind"] in ("state", "shut", "open")]
         told = [(line["time_s"], line["ground"], line["decision"]) for line in states]
