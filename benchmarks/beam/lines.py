@@ -1,4 +1,4 @@
-"""Tones of machines beside a window: answers and fraction of gangue with and without `--lines`.
+"""Tones of machines beside a window: answers and fraction of gangue with and without `--no-lines`.
 
     python benchmarks/beam/lines.py [--streams 4] [--first 0] [--rows none "3 g" ...]
 

@@ -53,9 +53,7 @@ class Stream:
         signal, truth = record(scene, seed, number)
         first = truth["bounce"] == 0
         begun = time.process_time()
-        steps = identify_blocks(
-            [signal.samples[None]], signal.sampling_rate, model, ("1",), PredictionSettings(lines=True)
-        )
+        steps = identify_blocks([signal.samples[None]], signal.sampling_rate, model, ("1",), PredictionSettings())
         answers = [answer for step in steps for answer in step.answers]
         cost = (time.process_time() - begun) / len(answers)
         return cls(answers, truth["time"][first], truth["label"][first] == "gangue", cost)

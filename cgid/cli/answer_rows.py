@@ -287,6 +287,8 @@ class RecordingRows:
         self._silent += step.silent
         for warning in (*step.warnings, *step.wrong_beams):
             self.lines.warning(self.source, warning)
+        for note in step.notes if not self.lines.as_json else ():
+            say(note, err=True)
 
     def stopped(self, seconds: float) -> None:
         """Print that a live stream gives no samples; the next ones take it up again."""

@@ -70,8 +70,6 @@ class Hints(Diagnosis):
                 )
             case MisfitPart.BEAM if self._is_of_beam and self._calibration():
                 advice, steps = "learn the modes of this beam", self._calibration()
-            case MisfitPart.NOISE if self._is_of_beam and "--lines" not in self._answering:
-                advice, steps = "if it is of tones, take them out", (self._predict("--lines"),)
             case MisfitPart.SIZES | MisfitPart.SEAM if self.model.seams is not None and not stated:
                 advice = "state how long coal alone falls at the begin, and the gangue fraction is that of this seam"
                 steps = (self._predict("--coal-until", "30s"),)

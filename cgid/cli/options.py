@@ -497,9 +497,12 @@ answering_options = _options(
     ),
     same_beam_option,
     click.option(
-        "--lines",
+        "--no-lines",
+        "lines",
         is_flag=True,
-        help="Take tones of machines out of accelerations of a beam, whose own modes must not be as narrow.",
+        flag_value=False,
+        default=True,
+        help="Keep tones of machines, which are otherwise taken out of accelerations of a beam once they are heard.",
     ),
     click.option(
         "--window", "share_time", type=float, help="Set the window of the gangue fraction [s], by default 10."

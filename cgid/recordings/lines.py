@@ -2,10 +2,12 @@
 
 A recording is cut into frames of half a second that overlap by a half, with windows that sum to one. In each frame the
 samples are clipped at a few standard deviations, so that impacts count little. A line is where the mean of the last
-frames, or this one alone, stands far above its neighbours on both sides; a mode of a beam is broader. The bands around
-the lines are taken back to samples and subtracted, and what is left is clipped again, closer now. So a sample is known
-as soon as its second frame is: after half a second. Frames count from the first sample, so the result does not depend
-on the blocks. Without lines, samples stay as they are.
+frames, or this one alone, stands far above its neighbours on both sides; most modes of a beam are broader. Whether a
+machine runs, two seconds tell: its tone is steady, and its phase goes on from frame to frame. The ring-down of a narrow
+mode decays between impacts, and each impact begins another phase. From then on the bands around the lines are taken
+back to samples and subtracted, and what is left is clipped again, closer now. So a sample is known as soon as its
+second frame is: after half a second. Frames count from the first sample, so the result does not depend on the blocks.
+Without a machine, samples stay as they are.
 """
 
 from __future__ import annotations
@@ -30,6 +32,11 @@ _CONTRAST_AROUND, _AROUND, _BESIDE, _RANK = 8.0, 64.0, (6.0, 10.0), 1
 _CONTRAST_NOW, _CONTRAST, _N_MEAN = 300.0, 32.0, 3
 #: It is not below this frequency, and what is as near as this goes with it [Hz].
 _LOWEST, _WIDTH = 20.0, 4.0
+#: A line is a tone where in so many successive frames (2.25 s) its power is steady, as all but one have this share of
+#: the mean at least, and so is the change of its advance of phase from frame to frame, by the length of its mean
+#: direction: in streams without tones at most .81 where modes have .2 % of damping or more, beside as steady a power,
+#: .94 with .1 %; with tones .99. After so many frames without any (a minute), no machine runs.
+_N_STEADY, _STEADY, _COHERENT, _N_SILENT = 8, 0.7, 0.96, 240
 #: Lines with less than this share of the power are not worth it.
 _SHARE = 0.05
 #: Samples are clipped at so many standard deviations, in so many rounds, of which the later ones are only for lines
@@ -52,10 +59,13 @@ _DISAGREE, _MOVES, _N_MOVING, _UNSTEADY, _N_RECENT = 4.0, 8.0, 16, 3, 240
 
 @dataclass
 class _Channel:
-    """What is known of a channel: mean amplitude by frequency of some frames, level, the last lines, and how steady."""
+    """What is known of a channel: mean amplitude by frequency, latest spectra, level, the last lines, how steady."""
 
     mean: Floats | None = None
     n_frames: int = 0
+    spectra: deque[NDArray[np.complex64]] = field(default_factory=lambda: deque(maxlen=_N_STEADY))
+    silent: float = np.inf  # frames since the last tone
+    tone: float = 0.0  # the strongest when lines were first taken out [Hz]; nan once told
     level: float = 0.0
     tail: Floats | None = None
     strongest: deque[float] = field(default_factory=lambda: deque(maxlen=_N_MOVING))
@@ -65,6 +75,32 @@ class _Channel:
     def forget(self) -> None:
         """Begin anew with the next frame."""
         self.mean, self.n_frames = None, 0
+        self.spectra.clear()
+
+    def hears(self, spectrum: NDArray[np.complex128], lines: NDArray[np.intp], width: int) -> bool:
+        """Take the spectrum of the next frame and its lines; return whether a machine runs.
+
+        A line is followed back from frame to frame by up to `width` frequencies.
+        """
+        self.spectra.append(spectrum.astype(np.complex64))
+        self.silent += 1
+        if lines.size and len(self.spectra) == _N_STEADY:
+            near, at = np.arange(-width, width + 1), lines
+            tone = np.empty((_N_STEADY, lines.size), np.complex64)
+            for number in reversed(range(_N_STEADY)):
+                found = self.spectra[number].take(at[:, None] + near, mode="clip")
+                best = np.abs(found).argmax(axis=1)
+                at = at + near[best]
+                # The phase in the middle of the frame does not depend on the frequency.
+                tone[number] = found[np.arange(at.size), best] * (1 - 2 * (at % 2))
+            power = np.square(np.abs(tone))
+            steady = np.partition(power, 1, axis=0)[1] >= _STEADY * power.mean(axis=0)
+            advance = tone[1:] * tone[:-1].conj()
+            change = np.exp(1j * np.angle(advance[1:] * advance[:-1].conj()))
+            alike = 2 * np.abs(np.sum(change * np.sqrt(power[2:] * power[:-2]), axis=0))
+            if (steady & (alike >= _COHERENT * (power[2:] + power[:-2]).sum(axis=0))).any():
+                self.silent = 0
+        return self.silent <= _N_SILENT
 
     def moves(self, frequency: float) -> bool:
         """Take the frequency of the strongest line [Hz] of the next frame; return whether it moves."""
@@ -125,6 +161,13 @@ class Lines:
         for row in rows:
             self._channels[row].is_told = True
         return rows
+
+    def tones(self) -> dict[int, float]:
+        """Return the strongest tone [Hz] of channels in which a machine was heard, once each."""
+        found = {row: one.tone for row, one in enumerate(self._channels) if one.tone > 0}
+        for row in found:
+            self._channels[row].tone = np.nan
+        return found
 
     def _next(self, frames: NDArray[Any]) -> NDArray[Any]:
         """Return the first half of frames (n_channels, length) without lines."""
@@ -195,13 +238,17 @@ class Lines:
             now = np.square(spectrum.real) + np.square(spectrum.imag)
             size = np.sqrt(now)
             mean = size if one.mean is None else one.mean + max(_LATEST, 1 / (one.n_frames + 1)) * (size - one.mean)
-            bands = self._bands(now, np.square(mean) if one.n_frames >= _N_MEAN else None)
+            found = self._lines(now, np.square(mean) if one.n_frames >= _N_MEAN else None)
+            if number == 0 and not one.hears(spectrum, found, self._width):
+                break
+            bands = self._bands(found)
             share = now[bands].sum() / max(now[self._first :].sum(), _TINY)
             if share < _SHARE:
                 break
             spectrum[~bands] = 0.0
             lines = np.fft.irfft(spectrum, self.length)
             strongest = float(np.argmax(now * bands)) * self._bin_width
+            one.tone = one.tone or strongest
             if share < _LOUD:
                 break
         one.mean, one.n_frames = mean, one.n_frames + 1
@@ -211,17 +258,20 @@ class Lines:
             lines[limits & (np.abs(left) > _CLIP * level * self._window)] = 0.0
         return _Found(lines, deviation, strongest)
 
-    def _bands(self, now: Floats, mean: Floats | None) -> NDArray[np.bool_]:
-        """Return which frequencies belong to lines, by the power of a frame and that of the mean amplitude."""
+    def _bands(self, lines: NDArray[np.intp]) -> NDArray[np.bool_]:
+        """Return which frequencies belong to lines."""
         width = self._width
-        bands = np.zeros(now.size + 2 * width, bool)
-        for power, contrast in ((now, _CONTRAST_NOW), (mean, _CONTRAST)):
-            if power is not None:
-                bands[self._lines(power, contrast)[:, None] + np.arange(2 * width + 1)] = True
+        bands = np.zeros(self._hop + 1 + 2 * width, bool)
+        bands[lines[:, None] + np.arange(2 * width + 1)] = True
         bands[: width + self._first] = False
         return bands[width:-width]
 
-    def _lines(self, power: Floats, contrast: float) -> NDArray[np.intp]:
+    def _lines(self, now: Floats, mean: Floats | None) -> NDArray[np.intp]:
+        """Return the frequencies of lines, by the power of a frame and that of the mean amplitude."""
+        found = self._above(now, _CONTRAST_NOW)
+        return found if mean is None else np.concatenate([found, self._above(mean, _CONTRAST)])
+
+    def _above(self, power: Floats, contrast: float) -> NDArray[np.intp]:
         """Return the frequencies whose power stands so far above that of others around and beside them."""
         n = self._around
         parts = power[: power.size // n * n].reshape(-1, n)

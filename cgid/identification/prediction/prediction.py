@@ -116,7 +116,7 @@ def predict(
         in `cgid.open_recording`. A `full_scale` may include the unit.
     **settings
         Fields of `cgid.identification.prediction.PredictionSettings`, such as ``mass=2.5`` [kg] of an
-        accelerated impactor, ``drop_height=1.5`` [m], ``invert=True``, ``lines=True`` (take tones of machines out),
+        accelerated impactor, ``drop_height=1.5`` [m], ``invert=True``, ``lines=False`` (keep tones of machines),
         ``costs={"gangue": 3.0}``, ``coverage=0.9`` or, for channels of one beam, ``same_beam=[("1", "2")]``.
 
     Returns

@@ -112,7 +112,8 @@ class PredictionSettings:
     sensors : tuple of str
         Names of sensors in the model: one for all channels, or one for each.
     lines : bool
-        Whether tones of machines are taken out of accelerations that a model sees through a beam.
+        Whether tones of machines are taken out of accelerations that a model sees through a beam, once two seconds have
+        told that a machine runs.
     dead_time : float, optional [s]
         Time after an impact in which no other begins, see `find_impacts`.
     vote_time : float, optional [s]
@@ -157,7 +158,7 @@ class PredictionSettings:
     mass: float | None = None
     invert: bool = False
     sensors: tuple[str, ...] = ()
-    lines: bool = False
+    lines: bool = True
     dead_time: float | None = None
     vote_time: float | None = None
     batch: int = BATCH

@@ -57,8 +57,9 @@ _NEVER_QUIET = (
 _QUIET_AGAIN = "there are quiet moments again"
 _UNSTEADY = (
     "tones of a machine begin, end or move too fast to be taken out in full, so the gangue fraction may be wrong while "
-    "they do; move the sensor away from the machine, or leave out --lines"
+    "they do; move the sensor away from the machine, or keep tones with --no-lines"
 )
+_TONES = "tones of a machine are taken out, the strongest at {:.0f} Hz; --no-lines keeps them"
 
 
 @dataclass(frozen=True)
@@ -70,6 +71,7 @@ class Step:
     silent: tuple[str, ...] = ()  # at the end, one reason for each channel without predictions
     warnings: tuple[str, ...] = ()  # at the end, or where a channel begins or ceases to be never quiet
     wrong_beams: tuple[str, ...] = ()  # channels of one beam that are not declared so, and the reverse
+    notes: tuple[str, ...] = ()  # what was done, and is no fault
     upside_down: tuple[str, ...] | None = None  # at the end, the channels whose pulses seem to point downwards
     reports: Sequence[SupportReport] = ()  # of the supports, up to this time
     changes: Sequence[Change] = ()  # of the channels
@@ -168,8 +170,9 @@ def _impacts(
             heard = [f"{named(row)}: {_NEVER_QUIET}" for row in sorted(loud - warned)]
             heard += [f"{named(row)}: {_QUIET_AGAIN}" for row in sorted(warned - loud)]
             heard += [f"{named(row)}: {_UNSTEADY}" for row in (() if lines is None else lines.told())]
+            notes = {} if lines is None else lines.tones()
             warned = loud
-            if not (ended or heard or not waiting or len(waiting) >= settings.batch):
+            if not (ended or heard or notes or not waiting or len(waiting) >= settings.batch):
                 continue
             until: float = detector.known_until
             said: Sequence[str] = ()
@@ -188,6 +191,7 @@ def _impacts(
                 ),
                 warnings=(*heard, *said),
                 wrong_beams=tuple(f"{source}: {text}" for text in wrong_beams),
+                notes=tuple(f"{named(row)}: {_TONES.format(tone)}" for row, tone in notes.items()),
                 upside_down=tuple(
                     name
                     for name, rows in zip(names, groups, strict=True)
