@@ -89,6 +89,16 @@ def test_what_does_not_fit_is_told_and_by_how_much(model: StoredModel, what: str
         assert misfit.factor == pytest.approx(factor, rel=0.5, nan_ok=True)
 
 
+def test_what_may_be_it_as_well_is_told_too(model: Model) -> None:
+    # Large rocks leave more unexplained.
+    large = CHANGES["rocks twice as large"][0]
+    misfit = told(model, scaled(4, 30.0)(large(recording(20_000, 800)[0])))
+    assert misfit is not None
+    assert {MisfitPart.SIZES, MisfitPart.BEAM} <= {one.part for one in (misfit, *misfit.others)}
+    alone = told(model, CHANGES["louder noise"][0](recording(20_000, 800)[0]))
+    assert alone is not None and not alone.others
+
+
 def test_few_recordings_state_a_higher_rate_and_hardly_any_make_no_test() -> None:
     plain = replace(load_model("default"), training={})
     few = with_world(plain, [recording(k) for k in range(30)], 1)

@@ -109,7 +109,9 @@ def told(samples: Floats, rate: float, model: Model) -> tuple[float, Misfit | No
 def line(row: str, found: list[tuple[float, Misfit | None]]) -> str:
     """Return a row of the table."""
     times = np.array([time for time, _ in found])
-    parts = Counter(str(misfit.part) for _, misfit in found if misfit is not None)
+    parts = Counter(
+        " or ".join(str(one.part) for one in (misfit, *misfit.others)) for _, misfit in found if misfit is not None
+    )
     factors = [misfit.factor for _, misfit in found if misfit is not None and np.isfinite(misfit.factor)]
     alarms = times[np.isfinite(times)]
     cells = [

@@ -376,8 +376,10 @@ class RecordingRows:
         """Print what of channels is not like recordings of the training, and what would help."""
         misfits = self._diagnosis.misfits
         for name in sorted(names):
-            text, part = self._diagnosis.misfit_warning(misfits[name]), str(misfits[name].part)
-            self._warn(f"{self.name(name)}: {text}", channel=name, condition="foreign", active=True, part=part)
+            text, misfit = self._diagnosis.misfit_warning(misfits[name]), misfits[name]
+            parts = [str(one.part) for one in (misfit, *misfit.others)]
+            more = {"part": parts[0], "parts": parts}
+            self._warn(f"{self.name(name)}: {text}", channel=name, condition="foreign", active=True, **more)
 
     def _warn(self, message: str, **more: Any) -> None:
         self.warnings += [message] * self._keep

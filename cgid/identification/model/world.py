@@ -46,6 +46,8 @@ GROUPS = slice(0, 15), slice(15, 20), slice(20, 25)
 _IMPULSE, _HARDNESS, _OF_NOISE = slice(0, 5), slice(5, 10), 1
 #: Peak over squared width grows by this power of the modulus (Hertz).
 _OF_MODULUS = 1.2
+#: Explanations that leave at most this many times what the best one leaves are told beside it.
+_ALIKE = 2.0
 _MAX_RECORDINGS = 10_000
 
 
@@ -62,12 +64,14 @@ class MisfitPart(StrEnum):
 class Misfit(NamedTuple):
     """What of a recording does not fit its model, after so many impacts.
 
-    The factor is that of forces, impulses or moduli over those of the training; nan of a beam and of noise.
+    The factor is that of forces, impulses or moduli over those of the training; nan of a beam and of noise. `others`
+    would explain it nearly as well, or do not fit either.
     """
 
     part: MisfitPart
     n_impacts: int
     factor: float
+    others: tuple[Misfit, ...] = ()
 
 
 def trait_names(measured: Sequence[str]) -> tuple[str, ...]:
@@ -150,12 +154,18 @@ class World:
         return np.asarray((summary - powers(_FRACTIONS) @ self.mean[check]) @ self.whitening[check].T)
 
     def misfit(self, check: int, summary: Floats) -> Misfit:
-        """Return what of a foreign recording does not fit."""
-        group = int(np.argmax(self.distances(check, summary)))
-        if group:
-            return Misfit((MisfitPart.BEAM, MisfitPart.NOISE)[group == _OF_NOISE], CHECKS[check], float("nan"))
-        pulses = GROUPS[0]
-        differences = self._differences(check, summary)[:, pulses]
+        """Return what of a foreign recording does not fit: the farthest group, and others that are told, too."""
+        distances, found = self.distances(check, summary), list[Misfit]()
+        for group in np.argsort(-distances).tolist():
+            if found and not self.is_foreign(float(distances[group])):
+                break
+            of_pulses = self._of_pulses(check, self._differences(check, summary)[:, GROUPS[0]])
+            part = (MisfitPart.BEAM, MisfitPart.NOISE)[group == _OF_NOISE]
+            found += [Misfit(part, CHECKS[check], float("nan"))] if group else of_pulses
+        return found[0]._replace(others=tuple(found[1:]))
+
+    def _of_pulses(self, check: int, differences: Floats) -> list[Misfit]:
+        """Return which factors explain the differences of pulses (n_fractions, 15), the best first."""
         found = []
         for part, columns, power in (
             (MisfitPart.SCALE, (_IMPULSE, _HARDNESS), 1.0),
@@ -165,13 +175,13 @@ class World:
             shift = np.zeros(N_SUMMARY)
             for column in columns:
                 shift[column] = 1.0
-            direction = (self.whitening[check] @ shift)[pulses]
+            direction = (self.whitening[check] @ shift)[GROUPS[0]]
             along = differences @ direction / (direction @ direction)
             left = np.square(differences - along[:, None] * direction).sum(axis=1)
             best = int(np.argmin(left))
-            found.append((float(left[best]), part, float(np.exp(along[best] / power))))
-        _, part, factor = min(found)
-        return Misfit(part, CHECKS[check], factor)
+            found.append((float(left[best]), Misfit(part, CHECKS[check], float(np.exp(along[best] / power)))))
+        found.sort(key=lambda one: one[0])
+        return [misfit for left, misfit in found if left <= _ALIKE * found[0][0]]
 
 
 class WorldTest:

@@ -672,9 +672,15 @@ def scale_warning(factor: float, model: StoredModel) -> str:
 
 def misfit_text(misfit: Misfit, model: StoredModel) -> str:
     """Return in words what of a recording does not fit, and how sure that is."""
+    what = ", or ".join(map(_part_text, (misfit, *misfit.others)))
+    sure = f" (said of at most {model.world.rate:.2g} of those that are)" if model.world is not None else ""
+    return f"its first {misfit.n_impacts} impacts are not like those of a recording of the training: {what}{sure}"
+
+
+def _part_text(misfit: Misfit) -> str:
     size = max(misfit.factor, 1 / misfit.factor) if misfit.factor > 0 else float("nan")
     more = misfit.factor > 1
-    what = {
+    return {
         MisfitPart.SCALE: f"all forces are about {size:.2g} times as {'large' if more else 'small'}",
         MisfitPart.SIZES: f"impulses are about {size:.2g} times as {'large' if more else 'small'}, of other sizes or "
         "falls",
@@ -682,8 +688,6 @@ def misfit_text(misfit: Misfit, model: StoredModel) -> str:
         MisfitPart.BEAM: "more is unexplained, as on another beam, with a sensor at another place, or of large rocks",
         MisfitPart.NOISE: "the noise is another",
     }[misfit.part]
-    sure = f" (said of at most {model.world.rate:.2g} of those that are)" if model.world is not None else ""
-    return f"its first {misfit.n_impacts} impacts are not like those of a recording of the training: {what}{sure}"
 
 
 def _cause_of(answer: Answer, crowded: bool) -> tuple[CauseKind, bool]:
