@@ -27,8 +27,9 @@ _EDGE, _BESIDE = 0.35, 4
 #: With more than this fraction of the energy unexplained, and a misfit above this, the onset is searched this much
 #: later [samples].
 _MUCH, _LATER = (0.01, 1.3), (4, 8, 12, -6, 20)
-#: With more than this fraction of the energy unexplained, a second impact soon after is searched.
-_MORE_THAN_ONE = 0.001
+#: With more than this fraction of the energy unexplained, a second impact soon after is searched; it counts where
+#: this share of what came before, which may ring on other than predicted, leaves as much.
+_MORE_THAN_ONE, _RINGS_ON = 0.001, 0.2
 #: In a stream: median unexplained fraction of energy on a foreign beam, and number of impacts for it; number of impacts
 #: that settle the filter; number that test it again, and ratio of noise that triggers this.
 _FOREIGN, _RECENT, _SETTLED, _TESTS, _LOUDER = 0.05, 200, 60, 8, 4.0
@@ -98,6 +99,7 @@ class ThroughBeam:
         before = np.square(self._loudest(vibrations.noise)) * event.shape[1]
         energy = np.maximum(self._loudest(np.sum(np.square(event), axis=1)), 1e-300)
         surely = np.maximum(estimate.unexplained * surely - before / energy, 0.0)
+        left = estimate.unexplained - _RINGS_ON * before / energy
         return {
             "beam_peak_force": contact.peak,
             "beam_pulse_width": contact.width,
@@ -115,7 +117,7 @@ class ThroughBeam:
             "beam_unexplained": 100 * estimate.unexplained,
             "beam_surely_unexplained": 100 * surely,
             "beam_misshapen": 100 * contact.outside,
-            "beam_overlap": 100 * estimate.overlap,
+            "beam_overlap": 100 * np.where(left > _MORE_THAN_ONE, estimate.overlap, 0.0),
         }
 
     def _loudest(self, values: Floats) -> Floats:
