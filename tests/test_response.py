@@ -9,9 +9,20 @@ from scipy.linalg import expm
 
 from cgid.errors import InvalidValue
 from cgid.measure.modal import Modes
-from cgid.physics import STEEL, Elastic, HalfSpace, HuntCrossley, Impact, LowPass, Material, Resonance, Response, Sphere
+from cgid.physics import (
+    STEEL,
+    Elastic,
+    HalfSpace,
+    HighPass,
+    HuntCrossley,
+    Impact,
+    LowPass,
+    Material,
+    Resonance,
+    Response,
+    Sphere,
+)
 from cgid.physics.structure.driving import steps_for
-from cgid.physics.structure.response import HighPass
 from cgid.scene.file.sections import SHAPES
 from cgid.scene.synthesis.impacts import TapPulses
 from tests import few

@@ -16,8 +16,18 @@ from benchmarks.impact import rock_pulses
 from benchmarks.impact.rock_pulses import CASES, LAWS, RATE, record, viscous
 from cgid import shipped
 from cgid.identification.model.model import StoredModel
-from cgid.physics import STEEL, HalfSpace, HuntCrossley, Impact, Material, Sphere, Thornton, Viscoelastic, WaltonBraun
-from cgid.physics.contact.laws import PowerLaw
+from cgid.physics import (
+    STEEL,
+    HalfSpace,
+    HuntCrossley,
+    Impact,
+    Material,
+    PowerLaw,
+    Sphere,
+    Thornton,
+    Viscoelastic,
+    WaltonBraun,
+)
 
 
 def test_hunt_crossley_has_its_exact_restitution():

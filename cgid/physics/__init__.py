@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from cgid.physics.contact.laws import STIFFNESS_THEORIES as STIFFNESS_THEORIES
     from cgid.physics.contact.laws import Elastic as Elastic
     from cgid.physics.contact.laws import HuntCrossley as HuntCrossley
+    from cgid.physics.contact.laws import PowerLaw as PowerLaw
     from cgid.physics.contact.laws import Thornton as Thornton
     from cgid.physics.contact.laws import Viscoelastic as Viscoelastic
     from cgid.physics.contact.laws import WaltonBraun as WaltonBraun
@@ -41,6 +42,7 @@ if TYPE_CHECKING:
     from cgid.physics.contact.materials import StrengthRange as StrengthRange
     from cgid.physics.contact.sampled import SampledPulses as SampledPulses
     from cgid.physics.structure.coupled import ModalImpact as ModalImpact
+    from cgid.physics.structure.response import HighPass as HighPass
     from cgid.physics.structure.response import LowPass as LowPass
     from cgid.physics.structure.response import Resonance as Resonance
     from cgid.physics.structure.response import Response as Response
@@ -57,6 +59,7 @@ _NAMES = {
         "Elastic",
         "HUNT_CROSSLEY_LAWS",
         "HuntCrossley",
+        "PowerLaw",
         "STIFFNESS_THEORIES",
         "Thornton",
         "Viscoelastic",
@@ -80,7 +83,7 @@ _NAMES = {
     ),
     "contact.sampled": ("SampledPulses",),
     "structure.coupled": ("ModalImpact",),
-    "structure.response": ("LowPass", "Resonance", "Response"),
+    "structure.response": ("HighPass", "LowPass", "Resonance", "Response"),
     "structure.tail_beam": ("Ribs", "TailBeam"),
 }
 

@@ -65,8 +65,8 @@ class Impact:
     stiffness : {"hertz", "rigid-sphere", "series"}
         Theory of the contact stiffness (see `contact_stiffness`); no default.
     dissipation : Law
-        Loss in the material: Elastic, HuntCrossley, Viscoelastic, Thornton, WaltonBraun or a custom `Law`. The loss to
-        a thin plate is added.
+        Loss in the material: Elastic, HuntCrossley, Viscoelastic, Thornton, WaltonBraun, PowerLaw or a custom `Law`.
+        The loss to a thin plate is added.
     gravity : array_like, 0 or more [m/s^2]
         Pull towards the target during contact. Neglected where it would change the speed by at most 3e-12 of the impact
         speed.

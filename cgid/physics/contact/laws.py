@@ -550,8 +550,7 @@ class PowerLaw(Law):
     --------
     A corner is softer than the sphere it replaces, so that its contact lasts longer:
 
-    >>> from cgid.physics import RIGID, Impact, Sphere
-    >>> from cgid.physics import YANG2018_SPHERES
+    >>> from cgid.physics import RIGID, YANG2018_SPHERES, Impact, PowerLaw, Sphere
     >>> impact = Impact(
     ...     sphere=Sphere(material=YANG2018_SPHERES[1], radius=0.025), target=RIGID, velocity=2.0, stiffness="hertz",
     ...     dissipation=PowerLaw(restitution=0.5, exponent=[1.5, 2.0], contact_radius=0.7),
