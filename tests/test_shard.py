@@ -5,7 +5,6 @@ import signal
 import subprocess
 import sys
 import zlib
-from types import SimpleNamespace
 
 import h5py
 import numpy as np
@@ -17,7 +16,7 @@ from cgid.errors import BadData
 from cgid.signals import Batch
 from cgid.store._packing import deflated, fletcher32
 from cgid.store.description import COMPRESSIONS
-from cgid.store.hdf5 import ShardBuilder, ShardPlan, keywords
+from cgid.store.hdf5 import ShardBuilder, ShardMemory, ShardPlan, keywords
 
 # ---- the checksum ----------------------------------------------------------------------------------------------------
 
@@ -165,7 +164,7 @@ def test_an_unfinished_shard_is_closed_before_the_interpreter_ends():
     assert (done.stdout, done.returncode) == ("closed\n", -signal.SIGINT), done.stderr
 
 
-class _Interrupted(io.BytesIO):
+class _Interrupted(ShardMemory):
     """A file whose first large piece meets Ctrl-C."""
 
     def write(self, content):
@@ -178,7 +177,7 @@ class _Interrupted(io.BytesIO):
 
 
 def test_ctrl_c_in_the_middle_of_a_write_waits_for_hdf5(monkeypatch):
-    monkeypatch.setattr("cgid.store.hdf5.io", SimpleNamespace(BytesIO=_Interrupted))
+    monkeypatch.setattr("cgid.store.hdf5.ShardMemory", _Interrupted)
     with pytest.raises(KeyboardInterrupt):
         build(())
 
@@ -186,7 +185,7 @@ def test_ctrl_c_in_the_middle_of_a_write_waits_for_hdf5(monkeypatch):
 @pytest.mark.parametrize("samples", [1, 7, 130, 4099])
 @pytest.mark.parametrize("n_signals", [1, 2, 63, 4097])
 def test_a_shard_of_any_shape_is_as_long_as_hdf5_says(tmp_path, samples, n_signals):
-    """A file on a disk is filled up to its declared length, a BytesIO is not."""
+    """A file on a disk is filled up to its declared length, memory is not."""
     signals = np.arange(n_signals * samples, dtype=np.float32).reshape(n_signals, samples)
     about = ShardPlan(n_samples=samples, dtype="float32", label_width=2, parameter_units={"radius": "m"}, attributes={})
     builder = ShardBuilder(about, 0, n_signals)
@@ -197,3 +196,25 @@ def test_a_shard_of_any_shape_is_as_long_as_hdf5_says(tmp_path, samples, n_signa
     with h5py.File(tmp_path / "shard.h5") as file:
         np.testing.assert_array_equal(file["signals"][:], signals)
         assert file["parameters/radius"][:].sum() == n_signals
+
+
+def test_a_file_in_memory_is_that_of_python_and_forgets_the_one_before() -> None:
+    memory, random = ShardMemory(), np.random.default_rng(3)
+    for _ in range(20):
+        memory.clear(int(random.integers(0, 300)))
+        other = io.BytesIO()
+        for _ in range(30):
+            place, whence = int(random.integers(0, 400)), int(random.choice([0, 2]))
+            content = random.bytes(random.integers(0, 90))
+            for file in (memory, other):
+                file.seek(place, whence)
+                assert file.write(content) == len(content)
+            assert memory.tell() == other.tell()
+            if random.random() < 0.1:
+                assert memory.truncate(place) == min(place, len(other.getvalue()))
+                other.truncate(place)
+            found, expected = bytearray(50), bytearray(50)
+            assert memory.seek(place) == other.seek(place)
+            assert memory.readinto(found) == other.readinto(expected)
+            assert found == expected
+        assert bytes(memory.getbuffer()) == other.getvalue()

@@ -14,7 +14,7 @@ from cgid.signals import Batch
 from cgid.store.description import DIGEST, FORMAT, MAX_SHARD_SIZE
 from cgid.store.disk import hdf5_on_disk
 from cgid.store.folder import MAX_FILES, Description, describe
-from cgid.store.hdf5 import ShardBuilder, ShardPlan, lay_out, say_kind
+from cgid.store.hdf5 import ShardBuilder, ShardMemory, ShardPlan, lay_out, say_kind
 from cgid.store.reading import Dataset
 from cgid.store.run import SUFFIXES, is_single_file
 
@@ -48,9 +48,11 @@ def describe_dataset(output: Path, plan: ShardPlan, n_signals: int, shard_signal
     )
 
 
-def shard_content(plan: ShardPlan, first: int, n_signals: int, batches: Iterable[Batch]) -> memoryview:
-    """Return the content of the file of a shard."""
-    builder = ShardBuilder(plan, first, n_signals)
+def shard_content(
+    plan: ShardPlan, first: int, n_signals: int, batches: Iterable[Batch], memory: ShardMemory
+) -> memoryview:
+    """Return the content of the file of a shard, valid until another is made in the same memory."""
+    builder = ShardBuilder(plan, first, n_signals, memory)
     for batch in batches:
         builder.add(batch)
     return builder.image()

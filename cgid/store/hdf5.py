@@ -18,7 +18,6 @@ hdf5plugin. `python benchmarks/speed/store.py` measures size and speed.
 
 from __future__ import annotations
 
-import io
 import weakref
 import zlib
 from collections.abc import Iterator, Mapping
@@ -40,8 +39,8 @@ from cgid.units import quantity_of
 
 #: Approximate size of a chunk of signals [bytes]; rows in a chunk of other columns; samples in a chunk of a recording.
 _CHUNK_BYTES, CHUNK_ROWS, _CHUNK_SAMPLES = 1 << 19, 4096, 1 << 16
-#: Size of the checksum of a chunk [bytes].
-_CHECKSUM = 4
+#: Size of the checksum of a chunk, and room for all but the signals of a shard [bytes].
+_CHECKSUM, _ABOUT = 4, 1 << 20
 
 
 # ---- common to all files --------------------------------------------------------------------------------------------
@@ -173,15 +172,69 @@ def _chunk_rows(plan: ShardPlan, n_signals: int) -> int:
     return min(max(1, _CHUNK_BYTES // (plan.n_samples * np.dtype(plan.dtype).itemsize)), n_signals)
 
 
+class ShardMemory:
+    """A file in memory for one shard after the other: fresh memory takes longer than what is written there."""
+
+    def __init__(self) -> None:
+        self._buffer, self._size, self._at = np.empty(0, np.uint8), 0, 0
+
+    def clear(self, room: int) -> None:
+        """Forget the content, and make room for some bytes."""
+        self._size = self._at = 0
+        if self._buffer.size < room:
+            self._buffer = np.empty(room, np.uint8)
+
+    def seek(self, offset: int, whence: int = 0) -> int:
+        """Move to an offset from the begin, from here or from the end."""
+        self._at = (0, self._at, self._size)[whence] + offset
+        return self._at
+
+    def tell(self) -> int:
+        """Return the offset."""
+        return self._at
+
+    def readinto(self, target: Any) -> int:
+        """Read what fits into the target."""
+        part = self._buffer[self._at : min(self._at + len(target), self._size)]
+        target[: part.size] = part.data
+        self._at += part.size
+        return int(part.size)
+
+    read = readinto  # h5py looks for it, and calls the other
+
+    def write(self, content: Any) -> int:
+        """Write bytes here; what was skipped is 0."""
+        end = self._at + len(content)
+        if end > self._buffer.size:
+            self._buffer = np.append(self._buffer, np.empty(max(end // 2, end - self._buffer.size), np.uint8))
+        self._buffer[self._size : self._at] = 0
+        self._buffer[self._at : end] = np.frombuffer(content, np.uint8)
+        self._at, self._size = end, max(self._size, end) if len(content) else self._size
+        return len(content)
+
+    def truncate(self, size: int) -> int:
+        """Cut the content off."""
+        self._size = min(self._size, size)
+        return self._size
+
+    def flush(self) -> None:
+        """Do nothing."""
+
+    def getbuffer(self) -> memoryview:
+        """Return the content, without a copy."""
+        return self._buffer[: self._size].data
+
+
 class ShardBuilder:
     """A shard in memory, filled batch by batch."""
 
-    def __init__(self, plan: ShardPlan, first: int, n_signals: int) -> None:
+    def __init__(self, plan: ShardPlan, first: int, n_signals: int, memory: ShardMemory | None = None) -> None:
         self._plan, self._filled, self._n_signals = plan, 0, n_signals
         self._columns: list[Batch] = []
         row = plan.size(1)
         rows = _chunk_rows(plan, n_signals)
-        self._memory = io.BytesIO()
+        self._memory = memory or ShardMemory()
+        self._memory.clear(plan.size(n_signals) + _ABOUT if plan.compression == "none" else 0)
         with undisturbed():
             self._file = h5py.File(self._memory, "w", libver=VERSIONS)
             # HDF5 writes to the memory on closing, which must not wait until the interpreter exits.

@@ -34,7 +34,7 @@ from cgid.signals import Batch
 from cgid.store.dataset import describe_dataset, shard_content
 from cgid.store.description import COMPRESSIONS, DIGEST, FORMAT, SCHEMA_VERSION
 from cgid.store.folder import Description
-from cgid.store.hdf5 import ShardPlan, library, require
+from cgid.store.hdf5 import ShardMemory, ShardPlan, library, require
 from cgid.store.reading import Dataset
 from cgid.store.run import Run, begun, check_output, is_single_file, require_description
 from cgid.store.table import TableHeader, check_table_output, table_writer
@@ -317,18 +317,20 @@ def _write_in_turn(
         for shard in shards
         for batch in synthesise(work.scene, shard.n_signals, work.seed, first=shard.first_signal, dtype=dtype)
     )
-    block = work.plan.size(BLOCK)
+    block, memory = work.plan.size(BLOCK), ShardMemory()
     with closing(ahead(made, min(max(1, _AHEAD_BYTES // block), _AHEAD_BLOCKS))) as batches:
         for shard in shards:
-            yield _write(work, shard, next_signals(batches, shard.n_signals, progress))
+            yield _write(work, shard, next_signals(batches, shard.n_signals, progress), memory)
 
 
-def _write(work: _Work, shard: _Shard, batches: Iterator[Batch]) -> _Written:
+def _write(work: _Work, shard: _Shard, batches: Iterator[Batch], memory: ShardMemory) -> _Written:
     """Build a shard in memory and write it atomically, if the folder still has the description."""
-    content = shard_content(work.plan, shard.first_signal, shard.n_signals, batches)
+    content = shard_content(work.plan, shard.first_signal, shard.n_signals, batches, memory)
     check = None if work.digest is None else partial(require_description, work.place, work.digest)
-    write_whole(work.place / shard.file, content, overwrite=work.overwrite, check=check)
-    return _Written(shard.file, shard.n_signals, hashlib.sha256(content).hexdigest())
+    with ThreadPoolExecutor(max_workers=1) as hasher:
+        found = hasher.submit(hashlib.sha256, content)  # beside the writing, which waits for the disk
+        write_whole(work.place / shard.file, content, overwrite=work.overwrite, check=check)
+    return _Written(shard.file, shard.n_signals, found.result().hexdigest())
 
 
 def _write_one(work: _Work, shard: _Shard) -> _Written:
