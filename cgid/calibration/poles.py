@@ -7,7 +7,7 @@ polynomial for everything else.
 1. Least squares for a common denominator (LSCF: Guillaume, Verboven & Vanlanduit 1998) gives poles at every order of
    the model; those that return from order to order are stable.
 2. From the poles of some orders maximum likelihood in white noise, the amplitudes projected out (Golub & Pereyra 1973),
-   gives the estimates; Schwarz's criterion selects the order.
+   gives the estimates; Schwarz's criterion selects the order. Then poles are added where the residual is largest.
 3. Their covariance is the larger of the Cramer-Rao bound and of the scatter between single taps (Huber 1967), so that
 standard deviations include changes of the beam from tap to tap.
 """
@@ -41,6 +41,9 @@ MIN_DAMPING, MAX_DAMPING = 2e-5, 0.15
 _STABLE = 0.4
 #: Number of orders without a better fit that ends the search, rounds of a fit, and the gain that ends it.
 _MAX_WORSE, _ROUNDS, _CONVERGED = 4, 30, 1e-2
+#: A further pole is tried at so many of the loudest bins of the residual, with these decays in widths of a bin.
+#: It must leave at most the first fraction of the energy as it is tried, and the second when it is refined.
+_PEAKS, _DECAYS, _PROMISING, _WORTH = 3, (0.5, 2.0, 8.0), 0.95, 0.8
 #: Poles of least squares are refined if their gain is this fraction of the cost of their parameters.
 _AT_FIRST = 0.25
 #: Modes of other bands are in the background up to this many half-widths of a band from its middle.
@@ -66,6 +69,8 @@ class Poles:
     amplitude_deviation: Floats  # (2, n_decays, n_modes), from the noise of each decay and from the shared poles
     orders: NDArray[np.intp]  # (n_modes,), number of orders of the model at which least squares found the mode
     chart: Floats  # (n, 4), every pole of every order: order, frequency [Hz], damping ratio, 1 if stable
+    #: The same poles, but two for a mode whose decay is not exponential; the same where there is no such mode.
+    apart: Complexes
 
     @property
     def frequency(self) -> Floats:
@@ -86,6 +91,7 @@ class Poles:
             amplitude_deviation=self.amplitude_deviation[..., modes],
             orders=self.orders[modes],
             chart=self.chart,
+            apart=self.apart,
         )
 
     def without_window(self, tau: float) -> Poles:
@@ -95,7 +101,9 @@ class Poles:
         found = self.taken(damped)
         ratio = found.pole.real / pole[damped].real
         deviation = np.stack([found.deviation[0], found.deviation[1] * ratio])
-        return replace(found, pole=pole[damped], deviation=deviation)
+        apart = self.apart + 1 / tau
+        apart = apart[apart.real < -MIN_DAMPING * np.abs(apart)]
+        return replace(found, pole=pole[damped], deviation=deviation, apart=apart)
 
 
 def poles_of(
@@ -117,7 +125,9 @@ def poles_of(
             progress(100 * (k + 1) // len(cores) - 100 * k // len(cores))
     known = np.concatenate([fit.pole[fit.band.in_core(fit.pole)] for fit in fits])
     # Again with the modes of other bands in the background: no polynomial follows a resonance near the edge.
-    reported = [fit.band.reported(fit.band.with_background(fit, known)) for fit in fits]
+    again = [fit.band.with_background(fit, known) for fit in fits]
+    reported = [fit.band.reported(fit.band.joined(fit)) for fit in again]
+    apart = np.concatenate([fit.pole[fit.band.in_core(fit.pole)] for fit in again])
     charts = [fit.band.chart for fit in fits]
     pole = np.concatenate([part.pole for part in reported])
     order = np.argsort(np.abs(pole))
@@ -128,6 +138,7 @@ def poles_of(
         amplitude_deviation=np.concatenate([part.amplitude_deviation for part in reported], axis=2)[..., order],
         orders=np.concatenate([part.orders for part in reported])[order],
         chart=np.concatenate(charts),
+        apart=apart[np.argsort(np.abs(apart))],
     )
 
 
@@ -227,7 +238,27 @@ class _Band:
                 worse += 1
             if worse == _MAX_WORSE:
                 break
-        return best
+        return self._grown(best, max_order)
+
+    def _grown(self, fit: _Fit, max_order: int) -> _Fit:
+        """Return a fit with further poles where its residual is largest; each takes a fifth of the energy or more."""
+        # Least squares of a common denominator overlooks a weak mode on the flank of a strong one.
+        width = 2 * np.pi / (self.n_samples * self.step)
+        while fit.pole.size < max_order:
+            loudest = np.argsort(np.square(np.abs(fit.left)).sum(axis=1))[-_PEAKS:]
+            tried = [
+                _Fit(self, np.append(fit.pole, 1j * line - decay * width))
+                for line in self.line[loudest].tolist()
+                for decay in _DECAYS
+            ]
+            first = min(tried, key=lambda one: one.power)
+            if first.power > _PROMISING * fit.power:
+                return fit
+            grown = self._pruned(_refined(first))
+            if grown.power > _WORTH * fit.power or grown.criterion > fit.criterion:
+                return fit
+            fit = grown
+        return fit
 
     def with_background(self, fit: _Fit, known: Complexes) -> _Fit:
         """Return a fit with the modes beyond the band in the background, from a fit without."""
@@ -237,14 +268,14 @@ class _Band:
         beyond = beyond[distance > -2 * beyond.real]
         inverse = 1 / (1j * self.line[:, None] - beyond)
         self.background = np.concatenate([self.background, inverse / np.linalg.norm(inverse, axis=0)], axis=1)
-        return self._joined(self._pruned(_refined(_Fit(self, fit.pole))))
+        return self._pruned(_refined(_Fit(self, fit.pole)))
 
     def in_core(self, pole: Complexes) -> NDArray[np.bool_]:
         """Return which poles have natural frequencies in the core of the band."""
         frequency = np.abs(pole) / (2 * np.pi)
         return np.asarray((frequency >= self.core[0]) & (frequency < self.core[1]))
 
-    def _joined(self, fit: _Fit) -> _Fit:
+    def joined(self, fit: _Fit) -> _Fit:
         """Return a fit with one pole for each pair that is a single mode with non-exponential decay."""
         # A mode with a slipping joint looks like two at one frequency with different damping. Half of the difference is
         # added to the standard deviations.
@@ -284,6 +315,7 @@ class _Band:
             amplitude_deviation=variance[..., selected],
             orders=np.array([np.unique(self.chart[row, 0]).size for row in near.T], np.intp),
             chart=np.empty((0, 4)),
+            apart=fit.pole[selected],
         )
 
 
