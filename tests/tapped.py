@@ -12,14 +12,16 @@ _FINER = 8
 
 def acceleration(force, step, frequency, damping, participation):
     """Return the acceleration of modes under a force (n,), each an oscillator that takes it sample by sample."""
-    out = participation.sum() * force
+    out = participation.real.sum() * force
     for own, ratio, part in zip(2 * np.pi * frequency, damping, participation, strict=True):
         free = own * np.sqrt(1 - ratio**2)
         shrink, cosine, sine = np.exp(-ratio * own * step), np.cos(free * step), np.sin(free * step)
         bottom = [1, -2 * shrink * cosine, shrink**2]
         place = lfilter([0, shrink * sine / free * step], bottom, force)
         speed = lfilter([step, -step * shrink * (cosine + ratio * own / free * sine)], bottom, force)
-        out -= part * (2 * ratio * own * speed + own**2 * place)
+        # Complex parts, of damping in places, take the state a part of a period later.
+        state = place - 1j * (speed + ratio * own * place) / free
+        out += (part * (-ratio * own + 1j * free) ** 2 * state).real
     return out
 
 

@@ -13,6 +13,7 @@ from cgid.calibration.matching import matched
 from cgid.calibration.poles import poles_of
 from cgid.cli.main import run
 from cgid.errors import BadData
+from cgid.identification.inversion.recovered import errors_of, recover_force
 from cgid.measure.modal.modes import LEARNED_COLUMNS, read_modes
 from cgid.physics.structure.response import Response
 from cgid.scene import load_scene
@@ -167,7 +168,7 @@ def test_scatter_from_tap_to_tap_is_in_the_participations():
 def test_the_table_is_one_of_a_scene(hammered, tmp_path):
     path = hammered.save(tmp_path / "modes.csv")
     modes, learned = read_modes(path), read_modes(path, LEARNED_COLUMNS)
-    every = hammered.modes.beside(hammered.lines)
+    every = hammered.response
     np.testing.assert_allclose(modes.participation(), every.participation())
     np.testing.assert_array_equal(learned.deviation, every.deviation)
     assert (learned.participation() == 1).all()
@@ -322,6 +323,44 @@ def test_an_exponential_window_is_undone(tau):
     np.testing.assert_allclose(test.modes.damping_ratio[near], DAMPING[:5], rtol=0.05)
 
 
+def test_a_weak_mode_on_the_flank_of_a_strong_one_is_found():
+    modes = (np.array([480.0, 652.5, 655.0]), np.array([4e-3, 4e-3, 1e-3]), np.array([-0.9, -0.12, 0.8]) * 1e-3)
+    response, force, _ = taps(3, gap=0.7, seed=3, modes=modes)
+    test = tap_test(response[None], RATE, hammer=force, band=(400.0, 900.0))
+    np.testing.assert_allclose(test.modes.frequency, modes[0], rtol=1e-4)
+    np.testing.assert_allclose(test.modes.participation().real, modes[2], rtol=0.02)
+
+
+@pytest.fixture(scope="module")
+def damped_in_places():
+    """Four taps on modes that a joint damps: its points do not move in phase."""
+    turned = PARTICIPATION * np.exp(1j * np.linspace(-0.4, 0.4, FREQUENCY.size))
+    response, force, times = taps(4, gap=0.7, seed=1, modes=(FREQUENCY, DAMPING, turned))
+    return response, force, times, turned
+
+
+def test_a_beam_damped_in_places_has_complex_participations(damped_in_places, tmp_path):
+    response, force, times, turned = damped_in_places
+    last = round((times[3] - 0.05) * RATE)
+    test = tap_test(response[None, :last], RATE, hammer=force[:last], band=BAND)
+    own = test.response.taken(test.response.damping_ratio < 0.2)
+    near = np.abs(np.log(own.frequency[:, None] / FREQUENCY)).argmin(axis=0)
+    # A part of the phases that grows with frequency is taken for a delay of the hammer.
+    found = own.participation()[near] * np.exp(2j * np.pi * FREQUENCY * test.delay)
+    assert np.abs(found / turned - 1).max() < 0.02
+    assert test.unexplained.max() < 0.01
+    modes = read_modes(test.save(tmp_path / "modes.csv"))
+    np.testing.assert_allclose(modes.participation(), test.response.participation(), rtol=1e-9, atol=1e-12)
+    one = recover_force(response[None, last:], RATE, modes, [times[3] - last / RATE])[0]
+    errors = errors_of(one, force[last:], RATE)
+    assert errors["force"] < 0.08
+    assert abs(errors["impulse"]) < 0.05
+
+
+def test_a_beam_in_phase_has_no_quadrature(hammered):
+    assert np.abs(hammered.response.participation().imag).max() < 1e-2 * np.abs(PARTICIPATION).max()
+
+
 def test_modes_beyond_the_band_are_in_its_lines(hammered):
     """The band ends below half of the modes: without their share the highest of it would be wrong by some percent."""
     response, force, _ = taps(4, gap=0.7, seed=1)
@@ -335,5 +374,5 @@ def test_modes_beyond_the_band_are_in_its_lines(hammered):
         return own.frequency_response(frequency, modes.participation())
 
     beside = response_of(hammered.modes)
-    assert np.abs(response_of(test.modes.beside(test.lines)) / beside - 1).max() < 0.03
+    assert np.abs(response_of(test.response) / beside - 1).max() < 0.03
     assert np.abs(response_of(test.modes) / beside - 1).min() > 0.1

@@ -58,7 +58,7 @@ def by_cgid(response: Floats, force: Floats, rate: float, left_out: int, band: t
     test = tap_test(
         np.concatenate(response[others])[None], rate, hammer=np.concatenate(force[others]), band=band, source="taps"
     )
-    modes = test.modes if test.lines is None else test.modes.beside(test.lines)
+    modes = test.response
     onset = contact_of(force[left_out]).start / rate
     found = recover_force(response[left_out][None], rate, modes, [onset], band=band)[0]
     true = np.zeros_like(force[left_out])
@@ -83,7 +83,7 @@ def unexplained_by(response: Floats, force: Floats, rate: float, band: tuple[flo
     """Return the fraction of a response that modes under the measured force leave, stepped as recursions."""
     from scipy.signal import lfilter
 
-    modes = test.modes if test.lines is None else test.modes.beside(test.lines)  # type: ignore[attr-defined]
+    modes = test.response  # type: ignore[attr-defined]
     fine = 16
     n = force.size * fine
     dense = np.fft.irfft(np.fft.rfft(force), n) * fine
@@ -95,7 +95,7 @@ def unexplained_by(response: Floats, force: Floats, rate: float, band: tuple[flo
         state = lfilter([step], [1, -pole], dense.astype(complex))
         state -= 0.5 * step * dense
         square = (-ratio * own + 1j * free) ** 2
-        total += part * ((square / (1j * free) * state).real + dense)
+        total += (part * square / (1j * free) * state).real + part.real * dense
     late = test.delay * rate  # type: ignore[attr-defined]
     frequency = np.fft.rfftfreq(force.size, 1 / rate)
     spectrum = np.fft.rfft(total[::fine]) * np.exp(2j * np.pi * frequency / rate * late)
@@ -218,7 +218,7 @@ def four_sensors(folder: Path) -> None:
     print("\n| sensors | tap | unexplained | force | peak | duration | impulse |")
     print(f"|{'---|' * 7}")
     every = [tap_test(first[:, k][None], rate, hammer=first[:, 0], band=band) for k in range(1, 5)]
-    modes = [one.modes if one.lines is None else one.modes.beside(one.lines) for one in every]
+    modes = [one.response for one in every]
     for sensors in ((0,), (1,), (2,), (3,), (0, 1), (0, 1, 2, 3)):
         for name, data in (("the same", first), ("the other", second)):
             onset = (np.argmax(data[:, 0] > 0.05 * data[:, 0].max()) - 3) / rate

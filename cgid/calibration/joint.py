@@ -4,7 +4,10 @@ A band also contains the tails of modes outside of it. Below their frequencies t
 above like a free mass (residuals of modal analysis). Each is a mode here, far from the band and strongly damped, so
 that a table of modes contains them, and scenes and inversions need to know nothing of them.
 
-Modes that do not help to predict a tap that was left out are dropped one by one, the least useful first. This needs
+Where a beam is damped in places, joints for example, its points do not move in phase: a participation is a complex
+number, whose imaginary part responds a quarter of a period later. Both parts are columns of the fit.
+
+Columns that do not help to predict a tap that was left out are dropped one by one, the least useful first. This needs
 only products of columns: the Gram matrix of each tap.
 """
 
@@ -54,10 +57,13 @@ class Blow:
 
 @dataclass(frozen=True, eq=False)
 class Gram:
-    """Products of the responses to the forces of taps, mode by mode, and of the measured responses."""
+    """Products of the responses to the forces of taps, column by column, and of the measured responses.
 
-    matrix: Floats  # (n_taps, n_modes, n_modes)
-    vector: Floats  # (n_taps, n_modes)
+    A column is a mode of participation 1 kg^-1, or 1j behind those of all modes.
+    """
+
+    matrix: Floats  # (n_taps, 2 n_modes, 2 n_modes)
+    vector: Floats  # (n_taps, 2 n_modes)
     power: Floats  # (n_taps,)
     n_bins: int  # of all taps
 
@@ -65,30 +71,41 @@ class Gram:
         """Return the same of some taps."""
         return Gram(self.matrix[taps], self.vector[taps], self.power[taps], self.n_bins * len(taps) // len(self.power))
 
-    def solved(self, modes: Indices) -> tuple[Floats, Floats]:
-        """Return participations (n_modes,) from all taps, 0 but for some modes, and the inverse of the Gram matrix."""
-        matrix, vector = self.matrix.sum(axis=0)[np.ix_(modes, modes)], self.vector.sum(axis=0)[modes]
+    def solved(self, columns: Indices) -> tuple[Floats, Floats]:
+        """Return the factors of all columns from all taps, 0 but for some, and the inverse of their Gram matrix."""
+        matrix, vector = self.matrix.sum(axis=0)[np.ix_(columns, columns)], self.vector.sum(axis=0)[columns]
         norm = 1 / np.sqrt(np.maximum(np.diag(matrix), 1e-300))
-        inverse = np.linalg.inv(matrix * np.outer(norm, norm) + _RIDGE * np.eye(modes.size)) * np.outer(norm, norm)
+        inverse = np.linalg.inv(matrix * np.outer(norm, norm) + _RIDGE * np.eye(columns.size)) * np.outer(norm, norm)
         out = np.zeros(self.matrix.shape[1])
-        out[modes] = inverse @ vector
+        out[columns] = inverse @ vector
         return out, inverse
 
-    def unexplained(self, participation: Floats) -> Floats:
-        """Return the fraction of the energy of each tap that participations do not explain, (n_taps,)."""
-        explained = 2 * self.vector @ participation - np.einsum(
-            "i,tij,j->t", participation, self.matrix, participation, optimize=True
-        )
+    def unexplained(self, factors: Floats) -> Floats:
+        """Return the fraction of the energy of each tap that factors of columns do not explain, (n_taps,)."""
+        explained = 2 * self.vector @ factors - np.einsum("i,tij,j->t", factors, self.matrix, factors, optimize=True)
         return np.asarray(np.maximum(1 - explained / self.power, 0.0))
 
+    def left(self) -> float:
+        """Return the median fraction of the energy of a tap that all columns leave."""
+        return float(np.median(self.unexplained(self.solved(np.arange(self.matrix.shape[1]))[0])))
+
     def eliminated(self) -> Iterator[tuple[Indices, Floats]]:
-        """Yield the modes left and their participations, from all modes to one; the least useful goes next."""
+        """Yield the columns left and the factors of all, from all columns to one; the least useful goes next."""
         left = np.arange(self.matrix.shape[1])
-        while left.size:
-            participation, inverse = self.solved(left)
-            yield left, participation
-            cost = np.square(participation[left]) / np.maximum(np.diag(inverse), 1e-300)
-            left = np.delete(left, int(np.argmin(cost)))
+        factors, inverse = self.solved(left)
+        while True:
+            yield left, factors
+            if left.size == 1:
+                return
+            curvature = np.maximum(np.diag(inverse), 1e-300)
+            worst = int(np.argmin(np.square(factors[left]) / curvature))
+            # The inverse without a row and a column (Schur), and the factors that go with it.
+            step = inverse[worst] / curvature[worst]
+            factors = factors.copy()
+            factors[left] -= step * factors[left[worst]]
+            inverse = np.delete(np.delete(inverse - np.outer(inverse[:, worst], step), worst, 0), worst, 1)
+            factors[left[worst]] = 0.0
+            left = np.delete(left, worst)
 
 
 def gram_of(
@@ -101,7 +118,8 @@ def gram_of(
 ) -> Gram:
     """Return the products in a band [Hz] for forces recorded `delay` [s] too late."""
     n, n_bins = len(blows), 0
-    matrix, vector, power = np.zeros((n, pole.size, pole.size)), np.zeros((n, pole.size)), np.zeros(n)
+    size = 2 * pole.size
+    matrix, vector, power = np.zeros((n, size, size)), np.zeros((n, size)), np.zeros(n)
     for k, blow in enumerate(blows):
         n_samples = blow.response.size
         spectrum = np.fft.rfft(blow.response) / sampling_rate
@@ -120,7 +138,7 @@ def gram_of(
             before = np.zeros(pole.size, complex)
             for ago, force in blow.earlier:
                 before += stretch.states(force, ago, delay)
-            columns = stretch.by_mode(blow.force, before, delay)
+            columns = np.concatenate(stretch.by_mode(blow.force, before, delay), axis=1)
             matrix[k] += (columns.conj().T @ columns).real
             vector[k] += (columns.conj().T @ spectrum[part]).real
     return Gram(matrix, vector, np.maximum(power, 1e-300), n_bins)
@@ -131,42 +149,53 @@ class Participations:
     """Participations fitted together."""
 
     kept: Indices  # numbers of the modes that help to predict other taps, ascending
-    value: Floats  # (n_kept,)
+    value: Complex  # (n_kept,)
     deviation: Floats  # (n_kept,), standard deviations
     unexplained: Floats  # (n_taps,), fraction of the amplitude of each tap that the others' participations leave
+
+    def is_better_than(self, other: Participations, n_bins: int) -> bool:
+        """Return whether these predict taps better than those of fewer poles; of one tap, by Schwarz's criterion."""
+        gain = np.square(other.unexplained) - np.square(self.unexplained)
+        if gain.size > 1:
+            return bool(gain.mean() > gain.std(ddof=1) / np.sqrt(gain.size))
+        more = 4 * (self.value.size - other.value.size)
+        ratio = float(other.unexplained[0] / max(self.unexplained[0], 1e-300))
+        return bool(4 * n_bins * np.log(max(ratio, 1e-300)) > more * np.log(2 * n_bins))
 
 
 def fitted(gram: Gram) -> Participations:
     """Return the participations of the modes that help to predict taps left out; of a single tap all."""
-    n_taps, n_modes = gram.vector.shape
+    n_taps, n_columns = gram.vector.shape
     everything = np.arange(n_taps)
     if n_taps == 1:
-        kept = np.arange(n_modes)
+        kept = np.arange(n_columns)
     else:
-        lost = np.zeros((n_taps, n_modes + 1))  # by the number of modes left
+        lost = np.zeros((n_taps, n_columns + 1))  # by the number of columns left
         for tap in everything:
             held_out, others = gram.of(everything[[tap]]), gram.of(np.delete(everything, tap))
             lost[tap, 0] = 1.0
-            for left, participation in others.eliminated():
-                lost[tap, left.size] = held_out.unexplained(participation)[0]
+            for left, factors in others.eliminated():
+                lost[tap, left.size] = held_out.unexplained(factors)[0]
         n_kept = _fewest(lost)
         kept = next(left for left, _ in gram.eliminated() if left.size == max(n_kept, 1))
     value, inverse = gram.solved(kept)
-    noise = float(np.sum(gram.unexplained(value) * gram.power)) / max(gram.n_bins - kept.size / 2, 1)
-    # A bin has two real parts.
-    variance = np.diag(inverse) * noise / 2
     unexplained = gram.unexplained(value)
+    noise = float(np.sum(unexplained * gram.power)) / max(gram.n_bins - kept.size / 2, 1)
+    # A bin has two real parts.
+    variance = np.zeros(n_columns)
+    variance[kept] = np.diag(inverse) * noise / 2
     if n_taps > 1:
-        each = np.stack([gram.of(np.delete(everything, tap)).solved(kept)[0][kept] for tap in everything])
+        each = np.stack([gram.of(np.delete(everything, tap)).solved(kept)[0] for tap in everything])
         variance = np.maximum(variance, (n_taps - 1) / n_taps * np.square(each - each.mean(axis=0)).sum(axis=0))
-        for tap in everything:
-            other = gram.of(np.delete(everything, tap)).solved(kept)[0]
-            unexplained[tap] = gram.of(everything[[tap]]).unexplained(other)[0]
-    return Participations(kept, value[kept], np.sqrt(variance), np.sqrt(unexplained))
+        unexplained = np.array([gram.of(everything[[tap]]).unexplained(each[tap])[0] for tap in everything])
+    modes = np.unique(kept % (n_columns // 2))
+    real, imaginary = value.reshape(2, -1)[:, modes]
+    deviation = np.sqrt(variance.reshape(2, -1).sum(axis=0)[modes])
+    return Participations(modes, real + 1j * imaginary, deviation, np.sqrt(unexplained))
 
 
 def _fewest(lost: Floats) -> int:
-    """Return the fewest modes that predict taps left out (n_taps, n_modes + 1) as well as the best number."""
+    """Return the fewest columns that predict taps left out (n_taps, n + 1) as well as the best number."""
     best = int(np.argmin(lost.mean(axis=0)))
     worse = lost - lost[:, [best]]
     error = worse.std(axis=0, ddof=1) / np.sqrt(len(lost))

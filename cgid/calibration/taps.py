@@ -12,6 +12,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,7 +37,7 @@ from cgid.errors import BadData, InvalidValue
 from cgid.identification.detection.detector import ImpactDetector
 from cgid.identification.detection.events import Event
 from cgid.measure.modal.finite import Stretch
-from cgid.measure.modal.modes import Modes, residues, text_of_table
+from cgid.measure.modal.modes import QUADRATURE, Modes, residues, text_of_table
 from cgid.physics.structure.response import DERIVATIVES
 from cgid.units import UNITS, quantity_of
 
@@ -57,7 +58,7 @@ _CLIPPED_SHARE = 0.5
 #: Time within which a recording must show taps [s].
 _LOOK = 60.0
 #: Listed and detected taps match within this time [s].
-_NEAR = 0.1
+NEAR = 0.1
 #: Lowest natural frequency in periods of a decay, highest in sampling rates.
 _PERIODS, _HIGHEST = 5.0, 0.4
 #: Minimum participation, so that masses are finite.
@@ -70,6 +71,10 @@ _FLOOR = 0.05
 _WINDOWS = 3.0
 #: Delays of taps within this time are one [s]; so is none. Phases of fewer modes show none.
 _SAME_DELAY, _MIN_PHASES = 1.5e-3, 3
+#: No delay is taken if it leaves less than this fraction of the energy that the delay of the phases leaves.
+_CLEARLY = 0.25
+#: Maximum standard deviation of a row of the response over what is unexplained, and its least.
+_AS_A_WHOLE, _EXACT = 2.0, 0.01
 #: Largest table of taps [bytes].
 _MAX_FILE_SIZE = 1 << 20
 
@@ -144,11 +149,12 @@ class TapTest:
     poles : Poles
     delay : float [s]
         By how much the hammer was recorded later than the sensor; it is corrected.
-    lines : Modes, optional
-        The mass line and the stiffness lines, as modes far below and above the band: what modes outside of the band add
-        to a response in it, where that is seen. None without a hammer channel.
+    response : Modes
+        What responds to a force like the beam: the modes, or two for each whose decay is not exponential where taps say
+        so, with the mass line and the stiffness lines, modes far below and above the band for what those outside of it
+        add. Their participations are complex where points do not move in phase. Without a hammer channel the modes.
     unexplained : ndarray, (n_used,), optional
-        Fraction of the amplitude of each used tap, in the band, that the modes fitted to the other taps leave.
+        Fraction of the amplitude of each used tap, in the band, that the response fitted to the other taps leaves.
     """
 
     modes: Modes
@@ -156,8 +162,8 @@ class TapTest:
     duration: float
     band: tuple[float, float]
     poles: Poles
+    response: Modes
     delay: float = 0.0
-    lines: Modes | None = None
     unexplained: Floats | None = None
 
     @property
@@ -166,14 +172,14 @@ class TapTest:
         return [tap for tap in self.taps if not tap.flaw]
 
     def save(self, path: str | Path, *, overwrite: bool = False) -> Path:
-        """Write the modes as a table for `tail_beam.modes` of a scene, and `tail_beam.learned` next to it.
+        """Write the response as a table for `tail_beam.modes` of a scene, and `tail_beam.learned` next to it.
 
         Only the participation is known. The shapes are 1 and 1 or -1, and the modal mass is the inverse of its size:
-        correct for taps next to the sensor, elsewhere a guess of the beam's compliance. The mass line and the stiffness
-        line are the first and the last row, with a damping ratio of 0.5.
+        correct for taps next to the sensor, elsewhere a guess of the beam's compliance. Rows with a damping ratio of
+        0.5 are the mass line and the stiffness lines. The quadrature is the imaginary part of the participation.
         """
-        every = self.modes if self.lines is None else self.modes.beside(self.lines)
-        participation = every.participation()
+        every = self.response
+        participation = every.participation().real
         columns = {
             "frequency": every.frequency,
             "damping_ratio": every.damping_ratio,
@@ -181,10 +187,11 @@ class TapTest:
             "shape_impact": np.ones_like(participation),
             "shape_sensor": np.copysign(1.0, participation),
             **every.columns,
+            QUADRATURE: every.participation().imag,
         }
         note = "participations are shape_impact shape_sensor / modal_mass, "
         note += "in 1/kg" if every.scaled else "without a hammer over the largest: masses have no scale"
-        if self.lines is not None:
+        if every.scaled:
             note += f"; rows with a damping ratio of {LINE_DAMPING:g} are modes outside of the band"
         return _save(path, text_of_table(columns, "1/kg" if every.scaled else "1"), note, overwrite)
 
@@ -287,7 +294,8 @@ def tap_test(  # noqa: PLR0913
             )
         if force is None or hits is None:
             participation, relative = _relative_participation(poles, len(used), DERIVATIVES[quantity])
-            lines, unexplained = None, None
+            modes = _modes(poles.pole, participation, np.stack([*poles.deviation, relative]), scaled=False)
+            response_modes, unexplained = modes, None
             break
         pole = np.concatenate([poles.pole, lines_of((low, high))])
         reach = _RINGS / np.abs(pole.real).min() if window_tau is None else 0.0
@@ -296,6 +304,10 @@ def tap_test(  # noqa: PLR0913
             blows = [blow.without_window(window_tau * sampling_rate) for blow in blows]
         rest, alike = _remaining_delay(poles, blows, used, sampling_rate, DERIVATIVES[quantity])
         gram = gram_of(blows, pole, sampling_rate, DERIVATIVES[quantity], (low, high), rest)
+        if abs(rest) > 1 / sampling_rate:  # phases may be those of damping in places
+            none = gram_of(blows, pole, sampling_rate, DERIVATIVES[quantity], (low, high))
+            if none.left() < _CLEARLY * gram.left():
+                gram, rest, alike = none, 0.0, np.ones(len(used), bool)
         if bad := disagreeing(gram):
             taps = _without(taps, {used[k].time: one for k, one in bad.items()})
             continue
@@ -306,21 +318,31 @@ def tap_test(  # noqa: PLR0913
             )
         delay += rest
         fit = fitted(gram)
-        every = _relative_deviation(fit, poles, len(used))
-        own = fit.kept < poles.pole.size
-        zeros = np.zeros(int((~own).sum()))
-        lines = _modes(pole[fit.kept[~own]], fit.value[~own], np.stack([zeros, zeros, every[~own]]), scaled=True)
-        poles, participation, relative = poles.taken(fit.kept[own]), fit.value[own], every[own]
-        unexplained = fit.unexplained
+        deviation = np.zeros((3, pole.size))
+        deviation[:2, : poles.pole.size] = poles.deviation
+        deviation[2, fit.kept] = _relative_deviation(fit, poles, len(used))
+        kept_modes = fit.kept[fit.kept < poles.pole.size]
+        modes = _modes(pole[kept_modes], fit.value[: kept_modes.size], deviation[:, kept_modes], scaled=True)
+        if poles.apart.size > poles.pole.size:
+            more = np.concatenate([poles.apart, pole[poles.pole.size :]])
+            wider = fitted(gram_of(blows, more, sampling_rate, DERIVATIVES[quantity], (low, high), rest))
+            if wider.is_better_than(fit, gram.n_bins):
+                fit, pole, deviation = wider, more, np.zeros((3, more.size))
+                deviation[2] = 1.0
+        # Rows may be large and cancel: then they are as wrong as the response is as a whole.
+        deviation[2] = np.minimum(deviation[2], max(_AS_A_WHOLE * float(np.median(fit.unexplained)), _EXACT))
+        response_modes = _modes(pole[fit.kept], fit.value, deviation[:, fit.kept], scaled=True)
+        response_modes = response_modes.taken(np.argsort(response_modes.frequency))
+        poles, unexplained = poles.taken(kept_modes), fit.unexplained
         break
     return TapTest(
-        modes=_modes(poles.pole, participation, np.stack([*poles.deviation, relative]), scaled=force is not None),
+        modes=modes,
         taps=tuple(taps),
         duration=length / sampling_rate,
         band=(low, high),
         poles=poles,
         delay=delay,
-        lines=lines,
+        response=response_modes,
         unexplained=unexplained,
     )
 
@@ -346,13 +368,14 @@ def _without(taps: Sequence[Tap], bad: dict[float, tuple[float, float, float]]) 
     return out
 
 
-def _modes(pole: Complexes, participation: Floats, deviation: Floats, *, scaled: bool) -> Modes:
-    root = np.sqrt(np.abs(participation))
+def _modes(pole: Complexes, participation: Floats | Complexes, deviation: Floats, *, scaled: bool) -> Modes:
+    root = np.sqrt(np.maximum(np.abs(participation), _LEAST))
+    at_sensor: Any = participation / root
     return Modes(
         frequency=np.abs(pole) / (2 * np.pi),
         damping_ratio=-pole.real / np.abs(pole),
         at_impact=root,
-        at_sensor=np.copysign(root, participation),
+        at_sensor=at_sensor,
         deviation=deviation,
         scaled=scaled,
     )
@@ -529,9 +552,9 @@ def _required(taps: list[Tap], times: Sequence[float] | None, source: str) -> li
     selected = set()
     for time in times:
         near = min(range(len(taps)), key=lambda k: abs(taps[k].time - time))
-        if abs(taps[near].time - time) > _NEAR:
+        if abs(taps[near].time - time) > NEAR:
             raise BadData(
-                f"{source}: a tap must be within {_NEAR:g} s of {time:g} s, the nearest is at "
+                f"{source}: a tap must be within {NEAR:g} s of {time:g} s, the nearest is at "
                 f"{taps[near].time:.4g} s; correct the table of taps"
             )
         selected.add(near)

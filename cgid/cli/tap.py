@@ -227,8 +227,8 @@ def _say(test: TapTest, path: Path, scene: str | None, known: Any, as_json: bool
     if test.unexplained is not None and len(test.used) > 1:
         left = sorted(test.unexplained.tolist())[len(test.used) // 2]
         say(f"{100 * left:.2g} % of a tap is not explained by the modes from the others (median)")
-    if test.lines is not None and test.lines.frequency.size:
-        say(f"{counted(test.lines.frequency.size, 'more row')} of the table for modes outside of the band")
+    if more := test.response.frequency.size - test.modes.frequency.size:
+        say(f"{counted(more, 'more row')} of the table for modes outside of the band, or not exponential")
     say(f"{'frequency [Hz]':>20}{'damping ratio [%]':>22}{f'participation [{unit}]':>32}")
     for mode in content["modes"]:
         deviations = [mode[f"{name}_deviation"] for name in ("frequency", "damping_ratio", "participation")]

@@ -259,7 +259,8 @@ class _Vibration:
 
     def by_mode(self, force: Floats) -> Complex:
         """Return what each mode adds for a force at the first samples, (n_bins, n_modes)."""
-        return self.stretch.by_mode(force, np.zeros(self.participation.size, complex)) * self.participation
+        one, turned = self.stretch.by_mode(force, np.zeros(self.participation.size, complex))
+        return one * self.participation.real + turned * self.participation.imag
 
 
 def _recovered(vibrations: Sequence[_Vibration], first: int, n_samples: int) -> RecoveredForce:

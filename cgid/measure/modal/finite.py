@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,39 +38,52 @@ class Stretch:
         ago = (samples - np.arange(len(force))) * step + delay
         return np.asarray(np.exp(np.outer(self.pole, ago)) @ force * step)
 
-    def steady(self) -> Complex:
-        """Return the response of each mode to a unit force that never ends, (n_bins, n_modes)."""
-        s, unit = 1j * self.line[:, None], residues(self.pole, self.derivatives)
-        both = 0.5 * (unit / (s - self.pole) + unit.conj() / (s - self.pole.conj()))
-        return np.asarray(both + 1.0 if self.derivatives == 2 else both)
+    def by_mode(self, force: Floats, before: Complex, delay: float = 0.0) -> tuple[Complex, Complex]:
+        """Return the transforms of each mode's vibration for a force (n,) and states before it, each (n_bins, n_modes).
 
-    def ends(self) -> tuple[Complex, Complex]:
-        """Return what a state and its conjugate at the begin add, and take away at the end, each (n_bins, n_modes)."""
+        The first is that of a participation of 1, the second of one of 1j.
+        """
+        after = np.exp(self.pole * self.n_samples / self.sampling_rate) * before
+        change = before - after - self.states(force, self.n_samples, delay)
+        (steady, steady_mirrored), (own, mirrored) = self._steady, self._ends
+        transform = self.transform(force, delay)[:, None]
+        turning = steady * transform + own * change
+        returning = steady_mirrored * transform + mirrored * change.conj()
+        return turning + returning, 1j * (turning - returning)
+
+    def by_force(self, participation: Floats | Complex, forces: Floats) -> Complex:
+        """Return the transform of the vibration of all modes for forces (n, n_forces), (n_bins, n_forces)."""
+        steady, mirrored = self._steady
+        gain = steady @ participation + mirrored @ np.conj(participation)
+        return np.asarray(
+            gain[:, None] * self.transform(forces) - self._added(participation, self.states(forces, self.n_samples))
+        )
+
+    def free(self, participation: Floats | Complex, before: Complex) -> Complex:
+        """Return the transform of the vibration that remains from states before, (n_bins,)."""
+        return self._added(participation, (1 - np.exp(self.pole * self.n_samples / self.sampling_rate)) * before)
+
+    def _added(self, participation: Floats | Complex, states: Complex) -> Complex:
+        """Return what states (n_modes, ...) at the begin of the stretch add, (n_bins, ...)."""
+        own, mirrored = self._ends
+        return np.asarray(own * participation @ states + mirrored * np.conj(participation) @ states.conj())
+
+    # Both of a participation of 1, each (n_bins, n_modes): the first turns by 1j with it, the second by -1j.
+
+    @cached_property
+    def _steady(self) -> tuple[Complex, Complex]:
+        """Response of each mode to a unit force that never ends."""
+        s, unit, direct = 1j * self.line[:, None], residues(self.pole, self.derivatives), self.derivatives == 2
+        return 0.5 * (unit / (s - self.pole) + direct), 0.5 * (unit.conj() / (s - self.pole.conj()) + direct)
+
+    @cached_property
+    def _ends(self) -> tuple[Complex, Complex]:
+        """What a state and its conjugate at the begin add, and take away at the end."""
         step, unit = 1 / self.sampling_rate, 0.5 * residues(self.pole, self.derivatives)
         turn = np.exp(-1j * self.line * step)[:, None]
         own = unit * step / (1 - np.exp(self.pole * step) * turn)
         mirrored = unit.conj() * step / (1 - np.exp(self.pole.conj() * step) * turn)
         return own, mirrored
-
-    def by_mode(self, force: Floats, before: Complex, delay: float = 0.0) -> Complex:
-        """Return the transform of each mode's vibration for a force (n,) and states before it, (n_bins, n_modes)."""
-        after = np.exp(self.pole * self.n_samples / self.sampling_rate) * before
-        change = before - after - self.states(force, self.n_samples, delay)
-        own, mirrored = self.ends()
-        return self.steady() * self.transform(force, delay)[:, None] + own * change + mirrored * change.conj()
-
-    def by_force(self, participation: Floats, forces: Floats) -> Complex:
-        """Return the transform of the vibration of all modes for forces (n, n_forces), (n_bins, n_forces)."""
-        own, mirrored = self.ends()
-        after = self.states(forces, self.n_samples)
-        out = (self.steady() @ participation)[:, None] * self.transform(forces)
-        return np.asarray(out - (own * participation) @ after - (mirrored * participation) @ after.conj())
-
-    def free(self, participation: Floats, before: Complex) -> Complex:
-        """Return the transform of the vibration that remains from states before, (n_bins,)."""
-        change = (1 - np.exp(self.pole * self.n_samples / self.sampling_rate)) * before * participation
-        own, mirrored = self.ends()
-        return np.asarray(own @ change + mirrored @ change.conj())
 
 
 def bins_in(n_samples: int, sampling_rate: float, band: Sequence[float]) -> NDArray[np.intp]:

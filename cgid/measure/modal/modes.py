@@ -10,6 +10,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, Protocol
 
 import numpy as np
@@ -33,6 +34,8 @@ LEARNED_COLUMNS = {
     "participation": "1",
     **{f"{name}_deviation": "1" for name in CORRECTED},
 }
+#: The imaginary part of a participation in a table of measured modes, which it may lack [1/kg].
+QUADRATURE = "quadrature"
 #: Limits of a damping ratio that is corrected.
 _MIN_DAMPING, _MAX_DAMPING = 1e-4, 0.7
 #: Largest file of modes [bytes].
@@ -62,7 +65,7 @@ class Modes:
     at_impact : ndarray, (n_modes,), or function of x and y [1/sqrt(kg)]
         Shapes where the force acts: at one point, or anywhere.
     at_sensor : ndarray, (n_modes,) or (n_sensors, n_modes), optional [1/sqrt(kg)]
-        Shapes at the sensors.
+        Shapes at the sensors; complex where a sensor does not move in phase with the point of impact.
     deviation : ndarray, (3, n_modes), optional
         Standard deviations of ln frequency, ln damping ratio and ln participation; None for modes that are exact.
     scaled : bool
@@ -97,11 +100,18 @@ class Modes:
             return cls.relative(frequency, damping_ratio, participation, np.stack(deviation))
         validation.ascending("frequency", checked["frequency"], "Hz")
         root = np.sqrt(checked["modal_mass"])
+        at_impact = checked["shape_impact"] / root
+        at_sensor: Any = checked["shape_sensor"] / root
+        if QUADRATURE in columns:
+            turned = np.divide(
+                _require_rule(QUADRATURE, columns[QUADRATURE]), at_impact, out=np.zeros(root.size), where=at_impact != 0
+            )
+            at_sensor = at_sensor + 1j * turned if turned.any() else at_sensor
         return cls(
             frequency=checked["frequency"],
             damping_ratio=checked["damping_ratio"],
-            at_impact=checked["shape_impact"] / root,
-            at_sensor=checked["shape_sensor"] / root,
+            at_impact=at_impact,
+            at_sensor=at_sensor,
         )
 
     @classmethod
@@ -217,7 +227,7 @@ class Modes:
     def columns(self) -> dict[str, Floats]:
         """Columns of a table of learned modes."""
         deviation = np.zeros((3, self.frequency.size)) if self.deviation is None else self.deviation
-        values = (self.frequency, self.damping_ratio, self.participation(), *deviation)
+        values = (self.frequency, self.damping_ratio, self.participation().real, *deviation)
         return dict(zip(LEARNED_COLUMNS, values, strict=True))
 
 
@@ -295,7 +305,8 @@ def read_modes(path: str | Path, columns: Mapping[str, str] = COLUMNS) -> Modes:
 
     The first line names the columns with their units, in any order: `frequency [Hz]`, `damping_ratio [1]`,
     `modal_mass [kg]`, `shape_impact [1]`, `shape_sensor [1]`; other columns are ignored. Each further line is one mode;
-    empty lines and lines that begin with # are ignored.
+    empty lines and lines that begin with # are ignored. `quadrature [1/kg]`, the imaginary part of the participation,
+    may be missing.
 
     Parameters
     ----------
@@ -328,19 +339,23 @@ def read_modes(path: str | Path, columns: Mapping[str, str] = COLUMNS) -> Modes:
     >>> modes.participation().round(6).tolist()
     [0.001714, -0.001167]
     """
-    rows = rows_of_table(path, columns)
-    return Modes.of({name: [row[name] for row in rows] for name in columns})
+    rows = rows_of_table(path, columns, {QUADRATURE: "1/kg"} if columns is COLUMNS else {})
+    return Modes.of({name: [row[name] for row in rows] for name in rows[0]})
 
 
-def rows_of_table(path: str | Path, columns: Mapping[str, str]) -> list[dict[str, float]]:
-    """Return the numbers of each mode of a table by column; raises as `read_modes`."""
+def rows_of_table(
+    path: str | Path, columns: Mapping[str, str], optional: Mapping[str, str] = MappingProxyType({})
+) -> list[dict[str, float]]:
+    """Return the numbers of each mode of a table by column, and of optional ones if present; raises as `read_modes`."""
     # A table of measured modes states their own participations, which as corrections are factors of 1.
     lines = read_cells(path, "the table of modes", _MAX_FILE_SIZE)
     if len(lines) < 2:
         raise BadData(f"{path}: a table of modes must have a line of column names and a line a mode, got {len(lines)}")
     measured = columns is LEARNED_COLUMNS and f"modal_mass [{COLUMNS['modal_mass']}]" in lines[0][1]
     factors = {"participation": 1.0} if measured else {}
-    indices = _column_indices(path, lines[0][1], {name: columns[name] for name in columns.keys() - factors.keys()})
+    needed = {name: columns[name] for name in columns.keys() - factors.keys()}
+    present = {name: unit for name, unit in optional.items() if f"{name} [{unit}]" in lines[0][1]}
+    indices = _column_indices(path, lines[0][1], needed | present)
     rows = [(number, _row(f"{path}, line {number}", cells, indices) | factors) for number, cells in lines[1:]]
     for (number, row), (_, before) in zip(rows[1:], rows[:-1], strict=True):
         if columns is COLUMNS and row["frequency"] < before["frequency"]:
@@ -353,7 +368,7 @@ def rows_of_table(path: str | Path, columns: Mapping[str, str]) -> list[dict[str
 
 def text_of_table(columns: Mapping[str, Floats], scale: str = "1") -> str:
     """Return columns of `COLUMNS` or `LEARNED_COLUMNS`, each (n_modes,), as the text of a table of modes."""
-    units = COLUMNS | LEARNED_COLUMNS | {"participation": scale}
+    units = COLUMNS | LEARNED_COLUMNS | {"participation": scale, QUADRATURE: scale}
     titles = ",".join(f"{name} [{units[name]}]" for name in columns)
     rows = (",".join(f"{float(value)!r}" for value in row) for row in zip(*columns.values(), strict=True))
     return "\n".join((titles, *rows)) + "\n"
@@ -388,7 +403,7 @@ def _row(line: str, cells: list[str], indices: Mapping[str, int]) -> dict[str, f
 
 def _require_rule(name: str, value: ArrayLike) -> Floats:
     """Return a column or a cell as numbers, or raise `InvalidValue`."""
-    if name.startswith("shape"):
+    if name.startswith("shape") or name == QUADRATURE:
         return validation.real(name, value)
     if name == "damping_ratio":
         return validation.damping_ratio(name, value)

@@ -195,7 +195,7 @@ class Response:
 
     @cached_property
     def _residues(self) -> tuple[Complex, Complex]:
-        """Amplitudes of the poles of modes and filters for a participation of 1, doubled for a conjugate."""
+        """Amplitudes of the poles of modes for a participation of 1, of filters for 1j, too; doubled for conjugates."""
         fold = np.where(self.poles.imag != 0, 2.0, 1.0)
         after = np.array([self._filtered(pole, n) for n, pole in enumerate(self._filter_poles)], complex)
         if self.modes is None:
@@ -206,8 +206,11 @@ class Response:
         at_modes = residues(modal_poles, k) / 2 * self._filtered(modal_poles)
         s = self._filter_poles[None, :]
         beam = s**2 + 2 * (zeta * w)[:, None] * s + (w * w)[:, None]
-        at_filters = after[None] * s**k / beam
-        return fold[: self.n_modes] * at_modes, fold[None, self.n_modes :] * at_filters
+        # A participation of 1j: the state a quarter of a period later, of which nothing passes without delay.
+        unit = residues(modal_poles, k)[:, None]
+        turned = 0.5j * (unit / (s - modal_poles[:, None]) - unit.conj() / (s - modal_poles[:, None].conj()))
+        at_filters = after * np.stack([s**k / beam, turned])
+        return fold[: self.n_modes] * at_modes, fold[self.n_modes :] * at_filters
 
     @cached_property
     def _loudness(self) -> Floats:
@@ -218,7 +221,7 @@ class Response:
         gain = np.abs(self._filtered(1j * size))
         return np.asarray(gain / size if k == 0 else gain if k == 1 else gain * size)
 
-    def amplitudes(self, participation: Floats | None = None) -> tuple[Complex, Floats]:
+    def amplitudes(self, participation: Floats | Complex | None = None) -> tuple[Complex, Floats]:
         """Return how strongly a force drives each pole, (n, n_poles), and the fraction that passes without delay, (n,).
 
         Participation is `shape(impact) shape(sensor) / modal mass` [1/kg], (n, n_modes), or None for a force.
@@ -227,9 +230,11 @@ class Response:
         if participation is None:
             return filters, np.full(1, float(self._passes))
         # Not with BLAS, whose last digits depend on the number of threads.
-        mixed = np.einsum("nm,mf->nf", participation, filters)
+        mixed = np.einsum("nm,mf->nf", participation.real, filters[0])
+        if np.iscomplexobj(participation):
+            mixed = mixed + np.einsum("nm,mf->nf", participation.imag, filters[1])
         passes = self.quantity == "acceleration" and self._passes
-        direct = participation.sum(axis=1) if passes else np.zeros(len(participation))
+        direct = participation.real.sum(axis=1) if passes else np.zeros(len(participation))
         return np.concatenate([participation * residues, mixed], axis=1), direct
 
     def frequency_response(self, frequencies: ArrayLike, participation: ArrayLike | None = None) -> Complex:
@@ -247,7 +252,7 @@ class Response:
         >>> float(response.frequency_response([100.0], mode.participation())[0].imag.round(9))
         1.0
         """
-        rows = None if participation is None else np.atleast_2d(np.asarray(participation, np.float64))
+        rows = None if participation is None else np.atleast_2d(np.asarray(participation))
         amplitude, direct = self.amplitudes(rows)
         s = 2j * np.pi * np.asarray(frequencies)[:, None]
         pole, half = self.poles[None], np.where(self.poles.imag != 0, 0.5, 1.0) * amplitude[0]
