@@ -11,6 +11,7 @@ from cgid.calibration import Flaw, tap_test
 from cgid.calibration.agreement import shifted
 from cgid.calibration.matching import matched
 from cgid.calibration.poles import poles_of
+from cgid.calibration.splice import Splice, spans_of
 from cgid.cli.main import run
 from cgid.errors import BadData
 from cgid.identification.inversion.recovered import errors_of, recover_force
@@ -187,6 +188,36 @@ def test_the_table_is_one_of_a_scene(hammered, tmp_path):
         hammered.save(path)
 
 
+def test_stretches_of_a_recording_overlap_and_cover_it():
+    samples = np.arange(2 * 1000.0).reshape(2, 1000)
+    blocks = np.split(samples, [7, 130, 131, 640], axis=1)
+    found = list(spans_of(blocks, 300, 50))
+    assert [last for _, _, last in found] == [False] * (len(found) - 1) + [True]
+    assert [first for first, _, _ in found] == [250 * k for k in range(len(found))]
+    for first, part, _ in found:
+        np.testing.assert_array_equal(part, samples[:, first : first + 300])
+    assert found[-1][0] + found[-1][1].shape[1] == 1000
+
+
+def test_taps_of_a_long_recording_are_those_of_a_short_one():
+    """Three taps twice, with a minute between them; stretches of 12 s end between and within taps."""
+    response, force, times = taps(3, gap=0.7, seed=1)
+    gap = round(17 * RATE)
+    both = np.zeros((2, 2 * response.size + gap))
+    both[0] = np.random.default_rng(0).normal(0, 1e-3 * response.std(), both.shape[1])
+    for first in (0, response.size + gap):
+        both[:, first : first + response.size] = response, force
+    spans = list(spans_of([both], round(12 * RATE), round(Splice.OVERLAP * RATE)))
+    splice = Splice(((first, part[:1], part[1], last) for first, part, last in spans), RATE, "long", None)
+    assert splice.response.shape[1] < 0.9 * both.shape[1]
+    test = tap_test(splice.response, RATE, hammer=splice.force, band=(60.0, 560.0))
+    second = (response.size + gap) / RATE
+    at = [splice.placed(tap).time for tap in test.taps]
+    np.testing.assert_allclose(at, [*times, *(times + second)], atol=2e-3)
+    np.testing.assert_allclose(test.modes.participation().real, PARTICIPATION[:5], rtol=0.01)
+    np.testing.assert_allclose(splice.inside([at[1], 10.0, at[4]]), [test.taps[1].time, test.taps[4].time])
+
+
 def test_modes_of_a_scene_are_corrected_where_taps_say_more(hammered):
     """The scene is .6 % too stiff, off by .2 % besides, and has modes that no tap found."""
     rng = np.random.default_rng(4)
@@ -236,6 +267,27 @@ def test_command(tmp_path, capsys, monkeypatch):
     assert [tap["flaw"] for tap in content["taps"]][1] == "not in the table of taps"
     assert run([*given, "--overwrite"]) == 0
     assert (tmp_path / "modes.csv").read_bytes() == table
+
+
+def test_channels_of_several_units_and_the_response_as_a_universal_file(tmp_path, capsys, monkeypatch):
+    """pyuff reads what was written; the modelled response is that of the true modes."""
+    pyuff = pytest.importorskip("pyuff")
+    monkeypatch.chdir(tmp_path)
+    response, force, _ = taps(3, gap=0.6, seed=1)
+    np.save("taps.npy", np.stack([response, force]))
+    given = ["tap", "taps.npy", "--rate", f"{RATE:g}", "--unit", "1=m/s^2,2=N", "--hammer", "2", "-o", "modes.csv"]
+    assert run([*given, "--band", "60", "2000", "--uff", "response.uff"]) == 0
+    capsys.readouterr()
+    sets = pyuff.UFF("response.uff").read_sets()
+    frequency = sets[0]["x"]
+    s, own = 2j * np.pi * frequency[:, None], 2 * np.pi * FREQUENCY
+    true = (PARTICIPATION * s**2 / (s**2 + 2 * DAMPING * own * s + own**2)).sum(axis=1)
+    for found, limit in zip(sets, (0.1, 0.02), strict=True):
+        assert (found["func_type"], found["ordinate_spec_data_type"], found["orddenom_spec_data_type"]) == (4, 12, 13)
+        np.testing.assert_allclose(found["x"], frequency)
+        assert np.linalg.norm(found["data"] - true) < limit * np.linalg.norm(true)
+    assert run([*given, "--overwrite", "--unit", "1=m/s^2"]) != 0
+    assert "--unit" in capsys.readouterr().err
 
 
 def test_command_with_a_scene_and_one_tap(tmp_path, capsys, monkeypatch):

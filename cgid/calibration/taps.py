@@ -31,6 +31,7 @@ from cgid.calibration.agreement import (
     shifted,
     starts_late,
 )
+from cgid.calibration.frequency_response import FrequencyResponse
 from cgid.calibration.joint import LINE_DAMPING, Blow, Participations, fitted, gram_of, lines_of
 from cgid.calibration.poles import Complexes, Poles, poles_of
 from cgid.errors import BadData, InvalidValue
@@ -155,6 +156,8 @@ class TapTest:
         add. Their participations are complex where points do not move in phase. Without a hammer channel the modes.
     unexplained : ndarray, (n_used,), optional
         Fraction of the amplitude of each used tap, in the band, that the response fitted to the other taps leaves.
+    frequency_response : FrequencyResponse, optional
+        Measured and modelled, with a hammer channel.
     """
 
     modes: Modes
@@ -165,6 +168,7 @@ class TapTest:
     response: Modes
     delay: float = 0.0
     unexplained: Floats | None = None
+    frequency_response: FrequencyResponse | None = None
 
     @property
     def used(self) -> list[Tap]:
@@ -295,7 +299,7 @@ def tap_test(  # noqa: PLR0913
         if force is None or hits is None:
             participation, relative = _relative_participation(poles, len(used), DERIVATIVES[quantity])
             modes = _modes(poles.pole, participation, np.stack([*poles.deviation, relative]), scaled=False)
-            response_modes, unexplained = modes, None
+            response_modes, unexplained, measured = modes, None, None
             break
         pole = np.concatenate([poles.pole, lines_of((low, high))])
         reach = _RINGS / np.abs(pole.real).min() if window_tau is None else 0.0
@@ -334,6 +338,7 @@ def tap_test(  # noqa: PLR0913
         response_modes = _modes(pole[fit.kept], fit.value, deviation[:, fit.kept], scaled=True)
         response_modes = response_modes.taken(np.argsort(response_modes.frequency))
         poles, unexplained = poles.taken(kept_modes), fit.unexplained
+        measured = FrequencyResponse.of(blows, response_modes, sampling_rate, quantity, (low, high), rest)  # type: ignore[arg-type]
         break
     return TapTest(
         modes=modes,
@@ -344,6 +349,7 @@ def tap_test(  # noqa: PLR0913
         delay=delay,
         response=response_modes,
         unexplained=unexplained,
+        frequency_response=measured,
     )
 
 

@@ -28,7 +28,7 @@ _OPTIONS = {
     "Signals": "--signals --seed --laws --dtype --quantities --shuffle-labels --test-share --calibration-share",
     "Calibration": "--start-error --drift --participation-error --dimension-error --exact --impacts",
     "Tap test": "--hammer --modes --band --max-order --contact --taps --window-tau",
-    "Output": "--output --summary --save --port --audacity --mirror --report --plot --plots --overwrite --resume "
+    "Output": "--output --summary --save --port --audacity --mirror --report --plot --plots --uff --overwrite --resume "
     "--compression --shard-signals --json --clock --strict",
     _PLANT: "--mqtt --modbus --prometheus --live --on-shut --on-open --on-blind",
     "Speed": "--jobs --scheduler",

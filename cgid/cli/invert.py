@@ -12,13 +12,14 @@ from cgid.cli.help import Command
 from cgid.cli.options import OUTPUT, PATH, ReadingOptions, json_option, overwrite_option, reading_options
 from cgid.cli.output import print_json, say, warn
 from cgid.cli.tap import read_with_hammer
+from cgid.errors import BadData
 
 if TYPE_CHECKING:
     from cgid._lib.validation import Floats
     from cgid.identification.inversion.recovered import RecoveredForce
 
-#: A measured force belongs to an impact whose onset is this near [s].
-_NEAR = 5e-3
+#: An earlier impact is heard for this time [s].
+_RINGS = 2.0
 
 
 @click.command(
@@ -68,19 +69,39 @@ def invert(
 
     path = None if output is None else check_new(Path(output), "a table of forces", (".csv",), overwrite=overwrite)
     modes = [read_modes(table) for table in tables]
-    response, force, rate, quantity = read_with_hammer(recording, hammer, reading)
-    if force is None:
-        measured, events = None, events_in(response, rate, recording)
-    else:
-        measured, events = hammer_force(force, rate, recording)
-    onsets = [event.onset / rate for event in events]
-    found = recover_force(response, rate, modes, onsets, quantity=quantity, band=band or None, contact=contact * 1e-3)
-    rows = [_row(one, measured, rate) for one in found]
+    spans, rate, quantity = read_with_hammer(recording, hammer, reading, 2 * _RINGS)
+    rows: list[dict[str, Any]] = []
+    text: list[str] = []
+    done, silent = 0, None
+    for first, response, force, last in spans:
+        try:
+            if force is None:
+                measured, events = None, events_in(response, rate, recording, apart=False)
+            else:
+                measured, events = hammer_force(force, rate, recording)
+        except BadData as error:
+            silent = error
+            continue
+        # The vibration of the last impacts goes on in the next stretch, which also begins with them.
+        end = response.shape[1] - (0 if last else round(_RINGS * rate))
+        onsets = [event.onset / rate for event in events if event.onset < end]
+        options: dict[str, Any] = {"quantity": quantity, "band": band or None, "contact": contact * 1e-3}
+        for event, one in zip(events, recover_force(response, rate, modes, onsets, **options), strict=False):
+            if first + event.onset < done:
+                continue
+            row = _row(one, measured, rate)
+            rows.append({**row, "time": row["time"] + first / rate})
+            if path is not None:
+                text += _lines(len(rows), one, measured, rate, first)
+        done = first + end
+    if not rows:
+        raise silent or BadData(f"{recording}: must contain an impact, got none; record longer")
     for row in rows:
         if row["peak"] <= 0:
             warn(f"impact at {row['time']:.4g} s: the force pulls; is the signal inverted (--invert), or elsewhere?")
     if path is not None:
-        write_whole(path, _table(found, measured, rate).encode(), overwrite=overwrite)
+        title = "impact,time [s],force [N],deviation [N]" + ("" if hammer is None else ",measured [N]")
+        write_whole(path, "\n".join([title, *text, ""]).encode(), overwrite=overwrite)
     if as_json:
         print_json({"output": output, "impacts": rows})
         return
@@ -94,8 +115,8 @@ def invert(
         if "errors" in row:
             errors = dict(row["errors"])
             late = errors.pop("delay")
-            text = ", ".join(f"{name} {100 * value:+.2g} %" for name, value in errors.items())
-            say(f"{'':>10}  beside the measured force, {1e3 * late:+.2g} ms later: {text}")
+            errors_text = ", ".join(f"{name} {100 * value:+.2g} %" for name, value in errors.items())
+            say(f"{'':>10}  beside the measured force, {1e3 * late:+.2g} ms later: {errors_text}")
 
 
 def _row(found: RecoveredForce, measured: Floats | None, rate: float) -> dict[str, Any]:
@@ -117,13 +138,10 @@ def _row(found: RecoveredForce, measured: Floats | None, rate: float) -> dict[st
     return row
 
 
-def _table(found: list[RecoveredForce], measured: Floats | None, rate: float) -> str:
-    """Return the forces as text, a row for each sample."""
-    lines = ["impact,time [s],force [N],deviation [N]" + ("" if measured is None else ",measured [N]")]
-    for number, one in enumerate(found, 1):
-        columns = [one.time, one.force, one.deviation]
-        if measured is not None:
-            first = round(one.time[0] * rate)
-            columns.append(measured[first : first + one.time.size])
-        lines += [f"{number}," + ",".join(f"{float(value):.9g}" for value in row) for row in zip(*columns, strict=True)]
-    return "\n".join(lines) + "\n"
+def _lines(number: int, found: RecoveredForce, measured: Floats | None, rate: float, first: int) -> list[str]:
+    """Return the rows of a table of forces, one for each sample; the stretch begins at sample `first`."""
+    columns = [found.time + first / rate, found.force, found.deviation]
+    if measured is not None:
+        begin = round(found.time[0] * rate)
+        columns.append(measured[begin : begin + found.time.size])
+    return [f"{number}," + ",".join(f"{float(value):.9g}" for value in row) for row in zip(*columns, strict=True)]

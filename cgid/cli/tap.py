@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -24,8 +25,11 @@ from cgid.cli.output import print_json, progress_bar, say, warn
 from cgid.errors import BadData, InvalidValue
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from cgid._lib.validation import Floats
     from cgid.calibration import TapTest
+    from cgid.calibration.splice import Span
 
 #: A delay of the hammer is told from here on [s].
 _TOLD = 5e-6
@@ -65,7 +69,10 @@ _TOLD = 5e-6
     show_default=True,
     help="Set the uncertainty of the scene's natural frequencies (one standard deviation).",
 )
-@click.option("--plot", "picture", type=OUTPUT, help="Plot the poles of all orders of the model as PNG.")
+@click.option(
+    "--plot", "picture", type=OUTPUT, help="Plot the poles of all orders of the model, and the response, as PNG."
+)
+@click.option("--uff", type=OUTPUT, help="Write the frequency response, measured and modelled, to this universal file.")
 @overwrite_option
 @laws_option
 @json_option
@@ -82,6 +89,7 @@ def tap(
     scene_name: str | None,
     start_error: str,
     picture: str | None,
+    uff: str | None,
     overwrite: bool,
     as_json: bool,
     reading: ReadingOptions,
@@ -92,10 +100,16 @@ def tap(
     With an instrumented hammer, name its channel by --hammer: then participations are in 1/kg. The table is one for
     tail_beam.modes of a scene and, with --scene, for tail_beam.learned.
     """
-    from cgid._lib.files import check_new
+    from dataclasses import replace
+
+    from cgid._lib.files import check_new, write_whole
+    from cgid.calibration.splice import Splice
     from cgid.calibration.taps import read_times, save_learned, tap_test
 
     path = check_new(Path(output), "a table of modes", (".csv",), overwrite=overwrite)
+    universal = None if uff is None else check_new(Path(uff), "a universal file", (".uff", ".unv"), overwrite=overwrite)
+    if universal is not None and hammer is None:
+        raise InvalidValue("--uff must be used with a hammer channel, whose force the response is over; give --hammer")
     drawing = None
     if picture is not None:
         from cgid.plots.figure import new_picture
@@ -106,21 +120,23 @@ def tap(
     if not 0 < error <= 0.1:
         raise InvalidValue(f"--start-error must be above 0 and at most 10 %, got {error:g}")
     times = None if table is None else read_times(table)
-    response, force, rate, quantity = read_with_hammer(recording, hammer, reading)
+    spans, rate, quantity = read_with_hammer(recording, hammer, reading, Splice.OVERLAP)
+    splice = Splice(spans, rate, recording, times)
     with progress_bar(100, "%", "finding modes") as progress:
         test = tap_test(
-            response,
+            splice.response,
             rate,
-            hammer=force,
+            hammer=splice.force,
             quantity=quantity,
             band=band or None,
             max_order=max_order,
             contact=contact * 1e-3,
-            times=times,
+            times=splice.inside(times),
             window_tau=None if window_tau is None else window_tau * 1e-3,
             source=recording,
             progress=progress,
         )
+    test = replace(test, taps=tuple(splice.placed(tap) for tap in test.taps))
     known = None
     if modes is None:
         test.save(path, overwrite=overwrite)
@@ -130,10 +146,11 @@ def tap(
         learned, known = matched(test, *modes, error)
         save_learned(learned, path, overwrite=overwrite)
     if drawing is not None:
-        from cgid._lib.files import write_whole
         from cgid.plots.figure import stabilisation_picture
 
         write_whole(drawing, stabilisation_picture(test), overwrite=overwrite)
+    if universal is not None and test.frequency_response is not None:
+        write_whole(universal, test.frequency_response.universal(Path(recording).name), overwrite=overwrite)
     if len(test.used) == 1:
         warn("one tap: the standard deviations omit the variation between taps; tap about five times")
     _say(test, path, scene_name, known, as_json)
@@ -158,11 +175,9 @@ def _modes_of(name: str) -> tuple[Floats, Floats]:
 
 
 def read_with_hammer(
-    path: str, hammer: str | None, reading: ReadingOptions
-) -> tuple[Floats, Floats | None, float, str]:
-    """Return the response (n_channels, n), the hammer's force or None, their rate and the response's quantity."""
-    import numpy as np
-
+    path: str, hammer: str | None, reading: ReadingOptions, overlap: float
+) -> tuple[Iterator[Span], float, str]:
+    """Return stretches of a minute that overlap by some seconds, the rate and the response's quantity."""
     from cgid.calibration.taps import factor_of
     from cgid.identification.training.recordings import unit_of
     from cgid.recordings import is_dataset, open_recording
@@ -174,18 +189,20 @@ def read_with_hammer(
         raise InvalidValue(f"{path}: taps must be a recording, this is a dataset of impacts; record taps on the beam")
     chain: dict[str, Any] = {"variable": reading.variable, "sampling_rate": reading.sampling_rate, **reading.chain}
     chain["format"] = reading.format
-    force, recorded_hammer = None, None
+    # A unit for all channels is that of the response.
+    by_name = reading.unit if "=" in (reading.unit or "") else None
+    recorded_hammer, pull = None, 1.0
     if hammer is not None:
-        recorded_hammer = open_recording(path, channel=hammer, **chain)
+        recorded_hammer = open_recording(path, channel=hammer, unit=by_name, **chain)
         unit = unit_of(recorded_hammer)
         if quantity_of(unit) != "force" or len(recorded_hammer.channels) > 1:
             raise BadData(
                 f"{path}: --hammer must be one channel of force, got {quantity_of(unit)} [{unit}]; correct it"
             )
-        force = _samples(recorded_hammer)[0] * UNITS["force"][unit]
+        pull = UNITS["force"][unit]
     channels: Any = reading.channel or None
     if recorded_hammer is not None and channels is None:
-        every = open_recording(path, **chain)
+        every = open_recording(path, unit=by_name, **chain)
         channels = [one.name for one in every.channels if one.name != recorded_hammer.channels[0].name]
         if not channels:
             raise BadData(
@@ -195,17 +212,27 @@ def read_with_hammer(
     if recorded_hammer is not None and recorded_hammer.channels[0].name in [one.name for one in recording.channels]:
         raise InvalidValue(f"{path}: --hammer and --channel must be different channels, got {hammer} for both")
     quantity, factor = factor_of(unit_of(recording), path)
-    response = _samples(recording) * (-factor if reading.invert else factor)
-    for warning in recording.warnings:
-        warn(warning)
-    return np.asarray(response, np.float64), force, recording.sampling_rate, quantity
+    spans = _spans(recording, recorded_hammer, -factor if reading.invert else factor, pull, overlap)
+    return spans, recording.sampling_rate, quantity
 
 
-def _samples(recording: Any) -> Any:
-    """Return all samples of a recording, (n_channels, n)."""
+def _spans(recording: Any, hammer: Any, factor: float, pull: float, overlap: float) -> Iterator[Span]:
+    """Yield stretches of a recording and of its hammer, in SI units; warnings are told at the end."""
     import numpy as np
 
-    return np.concatenate([block.astype(np.float64) for block in recording.blocks()], axis=1)
+    from cgid.calibration.splice import MINUTE, spans_of
+
+    rate = recording.sampling_rate
+    forces = itertools.repeat(None) if hammer is None else hammer.blocks()
+    blocks = (
+        np.asarray(block, np.float64) if force is None else np.concatenate([block, force]).astype(np.float64)
+        for block, force in zip(recording.blocks(), forces, strict=hammer is not None)
+    )
+    for first, samples, last in spans_of(blocks, round(MINUTE * rate), round(overlap * rate)):
+        force = None if hammer is None else samples[-1] * pull
+        yield first, samples[: len(recording.channels)] * factor, force, last
+    for warning in recording.warnings:
+        warn(warning)
 
 
 def _say(test: TapTest, path: Path, scene: str | None, known: Any, as_json: bool) -> None:

@@ -195,9 +195,23 @@ def modes_picture(before: Any, after: Any) -> bytes:
 
 
 def stabilisation_picture(test: Any) -> bytes:
-    """Return the poles of all orders of a tap test as PNG, and the modes' damping with two standard deviations."""
-    figure = require_matplotlib()(figsize=(10, 7), layout="constrained")
-    upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))
+    """Return the poles of all orders of a tap test as PNG, and the modes' damping with two standard deviations.
+
+    With a hammer channel the frequency response is in front of the poles, and its coherence in between.
+    """
+    figure = require_matplotlib()(figsize=(10, 8), layout="constrained")
+    found = test.frequency_response
+    ratios = (3, 2) if found is None else (4, 1, 2)
+    upper, *middle, lower = figure.subplots(len(ratios), 1, sharex=True, height_ratios=ratios)
+    if found is not None:
+        front, kilohertz = upper.twinx(), found.frequency / 1e3
+        for name, colour in (("measured", "0.3"), ("modelled", "C1")):
+            front.semilogy(kilohertz, np.abs(getattr(found, name)), color=colour, lw=1, label=name)
+        front.set(ylabel=f"{found.quantity} over force [SI]")
+        front.legend(fontsize="small", loc="upper left")
+        middle[0].plot(kilohertz, found.coherence, color="0.3", lw=0.8)
+        middle[0].set(ylabel="coherence", ylim=(0, 1.05))
+        middle[0].grid(alpha=0.3)
     order, frequency, _, stable = test.poles.chart.T
     for value, colour, label in ((0, "0.8", "unstable"), (1, NEUTRAL, "stable")):
         rows = stable == value
