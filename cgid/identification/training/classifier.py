@@ -342,7 +342,8 @@ class ImpactClassifier(ClassifierMixin, BaseEstimator):  # type: ignore[misc]
         -------
         ndarray, (n_impacts, n_classes), or (n_impacts,) for two classes
         """
-        return self._scores(self.estimator_, self._inputs(self._standardised(X)))
+        inputs = self._inputs(self._standardised(X))
+        return self._scores(self.estimator_, inputs)
 
     def predict_proba(self, X: ArrayLike) -> Floats:
         """Return the probabilities.
