@@ -126,7 +126,7 @@ def predict(
         `channel`, `time_s`, `label`, one `p_LABEL` for each label of the model, `novelty` (above 1 the label is
         "unknown"), `overlapping`, `clipped`, `cut_off`, `problem`. Windows also have `end_s`, and a coverage adds
         `prediction_set`. Without impacts it has no rows. A batch or dataset has one row for each signal, with its
-        `index` instead of a channel, and its true label as `truth`.
+        `index` instead of a channel, and its true label as `truth`. `attrs["units"]` has the unit of each column.
 
     Warns
     -----
@@ -291,6 +291,7 @@ def _of_batches(samples: Any, model: StoredModel | str | Path | None, settings: 
     table = _table(answers, loaded, settings).drop(columns="channel")
     table.insert(0, "index", np.arange(len(table)))
     table["truth"] = np.array(truths, object)
+    table.attrs["units"] = {name: table.attrs["units"].get(name, "") for name in table}
     return table
 
 
@@ -298,7 +299,11 @@ def _table(answers: Sequence[Answer], model: StoredModel, settings: PredictionSe
     import pandas as pd
 
     rows = [one.row for one in answers]
-    columns = {column.title: column.dtype.replace("string", "object") for column in answer_columns(model, settings)}
-    return pd.DataFrame(
-        {title: pd.Series([row.get(title) for row in rows], dtype=dtype) for title, dtype in columns.items()}
+    dtypes, units = {}, {}
+    for column in answer_columns(model, settings):
+        dtypes[column.title], units[column.title] = column.dtype.replace("string", "object"), column.unit
+    table = pd.DataFrame(
+        {title: pd.Series([row.get(title) for row in rows], dtype=dtype) for title, dtype in dtypes.items()}
     )
+    table.attrs["units"] = units
+    return table

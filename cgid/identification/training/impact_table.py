@@ -57,6 +57,7 @@ def impact_table(
         `flags` ("overlapping", "clipped", "cut"), and empty `by` (who labelled it) and `chosen` ("random" if it was
         drawn at random). With a model also `predicted`, one `p_LABEL` for each of its labels, the mean over the
         channels that measure the impact, and `novelty`, the least of them; nan where none could measure it.
+        `attrs["units"]` has the unit of each column.
 
     Raises
     ------
@@ -84,6 +85,9 @@ def impact_table(
     order = ["path", "start", "end", "label", "time_s", "peak", "peak_unit", "flags", "by", "chosen"]
     table = pd.DataFrame(rows, columns=order).astype(dict.fromkeys(("start", "end", "time_s", "peak"), float))
     table = table.rename(columns={"start": "start_s", "end": "end_s"})
+    table.attrs["units"] = (
+        dict.fromkeys(table, "") | dict.fromkeys(("start_s", "end_s", "time_s"), "s") | {"peak": unit}
+    )
     if model is None:
         return table
     from cgid.identification.prediction.pipeline import identify_recording
@@ -104,7 +108,9 @@ def impact_table(
             known[number, -1] = min(one.novelty for one in own)
     best = [loaded.labels[int(row.argmax())] if np.isfinite(row).all() else "" for row in known[:, :-1]]
     table["predicted"] = ["unknown" if one and known[k, -1] > 1 else one for k, one in enumerate(best)]
-    return table.assign(**{f"p_{label}": known[:, k] for k, label in enumerate(loaded.labels)}, novelty=known[:, -1])
+    found = {f"p_{label}": known[:, k] for k, label in enumerate(loaded.labels)} | {"novelty": known[:, -1]}
+    table.attrs["units"] |= dict.fromkeys(("predicted", *found), "")
+    return table.assign(**found)
 
 
 def measured_impacts(
