@@ -89,7 +89,7 @@ def test_what_does_not_fit_is_told_and_by_how_much(model: StoredModel, what: str
         assert misfit.factor == pytest.approx(factor, rel=0.5, nan_ok=True)
 
 
-def test_what_may_be_it_as_well_is_told_too(model: Model) -> None:
+def test_what_may_be_it_as_well_is_told_too(model: StoredModel) -> None:
     # Large rocks leave more unexplained.
     large = CHANGES["rocks twice as large"][0]
     misfit = told(model, scaled(4, 30.0)(large(recording(20_000, 800)[0])))
