@@ -13,6 +13,8 @@ Rocks, pulses and recorder are those of `rock_pulses.py`, which shares no code w
 3. A law left out of the training, and the model judged on it, for each law. It trains on the scene `rock`, and learns
    where its rocks end from the scene `anything`, each without that law.
 4. Strangers of the shipped scene, and the real shocks where they stand beside the checkout: the share that is flagged.
+5. Contacts that are no spheres, rock that breaks, and an AC coupling, which the model does not know: the share that it
+   answers, and of the answered those that are right, the mean probability of the answer, and the recall of each label.
 """
 
 from __future__ import annotations
@@ -27,7 +29,7 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-from benchmarks.impact.rock_pulses import CASES, LAWS, RATE, Case, Impacts, record
+from benchmarks.impact.rock_pulses import CASES, LAWS, OTHERS, RATE, Case, Impacts, record
 from cgid import shipped
 from cgid.identification.model.model import StoredModel
 from cgid.identification.prediction.answers import UNKNOWN, identify, identify_frames, suited
@@ -52,6 +54,7 @@ _KINDS = {law: law.removesuffix(" by strength") for law in LAWS}
 BOTH = "thornton and viscous"
 #: Cases of other benchmarks.
 _OTHERS = ("dull", "peers", "peers, pink 2 %")
+_UNKNOWN_TO_IT = [name for name, case in CASES.items() if case.coupled or not {*OTHERS}.isdisjoint(case.laws)]
 
 
 class Answered(NamedTuple):
@@ -270,6 +273,22 @@ def shock_is_flagged(model: StoredModel, file: Path) -> bool:
     return not any(answer.in_training_range for answer in answers)
 
 
+def table_of_unknown_contacts(model: Model, n: int) -> Iterator[Line]:
+    """Yield what the model says of contacts and recorders that it was not trained on."""
+    for name in _UNKNOWN_TO_IT:
+        impacts = record(CASES[name], n, _JUDGED)
+        told = answered(model, impacts.signals, impacts.labels, CASES[name].trigger)
+        sure = told.of(~told.unknown)
+        right = {label: sure.hits[sure.labels == label] for label in ("coal", "gangue")}
+        yield {
+            "case": name,
+            "answered": 1 - float(told.unknown.mean()),
+            "of the answered": float(sure.hits.mean()),
+            "said": float(np.maximum(sure.coal, 1 - sure.coal).mean()),
+            **{f"recall of {label}": float(own.mean()) if own.size else float("nan") for label, own in right.items()},
+        }
+
+
 def limits() -> dict[str, Scene]:
     """Return the scenes of some cases, for ceilings and rivals."""
     reference, peers = (load_scene(shipped.scene_path(name)) for name in ("reference", "peers"))
@@ -299,8 +318,8 @@ def show(title: str, lines: Iterator[Line]) -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--shows", type=int, nargs="+", choices=(2, 3, 4), default=(2, 3, 4))
-    cases = [*(name for name in CASES if name not in _OTHERS), BOTH]
+    parser.add_argument("--shows", type=int, nargs="+", choices=(2, 3, 4, 5), default=(2, 3, 4, 5))
+    cases = [*(name for name in CASES if name not in (*_OTHERS, *_UNKNOWN_TO_IT)), BOTH]
     parser.add_argument("--cases", nargs="+", choices=[*CASES, BOTH], default=cases)
     parser.add_argument("--signals", type=int, default=4096, help="to judge a line on")
     parser.add_argument("--learner-signals", type=int, default=20_000, help="that a learner trains on")
@@ -311,6 +330,7 @@ def main() -> None:
         2: ("2. Laws, shapes, recorders", table_of_cases(model, own.cases, own.signals, own.learner_signals)),
         3: ("3. A law left out of the training", table_of_laws(model, own.rows, own.signals)),
         4: ("4. Strangers: share flagged", table_of_strangers(model, own.signals)),
+        5: ("5. Contacts that it does not know", table_of_unknown_contacts(model, own.signals)),
     }
     for number in own.shows:
         show(*tables[number])
