@@ -697,7 +697,7 @@ _COMMANDS = r"""
 65 | tap two_taps.csv -o new.csv --start-error 0 | --start-error
 65 | tap two_taps.csv -o new.csv --window-tau 0 | --window-tau
 65 | tap two_taps.csv -o new.csv --uff new.uff | --hammer
-65 | tap two_taps.csv -o new.csv --uff new.txt | .uff
+73 | tap two_taps.csv -o new.csv --uff new.txt | .uff
 73 | tap two_taps.csv -o modes.csv | modes.csv
 65 | invert two_taps.csv --modes modes.csv --band 900 100 | band
 65 | invert two_taps.csv --modes modes.csv --band 6000 7000 | --band

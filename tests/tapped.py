@@ -68,3 +68,26 @@ def taps(
     level = np.sqrt(np.mean(np.square(response[first : first + round(rate)])))
     response = response + rng.normal(0, noise * level, response.size)
     return response, hammer + rng.normal(0, 1e-3 * peak, hammer.size), times
+
+
+#: Flaws of a tap that its force does not show, or not alone.
+FLAWS = ("spike", "gap", "step", "polarity", "scale", "force")
+
+
+def flawed(response, force, first, last, kind):
+    """Return a recording with a flaw from one tap to the next."""
+    response, force, part = response.copy(), force.copy(), slice(first - 20, last)
+    match kind:
+        case "spike":
+            response[first + 3000] += 30 * np.abs(response).max()
+        case "gap":
+            response[first + 900 : first + 3000] = 0
+        case "step":
+            response[first + 900 : last] += 0.3 * np.abs(response).max()
+        case "polarity":
+            response[part] *= -1
+        case "scale":
+            response[part] *= 3
+        case "force":
+            force[first - 20 : first + 200] *= 2
+    return response, force

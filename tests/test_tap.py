@@ -20,7 +20,7 @@ from cgid.physics.structure.response import Response
 from cgid.scene import load_scene
 from cgid.scene.synthesis.impacts import beam_modes
 from cgid.shipped import scene_path
-from tests.tapped import DAMPING, FREQUENCY, PARTICIPATION, taps
+from tests.tapped import DAMPING, FLAWS, FREQUENCY, PARTICIPATION, flawed, taps
 
 RATE = 25_600.0
 BAND = (60.0, 2000.0)
@@ -166,7 +166,7 @@ def test_scatter_from_tap_to_tap_is_in_the_participations():
     assert np.sqrt(np.mean(off**2)) < 2
 
 
-def test_the_table_is_one_of_a_scene(hammered, tmp_path):
+def test_the_table_is_one_of_a_scene(hammered, tmp_path, capsys):
     path = hammered.save(tmp_path / "modes.csv")
     modes, learned = read_modes(path), read_modes(path, LEARNED_COLUMNS)
     every = hammered.response
@@ -186,6 +186,10 @@ def test_the_table_is_one_of_a_scene(hammered, tmp_path):
     np.testing.assert_allclose(beam_modes(scene).participation(), every.participation())
     with pytest.raises(OSError, match="--overwrite"):
         hammered.save(path)
+    assert run(["check", str(tmp_path / "support.toml")]) == 0
+    assert "modes of one place: only impacts there" in capsys.readouterr().err
+    assert run(["train", str(tmp_path / "support.toml"), "-n", "1", "-o", str(tmp_path / "m.npz")]) != 0
+    assert "modes of one place: only impacts there" in capsys.readouterr().err
 
 
 def test_stretches_of_a_recording_overlap_and_cover_it():
@@ -332,30 +336,11 @@ def test_delays_that_differ_are_refused():
         tap_test(response[None], RATE, hammer=moved, band=(60.0, 560.0))
 
 
-def _flawed(response, force, first, last, kind):
-    """Return a recording with a flaw from one tap to the next."""
-    response, force, part = response.copy(), force.copy(), slice(first - 20, last)
-    match kind:
-        case "spike":
-            response[first + 3000] += 30 * np.abs(response).max()
-        case "gap":
-            response[first + 900 : first + 3000] = 0
-        case "step":
-            response[first + 900 : last] += 0.3 * np.abs(response).max()
-        case "polarity":
-            response[part] *= -1
-        case "scale":
-            response[part] *= 3
-        case "force":
-            force[first - 20 : first + 200] *= 2
-    return response, force
-
-
-@pytest.mark.parametrize("kind", ["spike", "gap", "step", "polarity", "scale", "force"])
+@pytest.mark.parametrize("kind", FLAWS)
 def test_a_tap_that_the_others_do_not_explain_is_left_out(kind):
     response, force, times = taps(4, gap=1.2, seed=1)
     first, last = round(times[1] * RATE), round(times[2] * RATE) - 30
-    response, force = _flawed(response, force, first, last, kind)
+    response, force = flawed(response, force, first, last, kind)
     test = tap_test(response[None], RATE, hammer=force, band=(60.0, 560.0))
     assert [tap.flaw for tap in test.taps] == [None, Flaw.UNEXPLAINED, None, None]
     assert "% unexplained" in test.taps[1].reason
@@ -403,6 +388,10 @@ def test_a_beam_damped_in_places_has_complex_participations(damped_in_places, tm
     assert test.unexplained.max() < 0.01
     modes = read_modes(test.save(tmp_path / "modes.csv"))
     np.testing.assert_allclose(modes.participation(), test.response.participation(), rtol=1e-9, atol=1e-12)
+    # Scenes know real participations alone, and respond as much alike as these can.
+    own = Response(sampling_rate=RATE, modes=modes)
+    true, real = (own.frequency_response(FREQUENCY, one.participation()) for one in (modes, modes.in_phase()))
+    assert np.linalg.norm(real - true) < 0.4 * np.linalg.norm(true)
     one = recover_force(response[None, last:], RATE, modes, [times[3] - last / RATE])[0]
     errors = errors_of(one, force[last:], RATE)
     assert errors["force"] < 0.08

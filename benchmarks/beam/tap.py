@@ -8,7 +8,7 @@
 2. Two modes 1 and 2 % apart alone, at several dampings: how often both are found, and what is stated then.
 3. A panel of steel by finite elements (`independent_modes.py`), all dampings alike: how many of its modes are found.
 4. What a tap test does wrong: a soft hammer that stays on for longer than stated, places that differ from tap to tap,
-   one tap, two sensors.
+   one tap, two sensors; a hammer on another module, exponential windows, one bad tap of five.
 5. A hammer blow on a bolted steel beam, three accelerometers, 12.8 kHz, 5 s: github.com/mattiacenedese/BRBtesting, Chen
    et al., Mechanical Systems and Signal Processing 166 (2022) 108401. Files of that repository; not part of cgid.
    Beside it the slopes of phase and logarithm of the envelope behind a band pass, and the resonance of forced tests.
@@ -17,6 +17,7 @@
 from __future__ import annotations
 
 import argparse
+import itertools
 import time
 from collections.abc import Callable
 from functools import cache
@@ -27,12 +28,13 @@ from scipy.signal import butter, hilbert, sosfiltfilt
 
 from cgid.calibration import TapTest, tap_test
 from cgid.errors import BadData
-from tests.tapped import DAMPING, FREQUENCY, PARTICIPATION, taps
+from tests.tapped import DAMPING, FLAWS, FREQUENCY, PARTICIPATION, flawed, taps
 
 RATE = 25_600.0
 #: A mode is found if one is stated this near, relative.
 NEAR = 0.01
 Modes = tuple[np.ndarray, np.ndarray, np.ndarray]
+Recorded = tuple[np.ndarray, np.ndarray, dict[str, float]]
 TRUE: Modes = (FREQUENCY, DAMPING, PARTICIPATION)
 
 
@@ -58,7 +60,7 @@ class Scores:
                 continue
             i = order[0]
             taken.add(i)
-            part = test.modes.participation()[i] / participation[k] - 1 if test.modes.scaled else np.nan
+            part = np.abs(test.modes.participation()[i] / participation[k] - 1) if test.modes.scaled else np.nan
             self.errors.append(
                 np.array(
                     [
@@ -195,6 +197,50 @@ def mistakes(seeds: int) -> None:
         print(f"| {name} | {scored(make, seeds, band=(60.0, 2500.0)).row()}", flush=True)
 
 
+def recorders(seeds: int) -> None:
+    """Print what the test says of late hammers, exponential windows and a bad tap, and its errors."""
+
+    def late(samples: int) -> Callable[[int], Recorded]:
+        def make(seed: int) -> Recorded:
+            response, force, _ = taps(5, seed=seed, noise=0.01)
+            return response, np.roll(force, samples), {}
+
+        return make
+
+    def windowed(tau: float) -> Callable[[int], Recorded]:
+        def make(seed: int) -> Recorded:
+            response, force, times = taps(5, seed=seed, noise=1e-3)
+            starts = [*np.round(times * RATE).astype(int), response.size]
+            for first, last in itertools.pairwise(starts):
+                response[first : last - 30] *= np.exp(-np.arange(last - 30 - first) / RATE / tau)
+            return response, force, {"window_tau": tau}
+
+        return make
+
+    def bad(kind: str) -> Callable[[int], Recorded]:
+        def make(seed: int) -> Recorded:
+            response, force, times = taps(5, seed=seed, noise=0.01)
+            return *flawed(response, force, round(times[1] * RATE), round(times[2] * RATE) - 30, kind), {}
+
+        return make
+
+    cases = {f"hammer {1e3 * n / RATE:.3g} ms late": late(n) for n in (0, 2, 128, 512)}
+    cases |= {f"window of {1e3 * tau:g} ms": windowed(tau) for tau in (0.03, 0.06)}
+    cases |= {f"one tap of five: {kind}": bad(kind) for kind in FLAWS}
+    print(f"\n| what | delay [ms] | taps left out | {HEAD}\n|{'---|' * 13}")
+    for name, make in cases.items():
+        scores, told, left = Scores(), [], []
+        for seed in range(seeds):
+            response, force, options = make(seed)
+            start = time.process_time()
+            test = tap_test(response[None], RATE, hammer=force, band=(60.0, 2500.0), **options)
+            scores.seconds += time.process_time() - start
+            scores.add(test, TRUE)
+            told.append(1e3 * test.delay)
+            left.append("+".join(str(k) for k, tap in enumerate(test.taps, 1) if tap.flaw))
+        print(f"| {name} | {np.mean(told):.3f} | {', '.join(left)} | {scores.row()}", flush=True)
+
+
 def hammer_blow(path: str, forced: str | None) -> None:
     data = loadmat(path, squeeze_me=True)["HIdata"][()]
     rate = 1 / float(np.diff(data["time"]).mean())
@@ -203,18 +249,18 @@ def hammer_blow(path: str, forced: str | None) -> None:
     alone = [tap_test(row[None], rate, band=(60.0, 2000.0)) for row in response]
     tap = together.used[0]
     strong = np.argsort(np.abs(together.poles.amplitude).max(axis=0))[::-1][:8]
-    print(f"\n{together.frequency.size} modes from 60 to 2000 Hz, the strongest eight:\n")
+    print(f"\n{together.modes.frequency.size} modes from 60 to 2000 Hz, the strongest eight:\n")
     print("| frequency [Hz] | each sensor alone | phase | damping ratio [%] | each alone | envelope |")
     print(f"|{'---|' * 6}")
     for k in sorted(strong):
-        frequency, damping = together.frequency[k], together.damping_ratio[k]
-        near = [int(np.argmin(np.abs(one.frequency - frequency))) for one in alone]
+        frequency, damping = together.modes.frequency[k], together.modes.damping_ratio[k]
+        near = [int(np.argmin(np.abs(one.modes.frequency - frequency))) for one in alone]
         phase, envelope = _slopes(response[:, tap.start : tap.stop], rate, frequency, damping)
         print(
             f"| {frequency:.2f} ± {frequency * together.modes.columns['frequency_deviation'][k]:.2g} | "
-            f"{', '.join(f'{one.frequency[i]:.2f}' for one, i in zip(alone, near, strict=True))} | {phase:.2f} | "
+            f"{', '.join(f'{one.modes.frequency[i]:.2f}' for one, i in zip(alone, near, strict=True))} | {phase:.2f} | "
             f"{100 * damping:.3f} ± {100 * damping * together.modes.columns['damping_ratio_deviation'][k]:.2g} | "
-            f"{', '.join(f'{100 * one.damping_ratio[i]:.3f}' for one, i in zip(alone, near, strict=True))} | "
+            f"{', '.join(f'{100 * one.modes.damping_ratio[i]:.3f}' for one, i in zip(alone, near, strict=True))} | "
             f"{100 * envelope:.3f} |"
         )
     if forced is not None:
@@ -240,9 +286,12 @@ if __name__ == "__main__":
     parser.add_argument("--seeds", type=int, default=10, help="recordings of each row")
     parser.add_argument("--brb", help="HammerImpact.mat of github.com/mattiacenedese/BRBtesting")
     parser.add_argument("--forced", help="ForcedFrequencyResponses.mat of the same")
-    parser.add_argument("--only", choices=("levels", "pairs", "panel", "mistakes", "brb"), help="one part alone")
+    parser.add_argument(
+        "--only", choices=("levels", "pairs", "panel", "mistakes", "recorders", "brb"), help="one part alone"
+    )
     arguments = parser.parse_args()
-    for name, part in (("levels", levels), ("pairs", pairs), ("panel", panel), ("mistakes", mistakes)):
+    parts = {"levels": levels, "pairs": pairs, "panel": panel, "mistakes": mistakes, "recorders": recorders}
+    for name, part in parts.items():
         if arguments.only in (None, name):
             part(arguments.seeds)
     if arguments.brb is None:

@@ -49,10 +49,13 @@ class Blow:
     force: Floats  # (n,) [N], at the first samples; 0 afterwards
     earlier: Sequence[tuple[int, Floats]] = ()  # forces before, and how many samples earlier they begin
 
-    def without_window(self, samples: float) -> Blow:
-        """Return the same without an exponential window of this time constant, as far as it leaves a signal."""
-        at = np.arange(min(self.response.size, round(_WINDOWS * samples)))
-        return replace(self, response=self.response[: at.size] * np.exp(at / samples))
+    def without_window(self, samples: float, lead: int) -> Blow:
+        """Return the same without an exponential window of this time constant, as far as it leaves a signal.
+
+        It begins with the tap, `lead` samples after the first.
+        """
+        at = np.arange(min(self.response.size, round(_WINDOWS * samples))) - lead
+        return replace(self, response=self.response[: at.size] * np.exp(np.maximum(at, 0) / samples))
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,7 +12,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,7 +37,7 @@ from cgid.errors import BadData, InvalidValue
 from cgid.identification.detection.detector import ImpactDetector
 from cgid.identification.detection.events import Event
 from cgid.measure.modal.finite import Stretch
-from cgid.measure.modal.modes import QUADRATURE, Modes, residues, text_of_table
+from cgid.measure.modal.modes import COMPLEX_COLUMNS, Modes, residues, text_of_table
 from cgid.physics.structure.response import DERIVATIVES
 from cgid.units import UNITS, quantity_of
 
@@ -180,10 +179,11 @@ class TapTest:
 
         Only the participation is known. The shapes are 1 and 1 or -1, and the modal mass is the inverse of its size:
         correct for taps next to the sensor, elsewhere a guess of the beam's compliance. Rows with a damping ratio of
-        0.5 are the mass line and the stiffness lines. The quadrature is the imaginary part of the participation.
+        0.5 are the mass line and the stiffness lines. Scenes and models know real participations alone: those that
+        respond most like the complex ones, which have columns of their own.
         """
-        every = self.response
-        participation = every.participation().real
+        every, own = self.response.in_phase(), self.response.participation()
+        participation = every.participation()
         columns = {
             "frequency": every.frequency,
             "damping_ratio": every.damping_ratio,
@@ -191,7 +191,7 @@ class TapTest:
             "shape_impact": np.ones_like(participation),
             "shape_sensor": np.copysign(1.0, participation),
             **every.columns,
-            QUADRATURE: every.participation().imag,
+            **dict(zip(COMPLEX_COLUMNS, (own.real, own.imag), strict=True)),
         }
         note = "participations are shape_impact shape_sensor / modal_mass, "
         note += "in 1/kg" if every.scaled else "without a hammer over the largest: masses have no scale"
@@ -305,7 +305,8 @@ def tap_test(  # noqa: PLR0913
         reach = _RINGS / np.abs(pole.real).min() if window_tau is None else 0.0
         blows = _blows(response[0], force, hits, used, sampling_rate, reach)
         if window_tau is not None:
-            blows = [blow.without_window(window_tau * sampling_rate) for blow in blows]
+            lead = max(round(_AFTER * sampling_rate), 2)
+            blows = [blow.without_window(window_tau * sampling_rate, lead) for blow in blows]
         rest, alike = _remaining_delay(poles, blows, used, sampling_rate, DERIVATIVES[quantity])
         gram = gram_of(blows, pole, sampling_rate, DERIVATIVES[quantity], (low, high), rest)
         if abs(rest) > 1 / sampling_rate:  # phases may be those of damping in places
@@ -375,16 +376,14 @@ def _without(taps: Sequence[Tap], bad: dict[float, tuple[float, float, float]]) 
 
 
 def _modes(pole: Complexes, participation: Floats | Complexes, deviation: Floats, *, scaled: bool) -> Modes:
-    root = np.sqrt(np.maximum(np.abs(participation), _LEAST))
-    at_sensor: Any = participation / root
-    return Modes(
+    modes = Modes(
         frequency=np.abs(pole) / (2 * np.pi),
         damping_ratio=-pole.real / np.abs(pole),
-        at_impact=root,
-        at_sensor=at_sensor,
+        at_impact=np.empty(0),
         deviation=deviation,
         scaled=scaled,
     )
+    return modes.with_participation(participation)
 
 
 def read_times(path: str | Path) -> list[float]:

@@ -21,7 +21,7 @@ from cgid.cli.options import (
     reading_options,
     share_of,
 )
-from cgid.cli.output import print_json, progress_bar, say, warn
+from cgid.cli.output import print_json, progress_bar, say, warn, warn_of_one_place
 from cgid.errors import BadData, InvalidValue
 
 if TYPE_CHECKING:
@@ -131,6 +131,7 @@ def calibrate(
 
         drawing = new_picture(picture, overwrite=overwrite)
     scene = load_scene(scene_name)
+    warn_of_one_place(scene)
     errors: dict[str, Any] = {
         "start_error": share_of("--start-error", start_error),
         "drift": share_of("--drift", drift),

@@ -8,7 +8,7 @@ import click
 
 from cgid.cli.help import Command
 from cgid.cli.options import SCENE, json_option, laws_option, seed_option
-from cgid.cli.output import print_json, say, warn
+from cgid.cli.output import print_json, say, warn, warn_of_one_place
 
 #: Blocks of 256 impacts in the preview.
 _BLOCKS = 16
@@ -37,6 +37,7 @@ def check(scene: str | None, as_list: bool, seed: int, as_json: bool) -> None:
     from cgid.scene.synthesis.noise import background_of
 
     loaded = load_scene(scene)
+    warn_of_one_place(loaded)
     background_of(loaded)  # raises if its recording cannot be read
     # Warn about scenes of users; in shipped ones it is intended.
     preview = _preview(loaded, seed, "remarks" if scene in shipped.SCENES else "warnings")

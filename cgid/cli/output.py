@@ -113,6 +113,16 @@ def warn(warning: object) -> None:
     say(f"cgid: warning: {warning}", err=True)
 
 
+def warn_of_one_place(source: Any) -> None:
+    """Warn that a scene has the modes of one place, as hammer taps give them; not of a dataset."""
+    beam = getattr(source, "tail_beam", None)
+    if beam is not None and beam.modes is not None:
+        warn(
+            f"scene {source.name}: modes of one place: only impacts there are described; for impacts anywhere give "
+            "length, width, thickness and edges of the beam, and the table as learned"
+        )
+
+
 @dataclass
 class FileErrors(AbstractContextManager[None]):
     """Report the error of one file and continue with the next; `code` is the exit code of the first that failed."""

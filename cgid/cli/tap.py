@@ -237,6 +237,8 @@ def _spans(recording: Any, hammer: Any, factor: float, pull: float, overlap: flo
 
 def _say(test: TapTest, path: Path, scene: str | None, known: Any, as_json: bool) -> None:
     """Print the modes, and how to use them."""
+    from cgid.calibration.joint import LINE_DAMPING
+
     content = _content(test, path, known)
     if as_json:
         print_json(content)
@@ -254,8 +256,11 @@ def _say(test: TapTest, path: Path, scene: str | None, known: Any, as_json: bool
     if test.unexplained is not None and len(test.used) > 1:
         left = sorted(test.unexplained.tolist())[len(test.used) // 2]
         say(f"{100 * left:.2g} % of a tap is not explained by the modes from the others (median)")
-    if more := test.response.frequency.size - test.modes.frequency.size:
-        say(f"{counted(more, 'more row')} of the table for modes outside of the band, or not exponential")
+    outside = int((test.response.damping_ratio == LINE_DAMPING).sum())
+    split = test.response.frequency.size - outside - test.modes.frequency.size
+    if outside:
+        and_split = f", {split} for decays that are not exponential" if split > 0 else ""
+        say(f"{counted(outside, 'more row')} of the table for modes outside of the band{and_split}")
     say(f"{'frequency [Hz]':>20}{'damping ratio [%]':>22}{f'participation [{unit}]':>32}")
     for mode in content["modes"]:
         deviations = [mode[f"{name}_deviation"] for name in ("frequency", "damping_ratio", "participation")]

@@ -35,7 +35,7 @@ from cgid.cli.options import (
     warn_of_chance,
     worker_options,
 )
-from cgid.cli.output import accuracy_text, print_json, progress_bar, say, warn
+from cgid.cli.output import accuracy_text, print_json, progress_bar, say, warn, warn_of_one_place
 from cgid.errors import BadData, InvalidValue
 
 if TYPE_CHECKING:
@@ -523,6 +523,8 @@ def _beam(sources: list[Scene | Dataset], options: dict[str, Any]) -> Any:
         beam, why = shared_beam(sources, sensors)
     if sensors and (beam is None or len(sources) > 1 or not isinstance(sources[0], Scene)):
         raise InvalidValue(f"--sensor must be left out, there is no single scene with a beam: {why}; give tail_beam")
+    for source in sources:
+        warn_of_one_place(source)
     first = sources[0]
     quantity = first.sensor.quantity if isinstance(first, Scene) else first.quantity
     if features is None and kind_for(quantity) == "vibration":

@@ -34,8 +34,11 @@ LEARNED_COLUMNS = {
     "participation": "1",
     **{f"{name}_deviation": "1" for name in CORRECTED},
 }
-#: The imaginary part of a participation in a table of measured modes, which it may lack [1/kg].
-QUADRATURE = "quadrature"
+#: Columns of a complex participation, real and imaginary part, which a table of measured modes may lack.
+COMPLEX_COLUMNS = {"in_phase": "1/kg", "quadrature": "1/kg"}
+#: A participation is at least this [1/kg], so that shapes are finite. Modes are compared at frequencies so many
+#: half-widths from each.
+_LEAST, _BESIDE = 1e-12, (0.0, 0.5, 1.0, 2.0, 4.0, 8.0)
 #: Limits of a damping ratio that is corrected.
 _MIN_DAMPING, _MAX_DAMPING = 1e-4, 0.7
 #: Largest file of modes [bytes].
@@ -100,18 +103,11 @@ class Modes:
             return cls.relative(frequency, damping_ratio, participation, np.stack(deviation))
         validation.ascending("frequency", checked["frequency"], "Hz")
         root = np.sqrt(checked["modal_mass"])
-        at_impact = checked["shape_impact"] / root
-        at_sensor: Any = checked["shape_sensor"] / root
-        if QUADRATURE in columns:
-            turned = np.divide(
-                _require_rule(QUADRATURE, columns[QUADRATURE]), at_impact, out=np.zeros(root.size), where=at_impact != 0
-            )
-            at_sensor = at_sensor + 1j * turned if turned.any() else at_sensor
         return cls(
             frequency=checked["frequency"],
             damping_ratio=checked["damping_ratio"],
-            at_impact=at_impact,
-            at_sensor=at_sensor,
+            at_impact=checked["shape_impact"] / root,
+            at_sensor=checked["shape_sensor"] / root,
         )
 
     @classmethod
@@ -161,6 +157,31 @@ class Modes:
         """
         assert self.at_sensor is not None
         return self.shape(x, y) * self.at_sensor
+
+    def with_participation(self, participation: Floats | Complex) -> Modes:
+        """Return the modes with other participations (n_modes,) at one point [1/kg]."""
+        participation = participation if participation.imag.any() else participation.real
+        at_impact = np.sqrt(np.maximum(np.abs(participation), _LEAST))
+        at_sensor: Any = participation / at_impact
+        return replace(self, at_impact=at_impact, at_sensor=at_sensor)
+
+    def in_phase(self) -> Modes:
+        """Return the modes with the real participations that respond most like complex ones, at one point."""
+        own = self.participation()
+        if not own.imag.any():
+            return self
+        half = np.maximum(-self.poles.real, 1e-3 * np.abs(self.poles))
+        beside = np.outer(half, [*_BESIDE, *(-away for away in _BESIDE[1:])]) + np.abs(self.poles)[:, None]
+        line = np.unique(beside[beside > 0.5 * np.abs(self.poles).min()])
+        s, unit = 1j * line[:, None], residues(self.poles, 2)
+        turning, returning = unit / (s - self.poles) + 1, unit.conj() / (s - self.poles.conj()) + 1
+        both = turning + returning
+        scale = 1 / np.linalg.norm(both, axis=0)
+        target = turning @ own + returning @ own.conj()
+        found = np.linalg.lstsq(
+            np.concatenate([both.real, both.imag]) * scale, np.concatenate([target.real, target.imag]), rcond=1e-9
+        )[0]
+        return self.with_participation(found * scale)
 
     def taken(self, modes: NDArray[np.intp] | slice) -> Modes:
         """Return some of the modes, whose shapes are numbers."""
@@ -305,8 +326,8 @@ def read_modes(path: str | Path, columns: Mapping[str, str] = COLUMNS) -> Modes:
 
     The first line names the columns with their units, in any order: `frequency [Hz]`, `damping_ratio [1]`,
     `modal_mass [kg]`, `shape_impact [1]`, `shape_sensor [1]`; other columns are ignored. Each further line is one mode;
-    empty lines and lines that begin with # are ignored. `quadrature [1/kg]`, the imaginary part of the participation,
-    may be missing.
+    empty lines and lines that begin with # are ignored. `in_phase [1/kg]` and `quadrature [1/kg]`, a complex
+    participation in place of that of masses and shapes, may be missing.
 
     Parameters
     ----------
@@ -339,8 +360,12 @@ def read_modes(path: str | Path, columns: Mapping[str, str] = COLUMNS) -> Modes:
     >>> modes.participation().round(6).tolist()
     [0.001714, -0.001167]
     """
-    rows = rows_of_table(path, columns, {QUADRATURE: "1/kg"} if columns is COLUMNS else {})
-    return Modes.of({name: [row[name] for row in rows] for name in rows[0]})
+    rows = rows_of_table(path, columns, COMPLEX_COLUMNS if columns is COLUMNS else {})
+    modes = Modes.of({name: [row[name] for row in rows] for name in columns})
+    if not COMPLEX_COLUMNS.keys() <= rows[0].keys():
+        return modes
+    real, imaginary = (np.array([row[name] for row in rows]) for name in COMPLEX_COLUMNS)
+    return modes.with_participation(real + 1j * imaginary)
 
 
 def rows_of_table(
@@ -368,7 +393,7 @@ def rows_of_table(
 
 def text_of_table(columns: Mapping[str, Floats], scale: str = "1") -> str:
     """Return columns of `COLUMNS` or `LEARNED_COLUMNS`, each (n_modes,), as the text of a table of modes."""
-    units = COLUMNS | LEARNED_COLUMNS | {"participation": scale, QUADRATURE: scale}
+    units = COLUMNS | LEARNED_COLUMNS | {"participation": scale, **dict.fromkeys(COMPLEX_COLUMNS, scale)}
     titles = ",".join(f"{name} [{units[name]}]" for name in columns)
     rows = (",".join(f"{float(value)!r}" for value in row) for row in zip(*columns.values(), strict=True))
     return "\n".join((titles, *rows)) + "\n"
@@ -403,7 +428,7 @@ def _row(line: str, cells: list[str], indices: Mapping[str, int]) -> dict[str, f
 
 def _require_rule(name: str, value: ArrayLike) -> Floats:
     """Return a column or a cell as numbers, or raise `InvalidValue`."""
-    if name.startswith("shape") or name == QUADRATURE:
+    if name.startswith("shape") or name in COMPLEX_COLUMNS:
         return validation.real(name, value)
     if name == "damping_ratio":
         return validation.damping_ratio(name, value)
