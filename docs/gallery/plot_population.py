@@ -19,8 +19,9 @@ rate, start = scene.sampling.sampling_rate, scene.sampling.pre_trigger
 
 figure, axes = plt.subplots(1, 2, figsize=(9, 3.5), sharey=True, layout="constrained")
 time = (np.arange(signals.shape[1]) - start) / rate * 1e6
-for one, label, colour in zip(axes, scene.labels, ("tab:blue", "tab:orange"), strict=True):
-    one.plot(time, signals[labels == label][:40].T / 1e3, color=colour, alpha=0.4, linewidth=0.8)
+colours = {"coal": "#0072b2", "gangue": "#d55e00"}
+for one, label in zip(axes, scene.labels, strict=True):
+    one.plot(time, signals[labels == label][:40].T / 1e3, color=colours[label], alpha=0.4, linewidth=0.8)
     one.set(title=f"40 impacts of {label}", xlabel="time after touch [µs]", xlim=(-100, 600))
 axes[0].set_ylabel("force [kN]")
 plt.show()
@@ -34,8 +35,10 @@ table = extract(signals, rate, ["peak_force", "contact_duration", "size_free_ind
 figure, axes = plt.subplots(1, 2, figsize=(9, 3.8), layout="constrained")
 for label in scene.labels:
     own = table[labels == label]
-    axes[0].loglog(own.contact_duration * 1e6, own.peak_force / 1e3, ".", markersize=4, label=label)
-    axes[1].semilogx(own.size_free_index, own.asymmetry, ".", markersize=4, label=label)
+    axes[0].loglog(
+        own.contact_duration * 1e6, own.peak_force / 1e3, ".", markersize=4, color=colours[label], label=label
+    )
+    axes[1].semilogx(own.size_free_index, own.asymmetry, ".", markersize=4, color=colours[label], label=label)
 axes[0].set(xlabel="contact duration [µs]", ylabel="peak force [kN]", title="Both follow the size")
 axes[1].set(xlabel="peak over duration squared [N/s²]", ylabel="asymmetry", title="Free of the size")
 axes[0].legend()
