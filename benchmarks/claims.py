@@ -108,13 +108,18 @@ class Claim:
 
 def read(path: Path = TABLE) -> tuple[list[Claim], list[Said]]:
     """Return the claims and what is given; a claim that says too little is an error."""
-    stated = tomllib.loads(path.read_text(encoding="utf-8"))
+    try:
+        stated = tomllib.loads(path.read_text(encoding="utf-8"))
+    except (tomllib.TOMLDecodeError, OSError) as error:
+        raise ClaimError(f"{path}: {error}") from None
     claims = []
     for row in stated.get("claim", []):
         name = row.get("name", "without a name")
         for key in ("name", "command", "commit", "date", "tolerance"):
             if not row.get(key):
                 raise ClaimError(f"{name}: {key} must be given, got {row.get(key)!r}; without it nobody can repeat it")
+        if not row["command"].startswith("python "):
+            raise ClaimError(f"{name}: command must begin with python, got {row['command']!r}")
         if unknown := set(row) - {one.name for one in fields(Claim)}:
             raise ClaimError(f"{name}: {min(unknown)} is no key of a claim; see benchmarks/claims.py")
         allowed(row["tolerance"], 1.0, name)
@@ -127,6 +132,8 @@ def read(path: Path = TABLE) -> tuple[list[Claim], list[Said]]:
 
 
 def _said(row: dict[str, Any], name: str) -> Said:
+    if not row.get("pages") or not row.get("text"):
+        raise ClaimError(f"{name}: pages and text must be given for what it says, got {row}")
     said = Said(row["pages"], row["text"], row.get("values", []), row.get("from", []))
     if not said.text.count("{}") == len(said.values) == len(said.source):
         raise ClaimError(f"{name}: {said.text!r} must have as many values and sources as {{}}")
@@ -155,7 +162,7 @@ def problems(claims: Sequence[Claim], given: Sequence[Said], pages: Mapping[str,
             found = claim.marks().search(pages.get(claim.page, ""))
             if found is None or found[0] != claim.block():
                 yield f"{claim.page}: {claim.name}: must be what {TABLE.name} says; python -m benchmarks.claims --write"
-            known[claim.page] += [found.span()] if found else []
+            known.setdefault(claim.page, []).extend([found.span()] if found else [])
         for said in claim.says:
             for value, source in zip(said.values, said.source, strict=True):
                 if claim.table and not isinstance(source, str):
@@ -167,7 +174,7 @@ def problems(claims: Sequence[Claim], given: Sequence[Said], pages: Mapping[str,
             spans = [found.span() for found in said.on(pages.get(page, ""))]
             if not spans:
                 yield f"{page}: must have {said.rendered()!r} as {TABLE.name}; python -m benchmarks.claims --write"
-            known[page] += spans
+            known.setdefault(page, []).extend(spans)
     for page, text in pages.items():
         blank = _CODE.sub(lambda code: re.sub(r"\S", " ", code[0]), text)
         for figure in _NUMBER.finditer(blank):
@@ -237,6 +244,8 @@ def measured(claim: Claim, printed: str) -> Claim:
             head, lines = tables[claim.which][:2], tables[claim.which][2:]
         kept = [*head, *(line.rstrip() for line in lines if re.search(claim.rows, line))]
         if claim.columns:
+            if missing := set(claim.columns) - set(cells_of(head[0])):
+                raise ClaimError(f"{claim.name}: the table has no column {min(missing)!r}")
             places = [cells_of(head[0]).index(title) for title in claim.columns]
             kept = ["| " + " | ".join(cells_of(line)[place] for place in places) + " |" for line in kept]
         claim = replace(claim, table="\n".join(kept) + "\n")
@@ -268,7 +277,7 @@ def differences(old: Claim, new: Claim) -> Iterator[str]:
         return
     titles = cells_of(rows[0]) if is_table else [""]
     for line, found_line in zip(rows, found_rows, strict=True):
-        for title, cell, found_cell in zip(titles, cells_of(line), cells_of(found_line), strict=True):
+        for title, cell, found_cell in zip(titles, cells_of(line), cells_of(found_line), strict=False):
             pair = [[float(one.replace(",", "")) for one in _NUMBER.findall(text)] for text in (cell, found_cell)]
             far = len(pair[0]) != len(pair[1]) or any(
                 abs(a - b) > allowed(old.tolerance, a) for a, b in zip(*pair, strict=True)
@@ -280,15 +289,9 @@ def differences(old: Claim, new: Claim) -> Iterator[str]:
 
 def run(command: str) -> str:
     """Return what a command prints on stdout."""
-    program, *words = shlex.split(command)
-    start = {
-        "python": [sys.executable],
-        "cgid": [sys.executable, "-m", "cgid"],
-        "pytest": [sys.executable, "-m", "pytest"],
-    }
     paths = os.pathsep.join(filter(None, (str(ROOT), os.environ.get("PYTHONPATH"))))
     done = subprocess.run(
-        [*start.get(program, [program]), *words],
+        [sys.executable, *shlex.split(command)[1:]],
         cwd=ROOT, env=os.environ | {"PYTHONPATH": paths}, capture_output=True, encoding="utf-8", check=False,
     )  # fmt: skip
     if done.returncode:
@@ -356,10 +359,10 @@ def filled(claims: Sequence[Claim], pages: Mapping[str, str]) -> dict[str, str]:
     """Return the pages with the tables and figures of the claims."""
     new = dict(pages)
     for claim in claims:
-        if claim.page:
+        if claim.page in new:
             new[claim.page] = claim.marks().sub(lambda _, one=claim: one.block(), new[claim.page])
         for said in claim.says:
-            for page in said.pages:
+            for page in set(said.pages) & set(new):
                 new[page] = said.put(new[page])
     return new
 

@@ -65,10 +65,13 @@ def test_two_pages_cannot_have_two_values() -> None:
     ("changed", "named"),
     [
         ("", "command"),
+        ("command = 'rm x'\ncommit = '1234567'\ndate = 2026-01-01\ntolerance = 0.1", "command"),
         ("command = 'python x.py'", "commit"),
         ("command = 'python x.py'\ncommit = '1234567'\ndate = 2026-01-01", "tolerance"),
         ("command = 'python x.py'\ncommit = '1234567'\ndate = 2026-01-01\ntolerance = 'some'", "tolerance"),
         ("command = 'python x.py'\ncommit = '1234567'\ndate = 2026-01-01\ntolerance = 0.1\nspeed = 1", "speed"),
+        ("command = 'python x.py'\ncommit = '1'\ndate = 2026-01-01\ntolerance = 0.1\nsays = [{text = 'a'}]", "pages"),
+        ("command = 'python x.py'\ncommit = '1'\ndate = 2026-01-01\ntolerance = 0.1\ntable = '|a|'", "table"),
     ],
 )
 def test_a_claim_that_says_too_little_is_refused(changed: str, named: str, tmp_path: Path) -> None:
