@@ -207,6 +207,21 @@ def test_labels_that_a_model_lacks_are_not_judged(tmp_path: Path, capsys: pytest
     assert "0.0000" not in error
 
 
+def test_tables_have_units(dataset: cgid.Dataset) -> None:
+    sample = cgid.shipped.path_of("datasets", "sample.csv")
+    tables = (
+        cgid.predict(sample),
+        cgid.predict(dataset),
+        cgid.impact_table(sample),
+        cgid.impact_table(sample, "default"),
+    )
+    for table in tables:
+        units = table.attrs["units"]
+        assert list(units) == list(table) and units["time_s"] == "s"
+        assert {unit for name, unit in units.items() if not name.endswith("_s")} <= {"", "N"}
+    assert tables[2].attrs["units"]["peak"] == "N"
+
+
 METHODS = ("predict", "predict_proba", "save")
 
 
