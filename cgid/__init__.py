@@ -52,6 +52,7 @@ if TYPE_CHECKING:
     from cgid.scene.file.schema import Scene as Scene
     from cgid.scene.file.schema import load_scene as load_scene
     from cgid.scene.synthesis.synthesis import synthesise as synthesise
+    from cgid.shipped import open_results as open_results
     from cgid.signals import Batch as Batch
     from cgid.signals import Signal as Signal
     from cgid.store.reading import Dataset as Dataset
@@ -78,6 +79,7 @@ _NAMES = {
     "recordings": ("open_recording", "read_recording"),
     "scene.file.schema": ("Scene", "load_scene"),
     "scene.synthesis.synthesis": ("synthesise",),
+    "shipped": ("open_results",),
     "signals": ("Batch", "Signal"),
     "store.reading": ("Dataset",),
 }

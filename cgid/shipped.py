@@ -1,4 +1,4 @@
-"""Files shipped with the package: scenes, a sample, the default models.
+"""Files shipped with the package: scenes, a sample, the default models, the results of the open benchmark.
 
 A wheel has them inside the package; a checkout, and so an editable install, has them at its top level.
 """
@@ -7,9 +7,12 @@ from __future__ import annotations
 
 from itertools import islice
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 from cgid.errors import NoInput
+
+if TYPE_CHECKING:
+    import pandas
 
 #: Maximum number of files of a folder searched for a suggestion.
 _MAX_FILES = 10_000
@@ -35,7 +38,7 @@ SCENES = (
 )
 
 
-def path_of(kind: Literal["datasets", "models"], name: str) -> Path:
+def path_of(kind: Literal["datasets", "models", "benchmarks/open"], name: str) -> Path:
     """Return the path of a shipped file; raise `NoInput` if the installation is incomplete."""
     for folder in (_PACKAGE / "shipped" / kind, _PACKAGE.parent / kind):
         if (folder / name).is_file():
@@ -71,6 +74,38 @@ def model_versions() -> list[dict[str, str]]:
 
     with path_of("models", "versions.csv").open(encoding="utf-8", newline="") as lines:
         return list(csv.DictReader(lines))
+
+
+def open_results() -> pandas.DataFrame:
+    """Return the results of the open benchmark: all entries, sets and metrics, with what others have sent.
+
+    Returns
+    -------
+    DataFrame
+        A row for each metric of an entry on a set: `entry`, `date`, `version`, `link`, `set`, `metric`, `value`, `low`
+        and `high` of its 95 % interval, `n` (rocks, recordings or streams behind it) and `truth`, the digest of the
+        sets. The unit of a metric is in `attrs["units"]`; the others are fractions.
+
+    Raises
+    ------
+    NoInput
+        The installation is incomplete.
+
+    Examples
+    --------
+    >>> table = open_results()
+    >>> accuracy = table[(table["metric"] == "accuracy") & (table["set"] == "reference")]
+    >>> accuracy.set_index("entry")["value"].idxmax()
+    'limit, who knows the scene'
+    """
+    import pandas as pd
+
+    table = pd.read_csv(path_of("benchmarks/open", "results.csv"), dtype=str, keep_default_na=False)
+    numbers = {name: pd.to_numeric(table[name]) for name in ("value", "low", "high", "n")}
+    table = table.assign(date=pd.to_datetime(table["date"]), **numbers)
+    rocks = ("cost of the wrong time", "gangue let through", "coal lost")
+    table.attrs["units"] = {**dict.fromkeys(rocks, "rocks"), "delay": "s"}
+    return table
 
 
 def scene_descriptions() -> dict[str, str]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import hashlib
 import io
 from collections.abc import Callable
 from contextlib import redirect_stderr, redirect_stdout
@@ -13,8 +14,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+import cgid
 from benchmarks.open import __main__ as program
-from benchmarks.open import sets
+from benchmarks.open import judge, sets
 from benchmarks.open.entries import ENTRIES, write_predictions
 from benchmarks.open.judge import (
     TIMES,
@@ -27,6 +29,7 @@ from benchmarks.open.judge import (
     judged_streams,
 )
 from cgid.errors import BadData
+from cgid.recordings.public import PublicData, PublicFile
 from cgid.scene import generate, generate_recordings
 from cgid.store import Dataset
 from cgid.store.reading import Recording
@@ -232,6 +235,107 @@ def test_an_entry_replaces_its_earlier_one_in_the_table(
     assert "Streams" not in text  # the first entry was replaced
     with (tmp_path / "results.csv").open() as file:
         assert {row["entry"] for row in csv.DictReader(file)} == {"first", "second"}
+
+
+@pytest.fixture
+def real_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Return a folder of made-up recordings, which take the place of the public ones."""
+    folder, listed = tmp_path / "real", {}
+    contents = {f"data/steel_nut_M{k}_{number}.wav": b"%d %d" % (k, number) for k in (3, 4) for number in (1, 2, 4)}
+    listed["bulk-ramp"] = contents
+    listed["taps-pyfrf"] = {}
+    for k in (1, 2):
+        with io.BytesIO() as file:
+            np.save(file, np.array([[0.0, 1.0, 2.0], [0.0, 50.0 * k, 1.0], [0.0, 5.0, -7.0]]))
+            listed["taps-pyfrf"][f"data/measurements_{k}.npy"] = file.getvalue()
+    for dataset, files in listed.items():
+        for path, content in files.items():
+            (folder / dataset).mkdir(parents=True, exist_ok=True)
+            (folder / dataset / Path(path).name).write_bytes(content)
+    rows = {
+        dataset: tuple(PublicFile(path, len(one), hashlib.sha256(one).hexdigest()) for path, one in files.items())
+        for dataset, files in listed.items()
+    }
+    monkeypatch.setattr(PublicData, "files", property(lambda data: rows[data.name]))
+    return folder
+
+
+ANSWERS = [
+    "set,id,answer",
+    *(f"ramp,steel_nut_M{k}_{number}.wav,steel_nut_M3" for k in (3, 4) for number in (1, 2)),
+    *("taps,measurements_1.npy,50", "taps,measurements_2.npy,271.82818"),
+]
+
+
+def test_real_recordings_are_judged_by_recording_and_by_tap(real_folder: Path, tmp_path: Path) -> None:
+    path, results = tmp_path / "answers.csv", tmp_path / "results.csv"
+    path.write_text("\n".join(ANSWERS) + "\n")
+    sums = tmp_path / "SHA256SUMS"
+    sums.write_text(f"{hashlib.sha256(path.read_bytes()).hexdigest()}  sent/answers.csv\n")
+    stated = ["--version", "1.0", "--link", "https://example.org/mine", "--date", "2026-11-28", "--sums", str(sums)]
+    enter = ["enter", "mine", str(path), "--real", str(real_folder), "--results", str(results)]
+    assert program.run([*enter, *stated]) == 0
+    with results.open() as file:
+        rows = {row["set"]: row for row in csv.DictReader(file)}
+    assert (rows["ramp"]["value"], rows["ramp"]["n"]) == ("0.5", "4")  # not the recordings of number 4
+    assert float(rows["taps"]["value"]) == pytest.approx(np.sqrt(0.5), rel=1e-4) and rows["taps"]["n"] == "2"
+    assert (rows["taps"]["date"], rows["taps"]["version"]) == ("2026-11-28", "1.0")
+    table = judge.markdown(judge.read_results(results))
+    assert "| mine | 2026-11-28 | 1.0 | https://example.org/mine |" in table and "| `ramp` | 0.500" in table
+
+
+@pytest.mark.parametrize(
+    ("line", "given", "code", "says"),
+    [
+        ("ramp,steel_nut_M3_1.wav,brass", [], 65, "answer must be one of steel_nut_M3, steel_nut_M4, got 'brass'"),
+        ("ramp,steel_nut_M3_4.wav,steel_nut_M3", [], 65, "id must be a file of ramp, got 'steel_nut_M3_4.wav'"),
+        ("taps,measurements_1.npy,-5", [], 65, "answer must be a force above 0 N, got '-5'"),
+        ("taps,measurements_1.npy,nan", [], 65, "got 'nan'"),
+        ("rump,steel_nut_M3_1.wav,steel_nut_M3", [], 65, "set must be ramp, balls, taps, got 'rump'"),
+        ("ramp,steel_nut_M3_1.wav", [], 65, "must have 3 cells"),
+        (ANSWERS[2], [], 65, "steel_nut_M3_2.wav must be answered once"),
+        (ANSWERS[1], ["--link", "ftp://x"], 65, "--link must be an address that begins with https://"),
+        (ANSWERS[1], ["--date", "28.11.2026"], 65, "--date must be a day such as 2026-11-28"),
+        (ANSWERS[1], ["--version", "<b>"], 65, "--version must be"),
+        (ANSWERS[1], ["--sums", "SHA256SUMS"], 65, "answers.csv: must have the SHA-256 0000"),
+        (ANSWERS[1], ["--sums", "absent"], 66, "absent: sums cannot be read"),
+        (ANSWERS[1], ["--real", "absent"], 2, "must contain steel_nut_M3_1.wav; cgid fetch bulk-ramp"),
+        (ANSWERS[1], ["--real", "changed"], 65, "steel_nut_M3_1.wav: must have the SHA-256"),
+    ],
+)
+def test_bad_entries_of_real_recordings_end_with_one_line(
+    line: str,
+    given: list[str],
+    code: int,
+    says: str,
+    real_folder: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    failed: Callable[..., str],
+) -> None:
+    (tmp_path / "away" / "changed").mkdir(parents=True)
+    monkeypatch.chdir(tmp_path / "away")
+    Path("answers.csv").write_text("\n".join([ANSWERS[0], line, *ANSWERS[2:]]) + "\n")
+    Path("SHA256SUMS").write_text(f"{'0' * 64}  answers.csv\n")
+    Path("changed", "steel_nut_M3_1.wav").write_bytes(b"another")
+    results = Path("results.csv")
+    options = [*(() if "--real" in given else ("--real", real_folder)), *given]
+    assert says in failed(code, "enter", "x", "answers.csv", "--results", results, *options)
+    assert not results.exists()
+
+
+def test_files_need_what_judges_them(tmp_path: Path, failed: Callable[..., str]) -> None:
+    for content, says in ((frames_text(), "give --sets"), ("\n".join(ANSWERS) + "\n", "then give --real")):
+        (tmp_path / "mine.csv").write_text(content)
+        assert says in failed(2, "enter", "x", tmp_path / "mine.csv", "--results", tmp_path / "results.csv")
+
+
+def test_the_results_are_a_table_in_python() -> None:
+    table = cgid.open_results()
+    rows = judge.read_results(program.RESULTS)
+    assert len(table) == len(rows) and list(table) == list(judge.RESULT_COLUMNS)
+    assert table["value"].tolist() == [float(row["value"]) for row in rows]
+    assert (table["date"] >= "2026-11-01").all() and set(table.attrs["units"]) < set(table["metric"])
 
 
 # -- making ----------------------------------------------------------------------------------------------------------

@@ -6,6 +6,7 @@ Definitions of the metrics: benchmarks/open/README.md.
 from __future__ import annotations
 
 import csv
+import datetime
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -16,12 +17,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
+from benchmarks.open.real import ANSWER_COLUMNS, PUBLIC_TRUTH, TRACKS, Truths, read_answers
 from benchmarks.open.sets import COAL, COLUMNS, GANGUE, LARGEST, LIMIT, OTHER, all_sets, unchanged_digest, write_rows
-from cgid._lib.files import read_cells
+from cgid._lib.files import read_cells, read_regular
 from cgid._lib.validation import suggestion
-from cgid.errors import BadData, InvalidValue
+from cgid.errors import BadData, InvalidValue, MissingOption
 from cgid.identification.model.confusion import wilson_interval
 from cgid.identification.training.card import plain, table
+from cgid.store.folder import sha256_of
 
 Floats = NDArray[np.float64]
 #: Columns of predictions of frames and of streams; the last of each may be left out.
@@ -34,10 +37,11 @@ ROUNDING = 1e-3
 #: Bins of the calibration error, and resamplings of its interval.
 BINS, RESAMPLINGS = 10, 1000
 #: Columns of the results.
-RESULT_COLUMNS = ("entry", "set", "metric", "value", "low", "high", "n", "truth")
+RESULT_COLUMNS = ("entry", "date", "version", "link", "set", "metric", "value", "low", "high", "n", "truth")
 #: Metrics of the time to shut.
 _TIMING = ("cost of the wrong time", "gangue let through", "coal lost", "delay")
 _NAME = re.compile(r"[\w .,:+()/-]{1,60}")
+_LINK, _VERSION = re.compile(r"https://[!-~]{1,200}"), re.compile(r"[\w .+-]{1,40}")
 
 
 class Stream(NamedTuple):
@@ -112,10 +116,7 @@ def read_predictions(path: Path, truth: Truth) -> Predictions:
 
     Raises `NoInput`, or `BadData` with the line, the rule, the value and the cure.
     """
-    try:
-        lines = read_cells(path, "predictions", LARGEST)
-    except csv.Error as error:
-        raise BadData(f"{path}: predictions must be comma-separated values ({error}); save them as CSV") from None
+    lines = _lines(path)
     if not lines:
         raise BadData(f"{path}: must have a header and rows, is empty; write the columns {', '.join(FRAME_COLUMNS)}")
     header = tuple(lines[0][1])
@@ -142,6 +143,13 @@ def read_predictions(path: Path, truth: Truth) -> Predictions:
     if not found:
         raise BadData(f"{path}: must have rows below its header, has none; predict at least one set")
     return {name: _complete(path, name, rows, sets[name], header) for name, rows in found.items()}
+
+
+def _lines(path: Path) -> list[tuple[int, list[str]]]:
+    try:
+        return read_cells(path, "predictions", LARGEST)
+    except csv.Error as error:
+        raise BadData(f"{path}: predictions must be comma-separated values ({error}); save them as CSV") from None
 
 
 def _known_set(place: str, name: str, sets: Mapping[str, int], truth: Truth) -> str:
@@ -297,6 +305,15 @@ def judged_streams(own: Streams, streams: Sequence[Stream]) -> Iterator[Result]:
         yield _mean_of(metric, values)
 
 
+def judged_answers(own: Truths, truth: Truths) -> Result:
+    """Return the metric of a track of real recordings: of whole recordings the share right, of taps the error."""
+    pairs = [(own[key], value) for key, value in truth.items()]
+    if isinstance(pairs[0][1], str):
+        return _share_of("accuracy", np.array([answer == value for answer, value in pairs]))
+    answers, values = np.array(pairs, np.float64).T
+    return _mean_of("peak error", np.log(answers / values) ** 2, lambda square: np.sqrt(np.maximum(square, 0.0)))
+
+
 def _mean_of(metric: str, values: Floats, scale: Callable[[Floats], Floats] = np.asarray) -> Result:
     mean, n = values.mean(), len(values)
     half = stats.t.ppf(0.975, n - 1) * values.std(ddof=1) / np.sqrt(n) if n > 1 else np.nan
@@ -307,29 +324,76 @@ def _mean_of(metric: str, values: Floats, scale: Callable[[Floats], Floats] = np
 # -- the table -------------------------------------------------------------------------------------------------------
 
 
-def enter(name: str, files: Iterable[Path], truth: Truth, results: Path) -> int:
+class Entry(NamedTuple):
+    """What the table says of an entry beside its results: date (ISO 8601), version, and where its method is."""
+
+    name: str
+    date: str = ""
+    version: str = ""
+    link: str = ""
+
+    def check(self) -> None:
+        """Raise `InvalidValue` unless all can stand in a table."""
+        _require_name(self.name)
+        try:
+            datetime.date.fromisoformat(self.date)
+        except ValueError:
+            raise InvalidValue(f"--date must be a day such as 2026-11-28, got {_short(self.date)}") from None
+        if self.version and not _VERSION.fullmatch(self.version):
+            raise InvalidValue(f"--version must be 1 to 40 letters, digits, spaces or .+-_, got {_short(self.version)}")
+        if self.link and not _LINK.fullmatch(self.link):
+            raise InvalidValue(f"--link must be an address that begins with https://, got {_short(self.link)}")
+
+
+def require_sums(files: Sequence[Path], sums: Path) -> None:
+    """Raise `BadData` unless each file of an entry has the SHA-256 that came with it, as `sha256sum` writes it."""
+    lines = read_regular(sums, "sums", LARGEST, "send them with the files").decode(errors="replace").splitlines()
+    sent = {name.lstrip(" *").rpartition("/")[2]: digest for digest, _, name in (line.partition(" ") for line in lines)}
+    for path in files:
+        digest = sha256_of(path)
+        if sent.get(path.name) != digest:
+            raise BadData(
+                f"{path}: must have the SHA-256 {sent.get(path.name, 'of a line')} in {sums}, has {digest}; "
+                "send file and sums again"
+            )
+
+
+def enter(entry: Entry, files: Iterable[Path], truth: Truth | None, results: Path, real: Path | None = None) -> int:
     """Judge an entry, put it into the results in place of an earlier one of that name, return its number of sets.
 
     Raises `InvalidValue` for a bad name, `NoInput` or `BadData` if a file is unusable, two files predict one set, or
-    the results are of another truth.
+    the results are of another truth; `MissingOption` if the truth or the recordings of a file are not given.
     """
+    entry.check()
+    found: dict[str, tuple[list[Result], str]] = {}
+    for path in files:
+        lines = _lines(path)
+        if lines and tuple(lines[0][1]) == ANSWER_COLUMNS:
+            new = {name: ([judged_answers(*both)], PUBLIC_TRUTH) for name, both in read_answers(path, real).items()}
+        elif truth is None:
+            raise MissingOption(f"{path}: predictions need the sets that they are of; give --sets with their folder")
+        else:
+            new = {}
+            for name, one in judged(read_predictions(path, truth), truth):
+                new.setdefault(name, ([], truth.digest))[0].append(one)
+        if twice := sorted(found.keys() & new.keys()):
+            raise BadData(f"{path}: a set must be predicted once, {twice[0]} is also in another file; take one out")
+        found |= new
+    kept = read_results(results, None if truth is None else truth.digest) if results.exists() else []
+    own = [
+        (*entry, of, one.metric, *(f"{value:.5g}" for value in (one.value, one.low, one.high)), one.n, digest)
+        for of, (metrics, digest) in found.items()
+        for one in metrics
+    ]
+    order = list(dict.fromkeys([*(row["entry"] for row in kept), entry.name]))  # an earlier one's place is kept
+    rows = [*(tuple(row.values()) for row in kept if row["entry"] != entry.name), *own]
+    write_rows(results, RESULT_COLUMNS, sorted(rows, key=lambda row: order.index(row[0])))
+    return len(found)
+
+
+def _require_name(name: str) -> None:
     if not _NAME.fullmatch(name) or name != name.strip():
         raise InvalidValue(f"NAME must be 1 to 60 letters, digits, spaces or .,:+()/-_, got {_short(name)}")
-    predictions: Predictions = {}
-    for path in files:
-        new = read_predictions(path, truth)
-        if twice := sorted(predictions.keys() & new.keys()):
-            raise BadData(f"{path}: a set must be predicted once, {twice[0]} is also in another file; take one out")
-        predictions |= new
-    kept = read_results(results, truth.digest) if results.exists() else []
-    own = [
-        (name, of, one.metric, *(f"{value:.5g}" for value in (one.value, one.low, one.high)), one.n, truth.digest)
-        for of, one in judged(predictions, truth)
-    ]
-    order = list(dict.fromkeys([*(row["entry"] for row in kept), name]))  # an earlier one's place is kept
-    rows = [*(tuple(row.values()) for row in kept if row["entry"] != name), *own]
-    write_rows(results, RESULT_COLUMNS, sorted(rows, key=lambda row: order.index(row[0])))
-    return len(predictions)
 
 
 def read_results(path: Path, digest: str | None = None) -> list[dict[str, str]]:
@@ -342,7 +406,8 @@ def read_results(path: Path, digest: str | None = None) -> list[dict[str, str]]:
         _ = [float(row[key]) for row in rows for key in ("value", "low", "high")]
     except ValueError as error:
         raise BadData(f"{path}: results must be numbers ({error}); give a file made by enter") from None
-    others = {row["truth"] for row in rows} - ({digest} if digest else {row["truth"] for row in rows[:1]})
+    truths = {row["truth"] for row in rows} - {PUBLIC_TRUTH}
+    others = truths - ({digest} if digest else set(sorted(truths)[:1]))
     if others:
         raise BadData(f"{path}: results must be of one truth, got {min(others)}; give another file with --results")
     return rows
@@ -371,6 +436,7 @@ def _cost(found: Metrics) -> str:
 _TABLES: dict[str, tuple[str, Callable[[Metrics], str] | None]] = {
     "accuracy": ("Accuracy", None),
     "calibration error": ("Calibration error", None),
+    "peak error": ("Real taps: root mean square of ln(peak force / that of the hammer)", None),
     "unknown": ("Share unknown; accuracy of the others. Of strangers all should be unknown", _unknown),
     "share error": ("Streams: error of the share", None),
     "false shut": ("Streams shut although their share stays below one half", None),
@@ -387,10 +453,12 @@ def markdown(rows: Sequence[Mapping[str, str]]) -> str:
     found: dict[tuple[str, str], dict[str, Mapping[str, str]]] = {}
     for row in rows:
         found.setdefault((row["entry"], row["set"]), {})[row["metric"]] = row
-    parts = []
+    about = {row["entry"]: [row["date"], row["version"] or "-", row["link"] or "-"] for row in rows}
+    lines = [(plain(entry), *map(plain, own)) for entry, own in about.items()]
+    parts = ["\n".join(["**Entries**", "", *table(("", "date", "version", "link"), lines)])]
     for metric, (title, form) in _TABLES.items():
         lines = []
-        for name in all_sets():
+        for name in (*all_sets(), *TRACKS):
             own = [found.get((entry, name), {}) for entry in entries]
             if any(metric in one for one in own):
                 cells = ((form(one) if form else _interval(one[metric])) if metric in one else "-" for one in own)
