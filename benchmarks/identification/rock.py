@@ -273,7 +273,7 @@ def shock_is_flagged(model: StoredModel, file: Path) -> bool:
     return not any(answer.in_training_range for answer in answers)
 
 
-def table_of_unknown_contacts(model: Model, n: int) -> Iterator[Line]:
+def table_of_unknown_contacts(model: StoredModel, n: int) -> Iterator[Line]:
     """Yield what the model says of contacts and recorders that it was not trained on."""
     for name in _UNKNOWN_TO_IT:
         impacts = record(CASES[name], n, _JUDGED)

@@ -187,9 +187,8 @@ def own(folder: Path) -> Iterator[tuple[str, str, Any]]:
         rate, band = 1 / float(np.diff(times).mean()), (30.0, 10_000.0)
         hammer = np.concatenate([one[1] for one in rest])
         test = tap_test(np.concatenate([one[2] for one in rest])[None], rate, hammer=hammer, band=band, source="taps")
-        modes = test.modes if test.lines is None else test.modes.beside(test.lines)
         onset = max(int(np.argmax(force)) - 14, 0) / rate
-        found = recover_force(response[None], rate, modes, [onset], band=band)[0]
+        found = recover_force(response[None], rate, test.response, [onset], band=band)[0]
         yield "taps", name, f"{found.force.max():.5g}"
 
 
