@@ -100,6 +100,9 @@ class ThroughBeam:
         energy = np.maximum(self._loudest(np.sum(np.square(event), axis=1)), 1e-300)
         surely = np.maximum(estimate.unexplained * surely - before / energy, 0.0)
         left = estimate.unexplained - _RINGS_ON * before / energy
+        # At the end of the region the impact itself may lie beyond, which leaves as much.
+        x_low, x_high, y_low, y_high = self.beam.region
+        inside = (estimate.x > x_low) & (estimate.x < x_high) & (estimate.y > y_low) & (estimate.y < y_high)
         return {
             "beam_peak_force": contact.peak,
             "beam_pulse_width": contact.width,
@@ -117,7 +120,7 @@ class ThroughBeam:
             "beam_unexplained": 100 * estimate.unexplained,
             "beam_surely_unexplained": 100 * surely,
             "beam_misshapen": 100 * contact.outside,
-            "beam_overlap": 100 * np.where(left > _MORE_THAN_ONE, estimate.overlap, 0.0),
+            "beam_overlap": 100 * np.where(inside & (left > _MORE_THAN_ONE), estimate.overlap, 0.0),
         }
 
     def _loudest(self, values: Floats) -> Floats:
