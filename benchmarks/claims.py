@@ -17,7 +17,8 @@ A claim of `claims.toml` is what one command says:
     says        sentences and rows of pages; each {} is one of `values`, and `from` says where it is found: a row and a
                 title of the table, or a regular expression with a group for what the command prints
 
-`given` are sentences whose figures nobody measures. Any other figure outside of code fails (`tests/test_claims.py`).
+`given` are sentences whose figures nobody measures. Any other figure of README and of docs/benchmarks outside of code
+fails (`tests/test_claims.py`); other pages have the figures that a claim says of them.
 """
 
 from __future__ import annotations
@@ -150,7 +151,7 @@ def allowed(tolerance: float | str, value: float, name: str = "") -> float:
 
 
 def pages_of(root: Path = ROOT) -> dict[str, str]:
-    paths = [root / "README.md", *sorted(root.glob("docs/benchmarks/*.md"))]
+    paths = [root / "README.md", *sorted(root.glob("docs/*/*.md"))]
     return {path.relative_to(root).as_posix(): path.read_text(encoding="utf-8") for path in paths}
 
 
@@ -176,6 +177,8 @@ def problems(claims: Sequence[Claim], given: Sequence[Said], pages: Mapping[str,
                 yield f"{page}: must have {said.rendered()!r} as {TABLE.name}; python -m benchmarks.claims --write"
             known.setdefault(page, []).extend(spans)
     for page, text in pages.items():
+        if not page.startswith(("README", "docs/benchmarks/")):
+            continue
         blank = _CODE.sub(lambda code: re.sub(r"\S", " ", code[0]), text)
         for figure in _NUMBER.finditer(blank):
             if not any(begin <= figure.start() and figure.end() <= end for begin, end in known[page]):
@@ -390,8 +393,9 @@ def main(words: Sequence[str] | None = None) -> int:
         if chosen.write:
             head = TABLE.read_text(encoding="utf-8").partition("\n[[")[0]
             TABLE.write_text(toml(claims, given, head), encoding="utf-8")
-            for page, text in filled(claims, pages_of()).items():
-                (ROOT / page).write_text(text, encoding="utf-8")
+            for page, text in filled(claims, before := pages_of()).items():
+                if text != before[page]:
+                    (ROOT / page).write_text(text, encoding="utf-8")
         if chosen.write or not names:  # what was measured and not written stays beside what the pages say
             wrong += problems(claims, given, pages_of())
     except ClaimError as error:
