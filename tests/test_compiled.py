@@ -358,7 +358,7 @@ def expected() -> str:
 
 @pytest.mark.long
 def test_processes_start_at_once_with_an_empty_cache(tmp_path: Path, expected: str):
-    for _ in range(5):
+    for _ in range(2):
         found = results_of(tmp_path, 4)
         assert {result for result, _ in found} == {expected}
         assert sum(compiled for _, compiled in found) >= 1  # the cache was empty

@@ -77,7 +77,7 @@ def test_the_slopes_are_those_of_signals_by_central_differences(errors: BeamErro
 
 @pytest.mark.long
 def test_the_information_is_that_of_a_fit_to_noisy_copies(errors: BeamErrors) -> None:
-    """Against the covariance of 200 least-squares fits to noisy samples, with slopes by differences."""
+    """Against the covariance of 100 least-squares fits to noisy samples, with slopes by differences."""
     information = errors.information(BLOW[None])[0]
     covariance = np.linalg.inv(information)
     clean = errors.signals(errors.slopes(BLOW[None]))[0, 0]
@@ -88,7 +88,7 @@ def test_the_information_is_that_of_a_fit_to_noisy_copies(errors: BeamErrors) ->
     assert np.abs(clean).max() / noise > 100
     random = np.random.default_rng(5)
     found = []
-    for _ in range(200):
+    for _ in range(100):
         samples = clean + noise * random.standard_normal(clean.size)
 
         def left(at: np.ndarray, samples: np.ndarray = samples) -> np.ndarray:
@@ -100,12 +100,12 @@ def test_the_information_is_that_of_a_fit_to_noisy_copies(errors: BeamErrors) ->
         found.append(scipy.optimize.least_squares(left, start, jac="3-point", diff_step=0.03).x - 10)
     empirical = np.cov(np.array(found).T)
     expected = covariance / np.outer(scale, scale)
-    # In the axes of the expected covariance the empirical one is 1, with chi-squared of 199 degrees of freedom.
+    # In the axes of the expected covariance the empirical one is 1, with chi-squared of 99 degrees of freedom.
     root = np.linalg.inv(np.linalg.cholesky(expected))
     whitened = root @ empirical @ root.T
-    assert np.abs(np.diag(whitened) - 1).max() < 0.35  # 3.5 standard errors
-    assert np.abs(whitened - np.diag(np.diag(whitened))).max() < 0.28  # 4 of 1 / sqrt(200)
-    assert np.abs(np.mean(found, axis=0)).max() < 0.3
+    assert np.abs(np.diag(whitened) - 1).max() < 0.49  # 3.5 standard errors
+    assert np.abs(whitened - np.diag(np.diag(whitened))).max() < 0.4  # 4 of 1 / sqrt(100)
+    assert np.abs(np.mean(found, axis=0)).max() < 0.4
 
 
 def test_pulses_of_the_family_stand_for_themselves(errors: BeamErrors) -> None:
