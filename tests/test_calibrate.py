@@ -499,6 +499,16 @@ def test_a_wrong_filter_is_corrected(known):
         calibrate(scene, frames(truth, 60, seed=12), RATE, BEFORE, exact=("filter", "mounting"))
 
 
+@pytest.mark.long
+@pytest.mark.parametrize("changes", [{"thickness": 0.0196}, {"sensor_point": {"x": 0.34, "y": 0.22}}])
+def test_impacts_of_two_beams_are_refused(changes):
+    """Half of them are of a beam 2 % thinner, or of a sensor that was moved by 30 mm in between."""
+    one, other = panel(), panel(**changes)
+    both = np.concatenate([frames(one, 30, seed=1), frames(other, 30, seed=2)])
+    with pytest.raises(BadData, match="must explain"):
+        calibrate(one, both, RATE, BEFORE)
+
+
 def test_a_sensor_elsewhere_is_found_beside_the_modes(known):
     truth, _ = modes_off(panel(sensor_point={"x": 0.29, "y": 0.235}), 0.01, 0.1, seed=4)
     found = calibrate(known[0], frames(truth, 60, seed=8), RATE, BEFORE)
