@@ -165,13 +165,12 @@ def by_lscf(response: Floats, force: Floats, rate: float, left_out: int, band: t
     except ImportError:
         return None
     grid, h1 = measured_response(response, force, rate, left_out)
-    model = EMA.Model(h1[None, 1:], grid[1:], lower=band[0], upper=band[1], pol_order_high=60, frf_type="accelerance")
+    model = EMA.Model(h1[None, 1:], grid[1:], lower=band[0], upper=band[1], pol_order_high=100)
     model.get_poles(method="lscf", show_progress=False)
-    stable = model.all_poles[-1]
-    keep = [k for k, pole in enumerate(stable) if pole.imag > 0 and band[0] < abs(pole) / 2 / np.pi < band[1]]
-    model.nat_freq = [float(abs(stable[k]) / 2 / np.pi) for k in keep]
+    # All poles of the highest order in the band: the residual outside of it is a mass and a stiffness line.
+    keep = [k for k, s in enumerate(model.all_poles[-1]) if s.imag > 0 and band[0] < abs(s) / 2 / np.pi < band[1]]
     model.pole_ind = [[len(model.all_poles) - 1, k] for k in keep]
-    rebuilt, *_ = model.get_constants(whole_FRF=True)
+    rebuilt, _ = model.get_constants()
 
     def at(frequency: Floats) -> NDArray[np.complex128]:
         return np.interp(frequency, model.freq, rebuilt[0].real) + 1j * np.interp(

@@ -9,7 +9,8 @@
 3. A panel of steel by finite elements (`independent_modes.py`), all dampings alike: how many of its modes are found.
 4. What a tap test does wrong: a soft hammer that stays on for longer than stated, places that differ from tap to tap,
    one tap, two sensors; a hammer on another module, exponential windows, one bad tap of five.
-5. A hammer blow on a bolted steel beam, three accelerometers, 12.8 kHz, 5 s: github.com/mattiacenedese/BRBtesting, Chen
+5. Recordings of 10 s, ten minutes and an hour: processor time and memory (Linux).
+6. A hammer blow on a bolted steel beam, three accelerometers, 12.8 kHz, 5 s: github.com/mattiacenedese/BRBtesting, Chen
    et al., Mechanical Systems and Signal Processing 166 (2022) 108401. Files of that repository; not part of cgid.
    Beside it the slopes of phase and logarithm of the envelope behind a band pass, and the resonance of forced tests.
 """
@@ -18,6 +19,10 @@ from __future__ import annotations
 
 import argparse
 import itertools
+import resource
+import subprocess
+import sys
+import tempfile
 import time
 from collections.abc import Callable
 from functools import cache
@@ -241,6 +246,34 @@ def recorders(seeds: int) -> None:
         print(f"| {name} | {np.mean(told):.3f} | {', '.join(left)} | {scores.row()}", flush=True)
 
 
+def long_recordings(_: int) -> None:
+    """Print processor time and memory of the commands on five taps every ten minutes."""
+    response, force, _times = taps(5, seed=1)
+    taps_there = np.stack([response, force]).astype(np.float32)
+    random = np.random.default_rng(0)
+    quiet = random.normal(0, 1, (2, round(10 * RATE))) * [[1e-3 * response.std()], [1e-4 * response.std()]]
+    own = "import sys\nfrom cgid.cli.main import run\ncode = run(sys.argv[1:])\n"
+    own += "print([line for line in open('/proc/self/status') if line.startswith('VmHWM')][0])\nsys.exit(code)"
+    print("\n| length [s] | command | processor time [s] | memory [MB] |\n|---|---|---|---|")
+    with tempfile.TemporaryDirectory() as folder:
+        for length in (10, 600, 3600):
+            shape = (2, round(length * RATE))
+            every = np.lib.format.open_memmap(f"{folder}/long.npy", "w+", np.float32, shape)
+            for first in range(0, length, 10):
+                every[:, round(first * RATE) :][:, : quiet.shape[1]] = quiet
+                if first % 600 == 0:
+                    every[:, round(first * RATE) :][:, : response.size] = taps_there
+            every.flush()
+            given = ["long.npy", "--rate", f"{RATE:g}", "--channel", "1", "--hammer", "2", "--unit", "1=m/s^2,2=N"]
+            for command in (["tap", "--band", "60", "2500", "-o"], ["invert", "--modes"]):
+                before = resource.getrusage(resource.RUSAGE_CHILDREN)
+                words = [sys.executable, "-c", own, *command, "modes.csv", "--overwrite", *given]
+                told = subprocess.run(words, cwd=folder, capture_output=True, text=True, check=True).stdout
+                after = resource.getrusage(resource.RUSAGE_CHILDREN)
+                seconds = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+                print(f"| {length} | {command[0]} | {seconds:.1f} | {int(told.split()[-2]) // 1024} |", flush=True)
+
+
 def hammer_blow(path: str, forced: str | None) -> None:
     data = loadmat(path, squeeze_me=True)["HIdata"][()]
     rate = 1 / float(np.diff(data["time"]).mean())
@@ -287,10 +320,17 @@ if __name__ == "__main__":
     parser.add_argument("--brb", help="HammerImpact.mat of github.com/mattiacenedese/BRBtesting")
     parser.add_argument("--forced", help="ForcedFrequencyResponses.mat of the same")
     parser.add_argument(
-        "--only", choices=("levels", "pairs", "panel", "mistakes", "recorders", "brb"), help="one part alone"
+        "--only", choices=("levels", "pairs", "panel", "mistakes", "recorders", "long", "brb"), help="one part alone"
     )
     arguments = parser.parse_args()
-    parts = {"levels": levels, "pairs": pairs, "panel": panel, "mistakes": mistakes, "recorders": recorders}
+    parts = {
+        "levels": levels,
+        "pairs": pairs,
+        "panel": panel,
+        "mistakes": mistakes,
+        "recorders": recorders,
+        "long": long_recordings,
+    }
     for name, part in parts.items():
         if arguments.only in (None, name):
             part(arguments.seeds)
