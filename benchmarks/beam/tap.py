@@ -242,7 +242,7 @@ def recorders(seeds: int) -> None:
             scores.seconds += time.process_time() - start
             scores.add(test, TRUE)
             told.append(1e3 * test.delay)
-            left.append("+".join(str(k) for k, tap in enumerate(test.taps, 1) if tap.flaw))
+            left.append("+".join(str(k) for k, tap in enumerate(test.taps, 1) if tap.flaw) or "none")
         print(f"| {name} | {np.mean(told):.3f} | {', '.join(left)} | {scores.row()}", flush=True)
 
 
