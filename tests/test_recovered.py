@@ -108,5 +108,11 @@ def test_command(recorded, tmp_path, capsys, monkeypatch):
     assert run([*given, "--channel", "1", "--json", "--overwrite"]) == 0
     content = json.loads(capsys.readouterr().out)
     assert len(content["impacts"]) == 3
+    assert not any(one["clipped"] for one in content["impacts"])
     for one in content["impacts"]:
         assert one["peak"] == pytest.approx(force[round(one["time"] * RATE) :][:200].max(), rel=0.05)
+    limit = 0.4 * np.abs(response).max()
+    rows = np.stack([np.clip(response, -limit, limit), force], axis=1)
+    np.savetxt("clipped.csv", rows, "%.7g", ",", header=head, comments="")
+    assert run(["invert", "clipped.csv", "--modes", "modes.csv", "--channel", "1"]) == 0
+    assert "the response is clipped" in capsys.readouterr().err

@@ -526,7 +526,7 @@ def _judged(
             flaw, detail = Flaw.DOUBLE, f"another impact follows after {1e3 * separation:.3g} ms"
         elif not known and event.overlapping and _alone(event, events):
             flaw, detail = Flaw.DOUBLE, "another impact follows within some milliseconds"
-        elif _is_clipped(response[:, event.onset : max(stop, event.onset + 1)], *limits) or (known and event.clipped):
+        elif is_clipped(response[:, event.onset : max(stop, event.onset + 1)], *limits) or (known and event.clipped):
             flaw = Flaw.CLIPPED
         taps.append(Tap(time=event.onset / sampling_rate, start=start, stop=stop, flaw=flaw, detail=detail))
     taps = _required(taps, times, source)
@@ -539,7 +539,7 @@ def _alone(event: Event, events: list[Event]) -> bool:
     return all(other is event or abs(other.onset - event.onset) > reach for other in events)
 
 
-def _is_clipped(part: Floats, highest: Floats, lowest: Floats) -> bool:
+def is_clipped(part: Floats, highest: Floats, lowest: Floats) -> bool:
     """Return whether a channel (n_channels, n) stays at an extreme of the recording for three samples."""
     for row, top, bottom in zip(part, highest, lowest, strict=True):
         limit = _CLIPPED_SHARE * max(abs(top), abs(bottom))

@@ -63,7 +63,7 @@ def invert(
     train a model on the beam; cgid predict looks for their places.
     """
     from cgid._lib.files import check_new, write_whole
-    from cgid.calibration.taps import events_in, hammer_force
+    from cgid.calibration.taps import events_in, hammer_force, is_clipped
     from cgid.identification.inversion.recovered import recover_force
     from cgid.measure.modal.modes import read_modes
 
@@ -90,6 +90,8 @@ def invert(
             if first + event.onset < done:
                 continue
             row = _row(one, measured, rate)
+            part = slice(round(event.onset), round(one.time[-1] * rate) + round(_RINGS * rate))
+            row["clipped"] = is_clipped(response[:, part], response.max(axis=1), response.min(axis=1))
             rows.append({**row, "time": row["time"] + first / rate})
             if path is not None:
                 text += _lines(len(rows), one, measured, rate, first)
@@ -97,6 +99,10 @@ def invert(
     if not rows:
         raise silent or BadData(f"{recording}: must contain an impact, got none; record longer")
     for row in rows:
+        if row["clipped"]:
+            warn(
+                f"impact at {row['time']:.4g} s: the response is clipped, its force is wrong; use a larger range"
+            )
         if row["peak"] <= 0:
             warn(f"impact at {row['time']:.4g} s: the force pulls; is the signal inverted (--invert), or elsewhere?")
     if path is not None:

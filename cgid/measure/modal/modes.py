@@ -198,23 +198,6 @@ class Modes:
             deviation=None if self.deviation is None else self.deviation[:, modes],
         )
 
-    def beside(self, others: Modes) -> Modes:
-        """Return the modes with others, by ascending frequency; shapes are numbers, and all have deviations or none."""
-        order = np.argsort(np.append(self.frequency, others.frequency), kind="stable")
-
-        def joined(name: str) -> Any:
-            first, second = getattr(self, name), getattr(others, name)
-            return None if first is None else np.concatenate([first, second], axis=-1)[..., order]
-
-        return replace(
-            self,
-            frequency=joined("frequency"),
-            damping_ratio=joined("damping_ratio"),
-            at_impact=joined("at_impact"),
-            at_sensor=joined("at_sensor"),
-            deviation=joined("deviation"),
-        )
-
     def corrected(self, correction: Floats) -> Modes:
         """Return the modes with corrections (3, n_modes) of ln frequency, ln damping ratio and ln participation."""
         return replace(
