@@ -208,7 +208,6 @@ def stabilisation_picture(test: Any) -> bytes:
         for name, colour in (("measured", "0.3"), ("modelled", "C1")):
             front.semilogy(kilohertz, np.abs(getattr(found, name)), color=colour, lw=1, label=name)
         front.set(ylabel=f"{found.quantity} over force [SI]")
-        front.legend(fontsize="small", loc="upper left")
         middle[0].plot(kilohertz, found.coherence, color="0.3", lw=0.8)
         middle[0].set(ylabel="coherence", ylim=(0, 1.05))
         middle[0].grid(alpha=0.3)
@@ -220,7 +219,7 @@ def stabilisation_picture(test: Any) -> bytes:
     for mode in modes.frequency / 1e3:
         upper.axvline(mode, color=COLOURS[5], lw=0.6, zorder=0)
     upper.set(ylabel="order of the model in its band")
-    figure.legend(fontsize="small", loc="outside upper right", ncols=2)
+    figure.legend(fontsize="small", loc="outside upper right", ncols=4)
     ratio = 100 * modes.damping_ratio
     spread = np.exp(2 * modes.deviation[1])
     lower.errorbar(
