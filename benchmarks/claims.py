@@ -9,7 +9,7 @@
 A claim of `claims.toml` is what one command says:
 
     name, command, commit and date of its last run
-    tolerance   of a new run: 0.01, or "20 %" of each figure
+    tolerance   of a new run: 0.01, or "20 %" of each figure, or "20 % or 1e-9", the larger of both
     table       what the command prints, a Markdown table or lines of text, cut to `rows` (a regular expression) and to
                 the titles in `columns`; `ignore` names titles whose figures are not compared, as times; `which` is
                 the number of the table where a command prints several, from 0. `page` has it between <!-- NAME -->
@@ -145,8 +145,8 @@ def allowed(tolerance: float | str, value: float, name: str = "") -> float:
     """Return how far a figure may be from a value."""
     if isinstance(tolerance, float) and tolerance > 0:
         return tolerance
-    if isinstance(tolerance, str) and (share := re.fullmatch(r"(\d+) %", tolerance)):
-        return abs(value) * int(share[1]) / 100 + 1e-300
+    if isinstance(tolerance, str) and (found := re.fullmatch(r"(\d+) %(?: or (\d\S*))?", tolerance)):
+        return max(abs(value) * int(found[1]) / 100, float(found[2] or 1e-300))
     raise ClaimError(f'{name}: tolerance must be a positive number such as 0.01, or "20 %", got {tolerance!r}')
 
 

@@ -107,6 +107,13 @@ def test_a_new_run_replaces_table_and_figures() -> None:
 
 
 @pytest.mark.parametrize(
+    ("tolerance", "value", "most"), [(0.01, 5.0, 0.01), ("20 %", -5.0, 1.0), ("20 % or 1e-9", 1e-12, 1e-9)]
+)
+def test_a_tolerance_is_a_number_a_share_or_both(tolerance: float | str, value: float, most: float) -> None:
+    assert claims.allowed(tolerance, value) == pytest.approx(most)
+
+
+@pytest.mark.parametrize(
     ("stated", "value", "written"),
     [(".84", 0.8461, ".85"), ("0.84", 0.8461, "0.85"), ("1.5e-14", 1.62e-14, "1.6e-14"), ("1,007", 2034.2, "2,034"),
      ("+.03", 0.0511, "+.05"), ("-.03", -0.0511, "-.05"), ("93", 92.8, "93")],
