@@ -142,8 +142,7 @@ class AnswerLines:
         """Print why most predictions are unknown and what to do, on stderr and in JSON."""
         where = f" channel {', '.join(hint.channels)}" if hint.channels else ""
         content = {name: list(value) if isinstance(value, tuple) else value for name, value in vars(hint).items()}
-        for number, line in enumerate(hint.lines):
-            say(line if number else f"cgid: hint: {source}{where}: {line}", err=True)
+        say(f"cgid: hint: {source}{where}: {hint.line}", err=True)
         self._line("hint", source, content)
 
     def delay(self, source: str, behind: float, message: str) -> None:

@@ -68,8 +68,8 @@ class Hints(Diagnosis):
                 advice = (
                     "check unit, sensitivity, gain and full scale; if they are right, label impacts and train on them"
                 )
-            case MisfitPart.BEAM if self._is_of_beam and self._calibration():
-                advice, steps = "learn the modes of this beam", self._calibration()
+            case MisfitPart.BEAM if self._is_of_beam:
+                advice = "learn the modes of this beam with a scene of its size, or label impacts and train on them"
             case MisfitPart.SIZES | MisfitPart.SEAM if self.model.seams is not None and not stated:
                 advice = "state how long coal alone falls at the begin, and the gangue fraction is that of this seam"
                 steps = (self._predict("--coal-until", "30s"),)
@@ -149,12 +149,14 @@ class Hints(Diagnosis):
                 ways = [(self._predict("--rate", f"{finding.value:g}"),) if is_open else ()]
             case CauseKind.AMPLITUDE:
                 ways = [self._in_other_unit(finding.value)]
-            case CauseKind.BEAM | CauseKind.CHAIN:
+            case CauseKind.CHAIN:
                 ways = [self._calibration()]
             case CauseKind.VIBRATION:
                 ways = [self._as_acceleration(), self._training()]
+            case CauseKind.BEAM:
+                ways = [self._training(), self._calibration()]
             case CauseKind.SHAPE if self._is_of_beam:
-                ways = [self._calibration(), self._training()]
+                ways = [self._training(), self._calibration()]
             case CauseKind.SHAPE | CauseKind.FEATURES:
                 ways = [self._training()]
             case _:

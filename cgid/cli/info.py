@@ -182,7 +182,7 @@ def _recording(file: str, as_json: bool, beams: Groups, reading: ReadingOptions)
 
 
 #: Text for the impacts of a channel without a quantity; null in JSON.
-_NOT_COUNTED = "not counted, since pulses and vibrations differ; give --unit, such as --unit N or --unit m/s^2"
+_NOT_COUNTED = "not counted, since pulses and vibrations differ; give "
 
 
 def _channels(recording: Any, as_json: bool, beams: Groups) -> tuple[dict[str, Any], list[str]]:
@@ -237,6 +237,11 @@ def _channels(recording: Any, as_json: bool, beams: Groups) -> tuple[dict[str, A
         add(row, detector.finish())
         if is_known[row] and not impacts[row] and INVERT_HINT in detector.why_silent():
             warn(f"{channel_name(recording.source, channel.name)}: no impact: {INVERT_HINT}")
+        stated = (
+            "--full-scale, such as '500 g'"
+            if channel.quantity == "level"
+            else "--unit, such as --unit N or --unit m/s^2"
+        )
         middle = {"median": median[row]} if is_short else {"mean": total[row] / max(n_read[row], 1)}
         missing = n_samples - int(n_read[row])
         described[f"channel {channel.name}"] = {
@@ -252,7 +257,7 @@ def _channels(recording: Any, as_json: bool, beams: Groups) -> tuple[dict[str, A
             "lowest": float(lowest[row]),
             **{name: float(value) for name, value in middle.items()},
             "highest": float(highest[row]),
-            "impacts": len(impacts[row]) if is_known[row] else None if as_json else _NOT_COUNTED,
+            "impacts": len(impacts[row]) if is_known[row] else None if as_json else _NOT_COUNTED + stated,
         }
     clipped = [
         f"{channel_name(recording.source, channel.name)}: {n_clipped[row]} of {counted(len(impacts[row]), 'impact')} "

@@ -394,12 +394,9 @@ class Hint:
     n_answers: int = 0
 
     @property
-    def lines(self) -> list[str]:
-        """The hint as text: reason and remedy in one line, then a line for each step."""
-        ways = [[f"  {number}. {step}" for number, step in enumerate(way, 1)] for way in (self.commands, self.instead)]
-        between = ["  or:"] * (ways[0] != [] and ways[1] != [])
-        steps = [*ways[0], *between, *ways[1]]
-        return [f"{self.reason}; {self.advice}{':' * bool(steps)}", *steps]
+    def line(self) -> str:
+        """The hint as text: reason, remedy and the first command, which names the next one itself."""
+        return f"{self.reason}; {self.advice}{''.join(f': {step}' for step in self.commands[:1])}"
 
 
 class Diagnosis:
