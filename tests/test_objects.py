@@ -8,11 +8,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import pytest
 
 import cgid
 from cgid.cli.main import run
-from cgid.errors import BadData, CannotCreate, InvalidValue
+from cgid.errors import BadData, CannotCreate, InvalidValue, MissingOption
 from cgid.identification.training import Training, train_on_specimens
 from cgid.physics import STEEL, YANG2018_SPHERES
 
@@ -220,6 +221,36 @@ def test_tables_have_units(dataset: cgid.Dataset) -> None:
         assert list(units) == list(table) and units["time_s"] == "s"
         assert {unit for name, unit in units.items() if not name.endswith("_s")} <= {"", "N"}
     assert tables[2].attrs["units"]["peak"] == "N"
+
+
+def test_objects_of_the_package_go_into_its_functions(dataset: cgid.Dataset) -> None:
+    batch, sample = next(dataset.batches()), cgid.shipped.path_of("datasets", "sample.csv")
+    known = {"pre_trigger": batch.pre_trigger}
+    expected = cgid.extract(batch.signals, batch.sampling_rate, ["peak_force", "width_10"], **known)
+    assert cgid.extract(batch, features=["peak_force", "width_10"]).equals(expected)
+    assert cgid.extract(dataset[0], features=["peak_force", "width_10"]).equals(expected[:1])
+    with pytest.raises(MissingOption, match="sampling_rate"):
+        cgid.extract(batch.signals)
+    (signal,) = cgid.read_recording(sample)
+    assert [one.onset for one in cgid.find_impacts(sample)] == [one.onset for one in cgid.find_impacts(signal)]
+    population = cgid.impactor.population_of("reference", 2048)
+    assert np.array_equal(population.log_peak, cgid.impactor.population_of(cgid.load_scene("reference"), 2048).log_peak)
+
+
+def test_what_is_no_object_of_the_package_is_refused_with_the_way_out(tmp_path: Path) -> None:
+    table = pd.DataFrame({"a": [1.0, 2.0]})
+    for train in (cgid.train_on_specimens, cgid.train_on_groups):
+        with pytest.raises(InvalidValue, match="got DataFrame; a table of features"):
+            train(table)
+    with pytest.raises(InvalidValue, match="model must be a Model, a Training or"):
+        cgid.predict(np.zeros(100), 1e5, "N", model=5)
+    with pytest.raises(BadData, match="as a cgid"):
+        cgid.predict(np.zeros((5, 100)), 1e5, "N")
+    with pytest.raises(InvalidValue, match="signal must be a Signal"):
+        cgid.find_impacts(np.zeros(100))
+    (tmp_path / "two.csv").write_text("time [s],a [N],b [N]\n" + "".join(f"{k / 1e4},{k % 7},1\n" for k in range(99)))
+    with pytest.raises(InvalidValue, match="one channel"):
+        cgid.find_impacts(tmp_path / "two.csv")
 
 
 METHODS = ("predict", "predict_proba", "save")

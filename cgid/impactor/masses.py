@@ -128,7 +128,7 @@ def size_distribution(
     ----------
     pulses : MeasuredPulses
         Of all detected impacts.
-    population : StrikerPopulation
+    population : ImpactorPopulation
         Possible impactors; only what is unknown at a given size is taken from it.
     quantity : {"mass", "radius", "speed"}
     detection : Detection, optional

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from functools import lru_cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -19,7 +20,7 @@ from cgid.measure.fit.template import relative_times
 from cgid.measure.modal.beam import FINE, TOUCH, filtered, respond
 from cgid.physics.contact.impact import Impact
 from cgid.physics.structure.coupled import ModalImpact
-from cgid.scene.file.schema import Scene
+from cgid.scene.file.schema import Scene, load_scene
 from cgid.scene.synthesis.impacts import contacts_of, draws
 from cgid.scene.synthesis.plan import Plan
 from cgid.scene.synthesis.rocks import Rocks, arrivals_of, arriving, thrown_back
@@ -39,25 +40,26 @@ _LOCATIONS, _EVENLY, _ENERGY = 64, (0.7548776662, 0.5698402910), 1e8
 
 
 @lru_cache(maxsize=_CACHE_SIZE)
-def population_of(scene: Scene, n_draws: int | None = None) -> ImpactorPopulation:
+def population_of(scene: Scene | str | Path, n_draws: int | None = None) -> ImpactorPopulation:
     """Return the population of a scene, the prior of an impactor.
 
     Parameters
     ----------
-    scene : Scene
-        In a stream all impacts count, including rebounds.
+    scene : Scene, str or Path
+        A scene, a file, or a shipped one by name. In a stream all impacts count, including rebounds.
     n_draws : int, optional
         By default 131,072 if a formula gives the pulses, else 32,768, with a beam 16,384.
 
     Returns
     -------
-    StrikerPopulation
+    ImpactorPopulation
 
     Raises
     ------
     InvalidValue
         The scene has no impacts of spheres, or draws its rig.
     """
+    scene = load_scene(scene)
     if scene.randomise is not None:
         raise InvalidValue(f"scene {scene.name}: must have fixed settings to estimate impactors; take [randomise] out")
     if not scene.populations:

@@ -53,7 +53,7 @@ def estimate_impactors(
         One impact per row: forces [N], or for a scene with a beam and a sensor of motion its samples in the SI unit.
     sampling_rate : float
         [Hz].
-    among : str, Path, Scene, StrikerPopulation or Material
+    among : str, Path, Scene, ImpactorPopulation or Material
         Possible impactors: a scene (a shipped one or a file), draws, or spheres of one material.
     target : HalfSpace or RIGID
         Target of a sphere of one material; a scene specifies it.

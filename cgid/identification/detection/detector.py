@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from bisect import bisect_right
 from dataclasses import replace
+from pathlib import Path
 from typing import Any, get_args
 
 import numpy as np
@@ -358,15 +359,17 @@ class _Limits:
         return float(self._counts[:, channel].sum() / max(self._seen, 1))
 
 
-def find_impacts(signal: Signal, *, kind: ImpactKind = "pulse", dead_time: float | None = None) -> list[Event]:
+def find_impacts(
+    signal: Signal | str | Path, *, kind: ImpactKind = "pulse", dead_time: float | None = None
+) -> list[Event]:
     """Return the impacts in a recording, in order of time, as `ImpactDetector` finds them.
 
     A frame of a dataset (its `pre_trigger` is known) is one impact.
 
     Parameters
     ----------
-    signal : Signal
-        Pulses point upwards.
+    signal : Signal, str or Path
+        Pulses point upwards. A recording of one channel may be given by its path, if the file states rate and unit.
     kind : {"pulse", "vibration"}
     dead_time : float, optional
         [s], at least 0; by default `DEAD_TIME` or `VIBRATION_DEAD_TIME`.
@@ -380,7 +383,17 @@ def find_impacts(signal: Signal, *, kind: ImpactKind = "pulse", dead_time: float
     ------
     BadData
         The signal is constant or absurdly large, or nothing rises above the noise.
+    InvalidValue
+        It is no signal, or a recording of several channels.
     """
+    if isinstance(signal, str | Path):
+        from cgid.recordings import read_recording
+
+        first, *others = read_recording(signal)
+        if others:
+            raise InvalidValue(f"{signal}: must be of one channel; take one of those of cgid.read_recording")
+        signal = first
+    validation.instance("signal", signal, Signal)
     detector = ImpactDetector(signal.sampling_rate, kind=kind, dead_time=dead_time)
     try:
         pulses = detector.feed(signal.samples) + detector.finish()

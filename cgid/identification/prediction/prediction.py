@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from cgid._lib import validation
 from cgid._lib.validation import require_rate
-from cgid.errors import BadData, MissingOption
+from cgid.errors import BadData, InvalidValue, MissingOption
 from cgid.identification.model.model import Model, StoredModel
 from cgid.identification.prediction.answers import Answer, answer_columns
 from cgid.identification.prediction.batches import identify_batches
@@ -168,6 +168,8 @@ def predict(
         validation.choice("setting", name, _SETTINGS)
     applied = replace(PredictionSettings(), **settings)
     model = cast("StoredModel | str | Path | None", getattr(model, "model", model))  # of a Training
+    if model is not None and not isinstance(model, Model | str | Path):
+        raise InvalidValue(f"model must be a Model, a Training or the name or path of a model, got {model!r:.60}")
     if isinstance(samples, str | Path) and is_dataset(samples):
         from cgid.store.reading import Dataset
 
@@ -247,7 +249,7 @@ def _signals(samples: Any, sampling_rate: float | None) -> list[Signal]:
     if columns.shape[1] > columns.shape[0]:
         raise BadData(
             f"samples must be (n_samples, n_channels), got shape {columns.shape} with more channels than samples; "
-            "transpose them"
+            "transpose them, or give frames of single impacts as a cgid.Batch"
         )
     labels = range(1, columns.shape[1] + 1) if names is None else names
     return [

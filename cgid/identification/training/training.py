@@ -239,6 +239,7 @@ def train_on_specimens(  # noqa: PLR0913
             )
         rows, names, limiting = data, _named_in(data, features), _named_in(data, guards)
     else:
+        _refuse_table("data", data)
         rows, names, limiting = _measured(data, features, guards, tuple(known), beam, progress, workers)
     rows = _in_one_spelling(rows)
     rows = _shuffled(rows, seed) if shuffle_labels else rows
@@ -306,6 +307,7 @@ def train_on_groups(
         An unknown choice, or rows of datasets or scenes.
     """
     seed = validation.whole("seed", seed, 0, 2**32 - 1)
+    _refuse_table("rows", rows)
     if rows.slicing is None:
         raise InvalidValue(
             "rows must be of recordings, got those of a dataset or scene; give them to train_on_specimens"
@@ -335,6 +337,15 @@ def _named_in(rows: Rows, features: Iterable[Named] | None) -> tuple[str, ...]:
     for name in names:
         validation.choice("feature of rows", name, rows.names)
     return names
+
+
+def _refuse_table(name: str, given: Any) -> None:
+    """Raise `InvalidValue` for a table or array of features, which has no signals."""
+    if hasattr(given, "shape"):
+        raise InvalidValue(
+            f"{name} must be signals or rows measured from them, got {type(given).__name__}; a table of features "
+            "trains cgid.ImpactClassifier().fit(table, labels)"
+        )
 
 
 def _record(sources: Sequence[str], seed: int, shuffled: bool) -> dict[str, Any]:

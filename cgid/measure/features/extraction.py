@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from cgid._lib import validation
 from cgid._lib.validation import Floats, require_rate
-from cgid.errors import BadData, InvalidValue
+from cgid.errors import BadData, InvalidValue, MissingOption
 from cgid.measure.features.own import outside_features, own_feature
 from cgid.measure.features.pulses import FAINT, PULSE_FEATURES, PulseBatch
 from cgid.measure.features.table import Feature, FeatureTable, ImpactKind, Kind
@@ -21,6 +21,7 @@ from cgid.measure.features.vibration import VIBRATION_FEATURES, BeamInversion, V
 from cgid.measure.features.windows import WINDOW_FEATURES, WindowBatch
 from cgid.measure.filters import Equalisation
 from cgid.measure.frames import DETECTION_LIMIT, Problem, frames_of
+from cgid.signals import Batch, Signal
 
 if TYPE_CHECKING:
     import pandas
@@ -159,8 +160,8 @@ def _lack(feature: Feature, sampling_rate: float, n_samples: int) -> str:
 
 
 def extract(
-    samples: ArrayLike,
-    sampling_rate: float,
+    samples: ArrayLike | Signal | Batch,
+    sampling_rate: float | None = None,
     features: Iterable[Named] | None = None,
     *,
     pre_trigger: int | None = None,
@@ -171,10 +172,11 @@ def extract(
 
     Parameters
     ----------
-    samples : array_like, (n_samples,) or (n_signals, n_samples)
-        One positive pulse per row, or one vibration for the features of vibrations.
-    sampling_rate : float
-        [Hz].
+    samples : array_like, (n_samples,) or (n_signals, n_samples), Signal or Batch
+        One positive pulse per row, or one vibration for the features of vibrations. A signal or batch states its rate
+        and its samples before onset.
+    sampling_rate : float, optional
+        [Hz]; required for an array.
     features : iterable of str, function or Feature, optional
         Names of features or banks; by default all features of pulses. A feature of one's own is a function of samples
         (n_signals, n_samples) without their baseline and the sampling rate, or the result of
@@ -198,6 +200,8 @@ def extract(
         A signal has no impact, is cut off, has too few samples on the pulse, or is not finite.
     InvalidValue
         A feature is unknown or needs another sampling rate or longer frames, or an argument is out of range.
+    MissingOption
+        An array has no sampling rate.
 
     Examples
     --------
@@ -208,6 +212,12 @@ def extract(
     """
     import pandas
 
+    if isinstance(samples, Signal | Batch):
+        own, samples = samples, samples.signals if isinstance(samples, Batch) else samples.samples
+        sampling_rate = own.sampling_rate if sampling_rate is None else sampling_rate
+        pre_trigger = own.pre_trigger if pre_trigger is None else pre_trigger
+    if sampling_rate is None:
+        raise MissingOption("samples: an array has no sampling rate; give sampling_rate in Hz")
     names = choose(features)
     values = extract_array(
         samples, sampling_rate, names, pre_trigger=pre_trigger, remove_baseline=remove_baseline, invalid=invalid
