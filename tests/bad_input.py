@@ -577,6 +577,7 @@ _COMMANDS = r"""
 66 | train m_group.csv --from none.npz -o new.npz | none.npz
 65 | train reference --from model.npz -o new.npz | reference: --from needs one table of labelled impacts
 65 | train m_group.csv --from model.npz --family linear -o new.npz | --from
+65 | predict model.npz | model.npz: must be a recording, it is a model; give it by --model
 2 | train reference --family sklearn.svm.SVC -o new.npz | SVC has no plain numbers
 65 | train good.csv -o new.npz | good.csv
 65 | train loose -o new.npz | a.csv

@@ -120,9 +120,7 @@ def live_stream(
     else:
         for magic, name in _FILES.items():
             if start == magic:
-                raise BadData(
-                    f"{source}: a stream must be raw numbers or WAV, this is {name}; give it to cgid predict -"
-                )
+                raise BadData(f"{source}: a stream must be raw numbers or WAV, this is {name}; give it to cgid predict")
         for missing, what, option in (
             (coding is None, "how numbers are written", "--sample-format NAME, such as s16le"),
             (given is None, "the sampling rate", "--rate HZ"),

@@ -373,6 +373,8 @@ def _select(variables: Sequence[Variable], source: str, variable: str | None, gr
             f"{source}: a recording must be an array of real numbers with one or two axes, there is none; save the "
             "samples as one"
         )
+    if {"header", "neighbourhood.centres"} <= {one.path for one in signals}:
+        raise BadData(f"{source}: must be a recording, it is a model; give it by --model beside a recording")
     if variable is None:
         is_one = group_is_one and len({one.group for one in signals}) == 1
         if len(signals) > 1 and not is_one:
