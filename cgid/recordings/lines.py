@@ -49,6 +49,8 @@ _MEDIAN = 0.6745
 _MISSING, _LIMITED, _JUMP = 0.25, 0.1, 4.0
 #: At the ends, where only one window is there, an estimate is divided by the window, at least by this.
 _LEAST_WINDOW = 0.1
+#: What is left is nothing below this share of the lines, the error of their numbers: impacts would be found in it.
+_NOTHING = 1e-6
 #: Largest sample that can be squared in comfort; a power of nothing.
 _LARGEST, _TINY = 1e15, 1e-300
 #: Lines are unsteady where two frames differ about them by more than this many standard deviations of the rest, or
@@ -189,7 +191,9 @@ class Lines:
             else:
                 left -= now / np.maximum(rising, _LEAST_WINDOW) if is_new else now
             apart = now * falling - (0.0 if before is None else before) * rising
-            differs = np.vdot(apart, apart) > np.square(_DISAGREE * found.deviation) * both
+            nothing = _NOTHING * float(np.abs(found.lines).max())
+            differs = np.vdot(apart, apart) > np.square(_DISAGREE * max(found.deviation, nothing)) * both
+            _level(left, nothing)
             one.unsteady.append(not is_new and bool(one.moves(found.strongest) or differs))
         return out
 
@@ -280,3 +284,10 @@ class Lines:
         high = high[high >= self._first]
         beside = power.take(high[:, None] + self._beside, mode="clip")
         return high[power[high] > contrast * np.partition(beside, _RANK, axis=1)[:, _RANK]]
+
+
+def _level(samples: NDArray[Any], nothing: float) -> None:
+    """Replace, in place, what differs by at most `nothing` from the median by it, in steps of a power of two."""
+    step = 2.0 ** np.ceil(np.log2(max(nothing, _TINY)))
+    middle = np.round(np.partition(samples, samples.size // 2)[samples.size // 2] / step) * step
+    samples[np.abs(samples - middle) <= step] = middle
