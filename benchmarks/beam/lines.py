@@ -1,6 +1,7 @@
 """Tones of machines beside a window: answers and fraction of gangue with and without `--no-lines`.
 
     python benchmarks/beam/lines.py [--streams 4] [--first 0] [--rows none "3 g" ...]
+    python benchmarks/beam/lines.py --seams wet hard     # beside 25 s of coal, with tones taken out
 
 Streams of one minute are made without `cgid`: rocks fall on a sloping beam of finite elements (`independent_beam`) and
 bounce down from it, each contact integrated with the modes; to the samples come the rumble of a conveyor, and tones,
@@ -13,13 +14,17 @@ from __future__ import annotations
 
 import argparse
 import time
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
+from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.beam.anchor import SEAMS, SPAN
+from benchmarks.beam.anchor import stream as stream_of
 from benchmarks.beam.independent_beam import RATE, generate, rocks
 from cgid import load_model
 from cgid.identification.model import Model
@@ -290,6 +295,38 @@ TITLES = (
 )
 
 
+# -- in other seams, beside their coal ----------------------------------------------------------------------
+
+#: Fractions of gangue that follow 25 s of coal, for so long [s].
+AFTER, AFTER_TIME = (0.2, 0.65), 50.0
+
+
+def in_seam(name: str, row: str, model: Model, first: int) -> str:
+    """Return a row of the table: windows of 10 s beside 25 s of coal of a seam, under a noise from the begin on."""
+    settings = PredictionSettings(share_time=WINDOW, share_step=1.0, coal_until=SPAN)
+    errors, held, widths, turns, bases = [], [], [], [], Counter[str]()
+    for number, fraction in enumerate(AFTER):
+        seed = 59_000 + first + 10 * list(SEAMS).index(name) + 2 * number
+        coal = stream_of(SEAMS[name], SPAN, 0.0, seed)[0][: round(SPAN * RATE)]
+        samples = np.concatenate([coal, stream_of(SEAMS[name], AFTER_TIME, fraction, seed + 1)[0]])
+        samples = samples[: round((SPAN + AFTER_TIME) * RATE)] + noise_for(row, seed, len(samples))[: len(samples)]
+        steps = identify_blocks([samples.astype(np.float32)[None]], RATE, model, ("1",), settings)
+        answers = [answer for step in steps for answer in step.answers]
+        watch = CavingWatch(model, ("1",), settings)
+        for report in watch.feed(answers, SPAN + AFTER_TIME):
+            share = report.state.share
+            turns += [fraction] * (report.kind == "shut")
+            if report.kind == "share" and share.start >= SPAN - 0.01 and (share.time - SPAN) % WINDOW < 0.01:
+                errors.append(share.share - fraction)
+                held.append(share.low <= fraction <= share.high)
+                widths.append(share.high - share.low)
+                bases[str(share.basis)] += 1
+    error = np.array(errors)
+    shut = f"{sum(one < 0.5 for one in turns)}, {sum(one > 0.5 for one in turns)}"
+    found = f"{error.mean():+.3f} | {np.sqrt(np.mean(error**2)):.3f} | {np.mean(held):.2f} of {len(held)}"
+    return f"| {name} | {row} | {found} | {np.mean(widths):.2f} | {shut} | {dict(bases)} |"
+
+
 def noise_for(row: str, seed: int, n: int) -> Floats:
     rng = np.random.default_rng([seed, 60, list(ROWS).index(row)])
     return rumble(n, np.random.default_rng([seed, 61])) + ROWS[row](n, rng)
@@ -300,7 +337,14 @@ def main() -> None:
     parser.add_argument("--streams", type=int, default=4)
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--rows", nargs="+", default=list(ROWS), choices=ROWS)
+    parser.add_argument("--seams", nargs="+", choices=SEAMS, metavar="SEAM", help="in these seams, beside their coal")
     given = parser.parse_args()
+    if given.seams:
+        model = load_model("default-acceleration")
+        print("| seam | noise | bias | RMS | holds | width | SHUT: false, right | by |\n" + "|---" * 8 + "|")
+        for name, row in product(given.seams, given.rows):
+            print(in_seam(name, row, model, given.first), flush=True)
+        return
     model = load_model("default-acceleration")
     streams = [Stream.of(given.first + k) for k in range(given.streams)]
     print("| " + " | ".join(TITLES) + " |\n" + "|---" * len(TITLES) + "|")
