@@ -100,9 +100,7 @@ def invert(
         raise silent or BadData(f"{recording}: must contain an impact, got none; record longer")
     for row in rows:
         if row["clipped"]:
-            warn(
-                f"impact at {row['time']:.4g} s: the response is clipped, its force is wrong; use a larger range"
-            )
+            warn(f"impact at {row['time']:.4g} s: the response is clipped, its force is wrong; use a larger range")
         if row["peak"] <= 0:
             warn(f"impact at {row['time']:.4g} s: the force pulls; is the signal inverted (--invert), or elsewhere?")
     if path is not None:
