@@ -315,6 +315,7 @@ SENSOR_KEYS: dict[str, tuple[Any, dict[str, Any]]] = {
     "noise_density": (0.1, {}),
     "noise_exponent": (1.0, {"absolute_noise": 10.0}),
     "noise_spectrum": ({"frequencies": [1, 20e3], "density": [1.0, 0.1]}, {"absolute_noise": 10.0}),
+    "ac_coupling": ("200 Hz", {}),
     "bandwidth": ("5 kHz", {}),
     "gain": (2.0, {}),
     "offset": (1.0, {}),
