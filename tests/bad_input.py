@@ -751,6 +751,9 @@ _COMMANDS = r"""
 2 | monitor - --coal-until 30s --cycle-by mqtt | --mqtt
 2 | monitor - --coal-until 30s --cycle-by smoke | --cycle-by
 65 | predict good.csv --trained-seam --coal-until 3 | trained_seam
+65 | predict good.csv --labelled two_manifests/manifest.csv | labelled coal
+65 | predict good.csv --labelled good.csv | good.csv
+66 | monitor - --labelled none.csv | none.csv
 65 | monitor - --give-up 0 | --give-up
 65 | predict good.csv --give-up nan | --give-up
 65 | monitor - --dilution-cost 0 | --dilution-cost

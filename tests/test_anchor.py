@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from cgid.cli.main import run
-from cgid.errors import BadData
+from cgid.errors import BadData, InvalidValue
 from cgid.identification.model.anchor import (
     MIN_ANCHOR,
     N_CLASSES,
@@ -29,6 +29,7 @@ from cgid.identification.model.anchor import (
 )
 from cgid.identification.model.families import Network
 from cgid.identification.model.model import StoredModel
+from cgid.identification.prediction.settings import PredictionSettings
 from cgid.shipped import DEFAULT_MODEL, path_of
 from tests.streams_of_pulses import stream
 
@@ -172,7 +173,8 @@ def test_a_pause_begins_another_cycle() -> None:
     anchor.add(150.0, 0.3, PULSE)
     assert anchor.basis(159.0) == Basis.PENDING
     assert anchor.basis(160.0) == Basis.TOO_FEW
-    assert (len(anchor.impacts.logits), anchor.until) == (1, 160.0)
+    assert len(anchor.impacts.logits) == 1
+    assert [anchor.has(time) for time in (149.0, 160.0, 160.1)] == [False, True, False]
 
 
 def test_a_cycle_may_begin_when_it_is_said() -> None:
@@ -180,11 +182,32 @@ def test_a_cycle_may_begin_when_it_is_said() -> None:
     for time in range(12):
         anchor.add(float(time), 0.1, None)
     anchor.begin_at(20.0)
-    assert (anchor.basis(19.0), anchor.basis(21.0), anchor.until) == (Basis.ANCHOR, Basis.PENDING, 30.0)
+    assert [anchor.basis(time) for time in (19.0, 21.0, 29.9)] == [Basis.ANCHOR, Basis.PENDING, Basis.PENDING]
     anchor.begin_at(40.0)
     anchor.add(35.0, 0.1, None)
     anchor.add(41.0, 0.1, None)
-    assert (len(anchor.impacts.logits), anchor.until) == (1, 50.0)
+    assert len(anchor.impacts.logits) == 1 and anchor.has(50.0) and not anchor.has(50.1)
+
+
+def test_spans_of_coal_make_an_anchor_where_they_are() -> None:
+    # A stretch, and later single labelled impacts.
+    anchor = Anchor(0.0, spans=[(5.0, 8.0), *((20.0 + k, 20.1 + k) for k in range(8))])
+    for k in range(60):
+        anchor.add(0.5 * k, 0.1, PULSE)
+        if k < 38:
+            assert anchor.basis(0.5 * k) == Basis.PENDING
+    assert len(anchor.impacts.logits) == 7 + 8
+    # Ten are enough, and those that are still to come are taken, too.
+    anchor = Anchor(0.0, spans=[(5.0, 8.0), (20.0, 22.0)])
+    for k in range(44):
+        anchor.add(0.25 * k, 0.1, PULSE)
+    assert [anchor.basis(time) for time in (7.9, 8.0, 19.0, 21.0)] == [
+        *(Basis.PENDING, Basis.ANCHOR, Basis.ANCHOR, Basis.PENDING)
+    ]
+    anchor.summary = np.zeros(3)
+    anchor.add(21.0, 0.1, PULSE)
+    assert anchor.summary is None and len(anchor.impacts.logits) == 14
+    assert Anchor(0.0, spans=[(5.0, 8.0)]).basis(8.0) == Basis.TOO_FEW
 
 
 # -- at the command line ----------------------------------------------------------------------------------
@@ -282,6 +305,49 @@ def test_an_anchor_that_does_not_fit_or_is_too_small_or_late_is_told(
         assert err.count(words) == 1
     lines, err = lines_of(folder, capsys, "predict", "--coal-until", "1")
     assert "coal" not in err and not any("basis" in line for line in lines if line["kind"] == "warning")
+
+
+@pytest.mark.parametrize("command", ["predict", "monitor"])
+def test_a_table_labels_the_coal_of_a_recording(
+    command: str, folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = folder / {"predict": "stream.npy", "monitor": "stream.raw"}[command]
+
+    def shares(*options: str) -> tuple[list[dict], str]:
+        lines, err = lines_of(folder, capsys, command, *options)
+        return [line | {"wall_time": ""} for line in lines if line["kind"] == "share"], err
+
+    table = tmp_path / "events.csv"
+    head = f"path,start_s,end_s,label,channel\nanother.wav,0,3,coal,\n{file},2,2.1,gangue,\n"
+    table.write_text(f"{head}{file},0,1,coal,1\n")
+    by_table, until = (shares(*how)[0] for how in (("--labelled", str(table)), ("--coal-until", "1")))
+    assert by_table == until and {line["basis"] for line in by_table} == {"anchor_pending", "anchor"}
+    table.write_text(f"{head}{file},0,1,coal,\n{file},9,10,coal,\n")
+    assert "1 row begin after it" in shares("--labelled", str(table))[1]
+    table.write_text(f"{head}{file},0,0.05,coal,\n")
+    assert "the labelled coal must give at least 10" in shares("--labelled", str(table))[1]
+
+
+def test_a_table_without_coal_of_the_recording_is_refused(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file, table = folder / "stream.npy", tmp_path / "events.csv"
+    given = ["predict", str(file), "--rate", "200000", "--unit", "N", "--labelled", str(table)]
+    for rows, words in (
+        ("another.wav,coal,", f"some row of {file} must be labelled coal, none is"),
+        (f"{file},gangue,", "none is"),
+        (f"{file},coal,7", "channel must be one of"),
+    ):
+        table.write_text(f"path,label,channel\n{rows}\n")
+        assert run(given) == 65
+        (line,) = capsys.readouterr().err.splitlines()
+        assert words in line
+    table.write_text(f"path,label\n{file},coal\n")
+    assert run([*given, "--coal-until", "1"]) == 65
+    assert "coal_until and labelled coal must not be given together" in capsys.readouterr().err
+    for wrong in (3.0, [(1.0,)], [(0.0, "end")], [(2.0, 1.0)], [(-1.0, 1.0)]):
+        with pytest.raises(InvalidValue, match=r"span of coal"):
+            PredictionSettings(coal=wrong)  # type: ignore[arg-type]
 
 
 def test_any_seam_is_said_once_in_words(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -323,6 +323,11 @@ class RecordingRows:
             self._warn(
                 f"{self.source}: --coal-until must be within the recording of {last.until:.6g} s, got {stated:.6g} s"
             )
+        if late := sum(one.start > last.until for one in self.settings.coal):
+            self._warn(
+                f"{self.source}: labelled coal must be within the recording of {last.until:.6g} s, "
+                f"{counted(late, 'row')} begin after it"
+            )
         if self.tally.total > 1 or self._live:
             self.lines.summary(self.source, self.tally, last.until, start_time)
         if not self._live:
@@ -446,7 +451,8 @@ class RecordingRows:
         if share.basis == self._bases.get(share.channel) or not (share.n_impacts or share.basis == Basis.TOO_FEW):
             return
         self._bases[share.channel] = share.basis
-        coal = f"the coal of {self.settings.coal_until or 0.0:.6g} s"
+        stated = self.settings.coal_until
+        coal = "the labelled coal" if stated is None else f"the coal of {stated:.6g} s"
         so = "so the interval of the gangue fraction is for any seam"
         message = {
             Basis.TOO_FEW: f"{coal} must give at least {MIN_ANCHOR} identified impacts, it gave fewer, {so}; state a "

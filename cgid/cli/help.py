@@ -23,7 +23,7 @@ _OPTIONS = {
     "Model": "--model --mass --drop-height --sensor --family --by --hop --level-free --features --class-weights",
     "Decision": "--miss-cost --coverage --class-conditional --vote",
     "Gangue fraction": "--window --gangue --dilution-cost --cost-late --cost-early --hold --coal-until --cycle-pause "
-    "--cycle-by --trained-seam --blind-after",
+    "--cycle-by --labelled --trained-seam --blind-after",
     "What struck": "--impactor --masses",
     "Signals": "--signals --seed --laws --dtype --quantities --shuffle-labels --test-share --calibration-share",
     "Calibration": "--start-error --drift --participation-error --dimension-error --exact --impacts",

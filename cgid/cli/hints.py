@@ -61,7 +61,7 @@ class Hints(Diagnosis):
 
     def misfit_warning(self, misfit: Misfit) -> str:
         """Return one line on a recording that is not like those of the training, and the command that helps first."""
-        stated, steps = "--coal-until" in self._answering, self._training()
+        stated, steps = {"--coal-until", "--labelled"} & {*self._answering}, self._training()
         advice = "label impacts and train on them"
         match misfit.part:
             case MisfitPart.SCALE:

@@ -30,6 +30,7 @@ from cgid.cli.options import (
     plant_options,
     reading_options_for,
     settings_of,
+    settings_with_coal,
     warn_of_model,
 )
 from cgid.cli.output import say, warn
@@ -37,6 +38,7 @@ from cgid.cli.table import TableOutput
 
 if TYPE_CHECKING:
     from cgid.identification.prediction import PredictionSettings
+    from cgid.identification.training.manifest import Manifest
     from cgid.plant import PlantOutputs
 
 #: Maximum amount of data in the queue [bytes].
@@ -198,6 +200,7 @@ def monitor(
     as_json: bool,
     clock: bool,
     cycle_by: str | None,
+    labelled: str | None,
     outputs: dict[str, str],
     **options: Any,
 ) -> None:
@@ -212,6 +215,7 @@ def monitor(
     stream, a warning reports the delay.
     """
     from cgid.identification.prediction.settings import SHARE_TIME
+    from cgid.identification.training.manifest import read_manifest
     from cgid.recordings.chain import Chain
     from cgid.recordings.live import live_stream
 
@@ -221,6 +225,7 @@ def monitor(
     if clock and not as_json:
         raise click.UsageError("--clock is for lines of JSON; give --json, too")
     _require_cycles(cycle_by, stream, settings, outputs)
+    table_of_coal = None if labelled is None else read_manifest(labelled)
     with _plant_outputs(outputs) as listener, _opened(stream) as file:
         source = "stdin" if stream == "-" else stream
         live = live_stream(
@@ -234,7 +239,7 @@ def monitor(
         )
         with TableOutput() as table:
             lines = AnswerLines(as_json, table, live=True, clock=clock, listener=listener)
-            _follow(live, models, settings, lines, listener, cycle_by)
+            _follow(live, models, settings, lines, listener, cycle_by, table_of_coal)
 
 
 def _require_cycles(by: str | None, stream: str, settings: PredictionSettings, outputs: dict[str, str]) -> None:
@@ -263,6 +268,7 @@ def _follow(
     lines: AnswerLines,
     outputs: PlantOutputs | None = None,
     cycle_by: str | None = None,
+    labelled: Manifest | None = None,
 ) -> None:
     """Print the predictions for a stream until it ends or is interrupted."""
     from cgid.cli.hints import Hints
@@ -273,6 +279,8 @@ def _follow(
 
     model = models.of(live.channels[0].quantity)
     names = [channel.name for channel in live.channels]
+    if labelled is not None:
+        settings = settings_with_coal(settings, labelled, live.source, live.channels, model)
     inbox, delay = Inbox(live, live.sampling_rate), DelayReport(live.source, lines)
     # The stream is over when the next command runs: it is for a recording of it.
     hints = Hints(model, live.sampling_rate, "RECORDING", given_options()[0], channels=names, live=True)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial, wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -20,8 +20,10 @@ from cgid.signals import Signal, channel_name
 if TYPE_CHECKING:
     from cgid.identification.model.model import StoredModel
     from cgid.identification.prediction import PredictionSettings
+    from cgid.identification.training.manifest import Manifest
     from cgid.identification.training.recordings import Reading
     from cgid.recordings import RecordingFile
+    from cgid.recordings.recording import Channel
 
 F = TypeVar("F", bound=Callable[..., Any])
 #: Maximum dead time [ms]; no ring-down lasts longer.
@@ -541,6 +543,12 @@ answering_options = _options(
         help="Begin another caving cycle with the first impact after a pause of so long (120s); with --coal-until.",
     ),
     click.option(
+        "--labelled",
+        type=PATH,
+        metavar="TABLE",
+        help="Take what this manifest or table of events labels coal in the recording, in place of --coal-until.",
+    ),
+    click.option(
         "--trained-seam",
         is_flag=True,
         help="State that the seam is that of the model's training, with its coal and gangue, sizes and drop heights.",
@@ -554,6 +562,16 @@ answering_options = _options(
         "--give-up", type=float, help="End when no channel has been readable for this long [s]; by default go on."
     ),
 )
+
+
+def settings_with_coal(
+    settings: PredictionSettings, labelled: Manifest, recording: str, channels: Sequence[Channel], model: StoredModel
+) -> PredictionSettings:
+    """Return settings with the spans of a recording that a manifest labels coal."""
+    from cgid.identification.training.manifest import coal_in
+
+    names = [channel.name for channel in channels]
+    return replace(settings, coal=coal_in(labelled, recording, names, model.labels, settings.shares.gangue))
 
 
 def settings_of(

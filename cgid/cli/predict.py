@@ -26,6 +26,7 @@ from cgid.cli.options import (
     printing_options,
     reading_options,
     settings_of,
+    settings_with_coal,
     warn_of_model,
 )
 from cgid.cli.output import FileErrors, progress_bar, say
@@ -35,6 +36,7 @@ from cgid.errors import CgidError
 if TYPE_CHECKING:
     from cgid.identification.model.model import StoredModel
     from cgid.identification.prediction import Answer, PredictionSettings
+    from cgid.identification.training.manifest import Manifest
     from cgid.impactor import ImpactorColumns
     from cgid.measure.overview import Overview
     from cgid.plots.report import Report
@@ -85,6 +87,7 @@ class _Prediction:
     lines: AnswerLines
     reports: list[Report] | None
     joint: tuple[str, ...] = ()  # channels joined by "+", as on the command line
+    labelled: Manifest | None = None
 
     def recording(self, recording: RecordingFile) -> None:
         """Print the predictions for a recording, read block by block, once for each model that its channels need."""
@@ -124,6 +127,8 @@ class _Prediction:
         if mixed := ["+".join(group) for group in own if not set(group) <= set(names)]:
             raise InvalidValue(f"{source}: --same-beam must name channels of one quantity, got {mixed[0]}; correct it")
         settings = replace(self.settings, same_beam=own)
+        if self.labelled is not None:
+            settings = settings_with_coal(settings, self.labelled, recording.source, recording.channels, model)
         together = [one for one in self.joint if one not in names]
         if together and model.together == 1 and not own:
             raise InvalidValue(
@@ -296,6 +301,7 @@ def predict(
     report: str | None,
     impactor: str | None,
     masses: str | None,
+    labelled: str | None,
     output: str | None,
     overwrite: bool,
     as_json: bool,
@@ -317,7 +323,7 @@ def predict(
     summary.
     """
     from cgid import shipped
-    from cgid.identification.training.manifest import recordings_of
+    from cgid.identification.training.manifest import read_manifest, recordings_of
     from cgid.recordings import is_dataset
 
     if not files and not sample:
@@ -342,6 +348,7 @@ def predict(
         models=models,
         settings=settings,
         lines=lines,
+        labelled=None if labelled is None else read_manifest(labelled),
         reports=None if report is None else [],
         joint=tuple(channel for channel in reading.channel if "+" in channel),
     )

@@ -30,6 +30,8 @@ PULSES = (
 )
 #: Minimum number of identified impacts of an anchor.
 MIN_ANCHOR = 10
+#: While a span of coal of this length goes on, nothing is decided [s].
+_STRETCH = 0.5
 #: Classes of the fraction, evenly spaced in the angle of fraction = sin^2(angle): finer towards 0 and 1.
 N_CLASSES = 24
 #: Quantiles of a summary, and the edges of its histogram of log-odds.
@@ -181,23 +183,27 @@ class Basis(StrEnum):
 
 
 class Anchor:
-    """The impacts of the coal with which a caving cycle begins.
+    """The impacts of the coal with which a caving cycle begins, or of spans of coal in a recording.
 
     Parameters
     ----------
     coal_until : float [s]
-        Only coal falls for so long from the begin of a cycle on.
+        Only coal falls for so long from the begin of a cycle on; 0 with `spans`.
     cycle_pause : float, optional [s]
         The first impact after such a pause begins another cycle; None: the recording is one cycle.
+    spans : sequence of (float, float) [s]
+        Begin and end of spans of coal, such as of labelled impacts.
     """
 
-    def __init__(self, coal_until: float, cycle_pause: float | None = None) -> None:
-        self._length = self.until = coal_until
+    def __init__(
+        self, coal_until: float, cycle_pause: float | None = None, spans: Sequence[tuple[float, float]] = ()
+    ) -> None:
+        self._spans = [(0.0, coal_until)] if coal_until else list(spans)
         self._pause, self._last, self._next = cycle_pause, np.inf, np.inf
         self._begin(0.0)
 
     def _begin(self, time: float) -> None:
-        self.until = time + self._length
+        self._cycle = time
         self._impacts: list[tuple[float, tuple[float, ...] | None]] = []
         self.levels: list[float] = []  # of the coal, as in `Answer`
         self.summary: Floats | None = None  # by the networks, once the coal is complete
@@ -218,8 +224,13 @@ class Anchor:
         if self._pause is not None and time - self._last > self._pause:
             self._begin(time)
         self._last = time
-        if time <= self.until:
+        if self.has(time):
             self._impacts.append((probability, pulse))
+            self.summary = None
+
+    def has(self, time: float) -> bool:
+        """Return whether an impact at a time [s] is of its coal."""
+        return any(self._cycle + start <= time <= self._cycle + end for start, end in self._spans)
 
     @property
     def impacts(self) -> Impacts:
@@ -229,10 +240,13 @@ class Anchor:
     def basis(self, time: float) -> Basis:
         """Return the basis of a window that ends at a time [s]."""
         self._begin_if_due(time)
-        if time < self.until:
+        ends = [(start, end) for start, end in self._spans if time < self._cycle + end]
+        is_enough = len(self.impacts.logits) >= MIN_ANCHOR
+        # A span of one labelled impact is over before a window ends.
+        if any(self._cycle + start <= time and end - start >= _STRETCH for start, end in ends):
             return Basis.PENDING
-        if len(self.impacts.logits) < MIN_ANCHOR:
-            return Basis.TOO_FEW
+        if not is_enough:
+            return Basis.PENDING if ends else Basis.TOO_FEW
         return Basis.FOREIGN if self.is_foreign else Basis.ANCHOR
 
 

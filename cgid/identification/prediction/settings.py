@@ -50,6 +50,14 @@ RULES = {
 }
 
 
+class CoalSpan(NamedTuple):
+    """A time [s] in which only coal falls: on a channel, or on all without a name."""
+
+    start: float
+    end: float
+    channel: str = ""
+
+
 class ShareSettings(NamedTuple):
     """Settings of the gangue fraction, as in `PredictionSettings`; times in seconds."""
 
@@ -62,6 +70,7 @@ class ShareSettings(NamedTuple):
     hold: float
     coal_until: float | None
     cycle_pause: float | None
+    coal: tuple[CoalSpan, ...]
     trained_seam: bool
 
     @property
@@ -138,6 +147,9 @@ class PredictionSettings:
         not known.
     cycle_pause : float, optional [s]
         The first impact after such a pause begins another caving cycle, with as long a time of coal; None: one cycle.
+    coal : tuple of (float, float) or (float, float, str), optional [s]
+        Begin and end of spans of coal alone, such as of labelled impacts, and the channel if it is of one; in place of
+        `coal_until`.
     trained_seam : bool
         The seam is that of the training, so that the gangue fraction takes its rates of errors.
     blind_after : float, optional [s]
@@ -171,6 +183,7 @@ class PredictionSettings:
     hold: float | None = None
     coal_until: float | None = None
     cycle_pause: float | None = None
+    coal: tuple[CoalSpan, ...] = ()
     trained_seam: bool = False
     blind_after: float | None = None
     give_up: float | None = None
@@ -184,6 +197,7 @@ class PredictionSettings:
         if not (isinstance(self.sensors, tuple | list) and all(isinstance(one, str) for one in self.sensors)):
             raise InvalidValue(f"sensors must be a tuple of names, as in ('left', 'right'), got {shown(self.sensors)}")
         object.__setattr__(self, "same_beam", require_groups(self.same_beam))
+        object.__setattr__(self, "coal", require_spans(self.coal))
         for name, rule in RULES.items():
             if (value := getattr(self, name)) is not None:
                 validation.number(name, value, rule=rule)
@@ -193,8 +207,13 @@ class PredictionSettings:
             raise InvalidValue("costs and coverage must not be given together; leave one out")
         if self.cycle_pause is not None and self.coal_until is None:
             raise InvalidValue("cycle_pause must come with coal_until, the coal of each cycle; give --coal-until, too")
-        if self.trained_seam and self.coal_until is not None:
-            raise InvalidValue("trained_seam and coal_until must not be given together; leave one out")
+        coal = {
+            "coal_until": self.coal_until is not None,
+            "labelled coal": self.coal,
+            "trained_seam": self.trained_seam,
+        }
+        if len(stated := [name for name, given in coal.items() if given]) > 1:
+            raise InvalidValue(f"{' and '.join(stated)} must not be given together; leave one out")
         if self.class_conditional and self.coverage is None:
             raise InvalidValue("class_conditional must come with a coverage; give --coverage, such as --coverage 0.9")
 
@@ -270,6 +289,7 @@ class PredictionSettings:
             hold=window if self.hold is None else self.hold,
             coal_until=self.coal_until,
             cycle_pause=self.cycle_pause,
+            coal=self.coal,
             trained_seam=self.trained_seam,
         )
 
@@ -283,13 +303,31 @@ class PredictionSettings:
         """Whether an option requests gangue fractions, so that even a single impact has them."""
         costs = (self.dilution_cost, self.cost_late, self.cost_early)
         decides = (self.share_time, *costs, self.hold, self.coal_until)
-        return bool(self.gangue) or self.trained_seam or any(one is not None for one in decides)
+        return bool(self.gangue or self.coal) or self.trained_seam or any(one is not None for one in decides)
 
 
 def require_costs(late: float, early: float) -> None:
     """Raise `InvalidValue` for costs that are both zero, by which no decision is better than another."""
     if late == early == 0:
         raise InvalidValue("cost_late and cost_early must not both be 0; give one of them above 0, such as 1")
+
+
+def require_spans(spans: Any) -> tuple[CoalSpan, ...]:
+    """Return spans of coal; raises `InvalidValue` unless each rises from 0 s.
+
+    >>> require_spans([(0, 30)])
+    (CoalSpan(start=0.0, end=30.0, channel=''),)
+    """
+    found = []
+    for one in spans if isinstance(spans, list | tuple) else [spans]:
+        listed = one if isinstance(one, list | tuple) else ()
+        start, end = listed[:2] if len(listed) in (2, 3) else (None, None)
+        for name, value in (("begin", start), ("end", end)):
+            validation.instance(f"the {name} of a span of coal [s]", value, int, float, np.number)
+        if not 0 <= start < end:
+            raise InvalidValue(f"a span of coal must rise from 0 s, got {start:g} s to {end:g} s; correct it")
+        found.append(CoalSpan(float(start), float(end), *map(str, listed[2:])))
+    return tuple(found)
 
 
 def require_groups(groups: Any) -> tuple[tuple[str, ...], ...]:

@@ -185,12 +185,19 @@ class CavingWatch:
         answers = answers_of(model, gangue)
         # The seams of the simulation have coal and gangue; other labels may be anything.
         seams = self._seams = None if shares.trained_seam or gangue != ("gangue",) else model.seams
-        if shares.coal_until is not None and seams is None and isinstance(answers, NoConfusion):
+        is_stated = shares.coal_until is not None or shares.coal
+        if is_stated and seams is None and isinstance(answers, NoConfusion):
             raise InvalidValue(
                 "coal_until must be left out, this model does not know how often it errs for either label; train one "
                 "on streams of a scene, or on more specimens"
             )
         self._sensors, self._channels = sensors, list(supports if channels is None else channels)
+
+        def anchor(own: Sequence[int]) -> Anchor | None:
+            named = {self._channels[row] for row in own}
+            spans = [(one.start, one.end) for one in shares.coal if not one.channel or one.channel in named]
+            return Anchor(shares.coal_until or 0.0, shares.cycle_pause, spans) if shares.coal_until or spans else None
+
         self._supports = {
             name: _Support(
                 window=ShareWindow(
@@ -200,7 +207,7 @@ class CavingWatch:
                     channel=name,
                     threshold=0.5 if self.threshold is None else self.threshold,
                     seams=seams,
-                    anchor=None if shares.coal_until is None else Anchor(shares.coal_until, shares.cycle_pause),
+                    anchor=anchor(own),
                 ),
                 rule=rule,
                 rows=list(own),  # a tuple would index several axes
@@ -342,7 +349,7 @@ class _Support:
         """Keep the level of an impact that was added to the window, if it has one."""
         if math.isfinite(answer.level):
             self.levels.append(answer.level)
-            if self.window.anchor is not None and answer.time <= self.window.anchor.until:
+            if self.window.anchor is not None and self.window.anchor.has(answer.time):
                 self.window.anchor.levels.append(answer.level)
 
     def at(self, share: Share, ground: Ground, since: float, reason: str) -> Iterator[SupportReport]:

@@ -24,7 +24,7 @@ from cgid._lib.files import parse_toml, read_regular
 from cgid._lib.terminal import counted, spreadsheet_cell, text_of_cell
 from cgid._lib.validation import shown
 from cgid.errors import BadData, CannotCreate, CgidError, InvalidValue, NoInput
-from cgid.identification.prediction.settings import require_groups
+from cgid.identification.prediction.settings import CoalSpan, require_groups
 from cgid.identification.training.stretches import Row, resolved
 from cgid.recordings.chain import Chain, Gain
 from cgid.recordings.formats import ENDINGS
@@ -494,6 +494,39 @@ def recordings_in(folder: Path) -> list[Path]:
         what = "its files have other suffixes" if any(folder.iterdir()) else "it is empty"
         raise BadData(f"{folder}: a folder must contain recordings ({', '.join(ENDINGS)}), {what}; choose another one")
     return files
+
+
+def coal_in(
+    manifest: Manifest, recording: str, channels: Sequence[str], labels: Sequence[str], gangue: Sequence[str]
+) -> tuple[CoalSpan, ...]:
+    """Return the spans of a recording that a manifest gives a label of a model other than gangue.
+
+    Raises `BadData` if there is none.
+    """
+    path, no_coal = Path(recording).resolve(), {one.casefold() for one in gangue}
+    known = {one.casefold() for one in labels} - no_coal
+    rows = [
+        one
+        for one in manifest.annotations
+        if (one.path.resolve() == path or (recording == "stdin" and one.written == "-"))
+        and one.label.casefold() in known
+    ]
+    if not rows:
+        raise BadData(
+            f"{manifest.source}: some row of {recording} must be labelled {' or '.join(sorted(known))}, none is; label "
+            "what was coal alone, or leave out --labelled"
+        )
+    by_name = {str(number): name for number, name in enumerate(channels, 1)} | {name: name for name in channels}
+    asked = {str(channel) for one in rows for channel in one.channels or ()}
+    if unknown := sorted(asked - by_name.keys()):
+        raise BadData(
+            f"{manifest.source}: channel must be one of {recording} ({', '.join(channels)}), got {unknown[0]}"
+        )
+    return tuple(
+        CoalSpan(one.start, one.end, "" if channel == "" else by_name[str(channel)])
+        for one in rows
+        for channel in one.channels or ("",)
+    )
 
 
 def recordings_of(files: Sequence[str]) -> list[str]:
