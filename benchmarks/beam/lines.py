@@ -2,6 +2,7 @@
 
     python benchmarks/beam/lines.py [--streams 4] [--first 0] [--rows none "3 g" ...]
     python benchmarks/beam/lines.py --seams wet hard     # beside 25 s of coal, with tones taken out
+    python benchmarks/beam/lines.py --narrow 0.02 0.002  # beams of these dampings, without any tone
 
 Streams of one minute are made without `cgid`: rocks fall on a sloping beam of finite elements (`independent_beam`) and
 bounce down from it, each contact integrated with the modes; to the samples come the rumble of a conveyor, and tones,
@@ -13,6 +14,7 @@ Each stream has another fraction of gangue, and other tones.
 from __future__ import annotations
 
 import argparse
+import json
 import time
 from collections import Counter
 from collections.abc import Callable
@@ -26,11 +28,15 @@ from numpy.typing import NDArray
 from benchmarks.beam.anchor import SEAMS, SPAN
 from benchmarks.beam.anchor import stream as stream_of
 from benchmarks.beam.independent_beam import RATE, generate, rocks
-from cgid import load_model
+from cgid import load_model, shipped
 from cgid.identification.model import Model
 from cgid.identification.prediction import Answer, PredictionSettings
 from cgid.identification.prediction.stream import identify_blocks
 from cgid.identification.prediction.support import CavingWatch, SupportReport
+from cgid.learning.streams import variations
+from cgid.recordings.lines import Lines
+from cgid.scene import load_scene, parse_scene
+from cgid.scene.synthesis.stream import record
 
 Floats = NDArray[np.float64]
 G = 9.80665
@@ -309,7 +315,8 @@ def in_seam(name: str, row: str, model: Model, first: int) -> str:
         seed = 59_000 + first + 10 * list(SEAMS).index(name) + 2 * number
         coal = stream_of(SEAMS[name], SPAN, 0.0, seed)[0][: round(SPAN * RATE)]
         samples = np.concatenate([coal, stream_of(SEAMS[name], AFTER_TIME, fraction, seed + 1)[0]])
-        samples = samples[: round((SPAN + AFTER_TIME) * RATE)] + noise_for(row, seed, len(samples))[: len(samples)]
+        samples = samples[: round((SPAN + AFTER_TIME) * RATE)]
+        samples = samples + noise_for(row, seed, len(samples))
         steps = identify_blocks([samples.astype(np.float32)[None]], RATE, model, ("1",), settings)
         answers = [answer for step in steps for answer in step.answers]
         watch = CavingWatch(model, ("1",), settings)
@@ -327,6 +334,24 @@ def in_seam(name: str, row: str, model: Model, first: int) -> str:
     return f"| {name} | {row} | {found} | {np.mean(widths):.2f} | {shut} | {dict(bases)} |"
 
 
+# -- narrow modes, no machine ------------------------------------------------------------------------------
+
+
+def narrow(damping: float, n: int, seed: int) -> str:
+    """Return how many samples of minutes of `caving` without hum change, and the processor time of a minute [s]."""
+    changed, cost = [], []
+    for number, scene in enumerate(variations(load_scene(shipped.scene_path("caving")), n, seed)):
+        content = json.loads(scene.text)
+        content["tail_beam"]["damping_ratio"] = damping
+        del content["background"]["hum"]
+        signal, _ = record(parse_scene(content | {"name": "narrow modes"}), seed, number)
+        samples, begun = signal.samples.astype(np.float32)[None], time.process_time()
+        left = np.concatenate(list(Lines(1, signal.sampling_rate).taken_out([samples])), axis=1)
+        cost.append(time.process_time() - begun)
+        changed.append(bool((left != samples).any()))
+    return f"| {damping:g} | {sum(changed)} of {n} | {np.mean(cost):.2f} |"
+
+
 def noise_for(row: str, seed: int, n: int) -> Floats:
     rng = np.random.default_rng([seed, 60, list(ROWS).index(row)])
     return rumble(n, np.random.default_rng([seed, 61])) + ROWS[row](n, rng)
@@ -338,7 +363,13 @@ def main() -> None:
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--rows", nargs="+", default=list(ROWS), choices=ROWS)
     parser.add_argument("--seams", nargs="+", choices=SEAMS, metavar="SEAM", help="in these seams, beside their coal")
+    parser.add_argument("--narrow", nargs="+", type=float, metavar="RATIO", help="damping of beams without any tone")
     given = parser.parse_args()
+    if given.narrow:
+        print("| damping ratio | streams that change | s a minute |\n|---|---|---|")
+        for damping in given.narrow:
+            print(narrow(damping, given.streams, 59_100 + given.first), flush=True)
+        return
     if given.seams:
         model = load_model("default-acceleration")
         print("| seam | noise | bias | RMS | holds | width | SHUT: false, right | by |\n" + "|---" * 8 + "|")
