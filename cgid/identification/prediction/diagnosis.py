@@ -649,7 +649,8 @@ def sizes_outside(diagnosis: Diagnosis) -> dict[str, float]:
 
 def upper_end(levels: Floats, deviation: float) -> float:
     """Return the upper end of levels, mean and standard deviation together, without stray ones."""
-    middle = np.median(levels)
+    ordered = np.sort(levels)  # np.median takes three times as long
+    middle = (ordered[(len(ordered) - 1) // 2] + ordered[len(ordered) // 2]) / 2
     clipped = np.clip(levels, middle - _CLIPPED * deviation, middle + _CLIPPED * deviation)
     return float(clipped.mean() + clipped.std())
 
