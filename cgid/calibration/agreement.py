@@ -8,13 +8,14 @@ real.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cgid._lib.validation import Complex, Floats
-from cgid.calibration.joint import Gram
+from cgid.calibration.joint import Blow, Gram
+from cgid.measure.modal.finite import bins_in
 
 #: A response begins this long before or after its force, at most [s].
 LATEST = 25e-3
@@ -60,16 +61,14 @@ def disagreeing(gram: Gram) -> dict[int, Disagreement]:
 
 
 def disagreeing_at_first(
-    responses: Floats, forces: Floats, sampling_rate: float, band: tuple[float, float]
+    blows: Sequence[Blow], sampling_rate: float, band: tuple[float, float]
 ) -> dict[int, Disagreement]:
-    """Return taps that the response measured at others does not explain, before any mode is known.
-
-    responses and forces (n_taps, n) are those of one sensor, from the begin of the force on.
-    """
+    """Return taps, equally long, that the response measured at others does not explain, before any mode is known."""
     # Vibration of earlier taps is not in the forces, so that only gross errors count.
-    frequency = np.fft.rfftfreq(responses.shape[1], 1 / sampling_rate)
-    heard = (frequency >= band[0]) & (frequency <= band[1])
-    spectrum, force = np.fft.rfft(responses, axis=1)[:, heard], np.fft.rfft(forces, axis=1)[:, heard]
+    n = blows[0].response.size
+    heard = bins_in(n, sampling_rate, band)
+    spectrum = np.stack([np.fft.rfft(blow.response)[heard] for blow in blows])
+    force = np.stack([np.fft.rfft(blow.force, n)[heard] for blow in blows])
     spectrum = spectrum / np.maximum(np.linalg.norm(spectrum, axis=1, keepdims=True), 1e-300)
     force = force / np.maximum(np.linalg.norm(force, axis=1, keepdims=True), 1e-300)
 

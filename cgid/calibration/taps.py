@@ -282,7 +282,7 @@ def tap_test(  # noqa: PLR0913
         low, high = _band(band, length / sampling_rate, sampling_rate, source)
         if force is not None and hits is not None:
             blows = _blows(response[0], force, hits, used, sampling_rate, 0.0)
-            if bad := disagreeing_at_first(*_arrays(blows), sampling_rate, (low, high)):
+            if bad := disagreeing_at_first(blows, sampling_rate, (low, high)):
                 taps = _without(taps, {used[k].time: one for k, one in bad.items()})
                 continue
         decays = np.stack([row[tap.start : tap.start + length] for row in response for tap in used])
@@ -352,15 +352,6 @@ def tap_test(  # noqa: PLR0913
         unexplained=unexplained,
         frequency_response=measured,
     )
-
-
-def _arrays(blows: Sequence[Blow]) -> tuple[Floats, Floats]:
-    """Return responses and forces of taps, each (n_taps, n)."""
-    responses = np.stack([blow.response for blow in blows])
-    forces = np.zeros_like(responses)
-    for row, blow in zip(forces, blows, strict=True):
-        row[: blow.force.size] = blow.force[: row.size]
-    return responses, forces
 
 
 def _without(taps: Sequence[Tap], bad: dict[float, tuple[float, float, float]]) -> list[Tap]:
@@ -463,7 +454,7 @@ def _remaining_delay(
         return 0.0, np.ones(len(taps), bool)
     stretch = Stretch(
         pole=poles.pole,
-        line=np.empty(0),
+        bins=np.empty(0, np.intp),
         n_samples=blows[0].response.size,
         sampling_rate=sampling_rate,
         derivatives=derivatives,

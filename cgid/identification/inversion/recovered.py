@@ -245,7 +245,7 @@ class _Vibration:
         self.error = np.clip(_SINGLE * deviation, _LEAST, 1.0)
         self.stretch = Stretch(
             pole=modes.poles,
-            line=2 * np.pi * inside * sampling_rate / samples.size,
+            bins=inside,
             n_samples=samples.size,
             sampling_rate=sampling_rate,
             derivatives=derivatives,

@@ -22,10 +22,15 @@ class Stretch:
     """Some frequencies of a stretch of a recording, and the modes that vibrate in it."""
 
     pole: Complex  # (n_modes,) [1/s]
-    line: Floats  # (n_bins,) [rad/s], multiples of `2 pi sampling_rate / n_samples`
+    bins: NDArray[np.intp]  # (n_bins,), numbers of frequencies in the transform of the stretch
     n_samples: int
     sampling_rate: float
     derivatives: int  # of the displacement
+
+    @cached_property
+    def line(self) -> Floats:
+        """Return the frequencies, (n_bins,) [rad/s]."""
+        return np.asarray(2 * np.pi * self.bins * self.sampling_rate / self.n_samples)
 
     def transform(self, force: Floats, delay: float = 0.0) -> Complex:
         """Return the transform (n_bins, ...) of forces (n, ...) at the first samples, recorded `delay` [s] too late."""
