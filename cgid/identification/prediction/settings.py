@@ -197,7 +197,8 @@ class PredictionSettings:
         if not (isinstance(self.sensors, tuple | list) and all(isinstance(one, str) for one in self.sensors)):
             raise InvalidValue(f"sensors must be a tuple of names, as in ('left', 'right'), got {shown(self.sensors)}")
         object.__setattr__(self, "same_beam", require_groups(self.same_beam))
-        object.__setattr__(self, "coal", require_spans(self.coal))
+        if self.coal:
+            object.__setattr__(self, "coal", require_spans(self.coal))
         for name, rule in RULES.items():
             if (value := getattr(self, name)) is not None:
                 validation.number(name, value, rule=rule)
