@@ -23,6 +23,7 @@ from cgid.errors import BadData, InvalidValue
 from cgid.identification.detection.silence import Silence, silence_of
 from cgid.identification.detection.windows import WINDOW_TIME, measure_windows, windows_of
 from cgid.identification.model.model import StoredModel
+from cgid.identification.prediction.fraction import unproven
 from cgid.identification.prediction.vote import RunningVote
 from cgid.identification.training import train_on_groups, write_card
 from cgid.identification.training.classifier import ImpactClassifier, ShrunkenDiscriminant
@@ -374,6 +375,20 @@ def test_no_samples_are_in_two_blocks_of_time(by: Any) -> None:
     last = replace(rows, labels=np.where(time > time[-2], "b", "a"), time=time, slicing=slicing)
     with pytest.raises(BadData, match="at least 2 groups"):
         train_on_groups(replace(last, digests=("x",), groups=("x",)))
+
+
+@pytest.mark.parametrize("is_of_one", [True, False])
+def test_one_recording_says_nothing_of_others_however_well_it_is_known(is_of_one: bool) -> None:
+    time = np.linspace(0, 30, 600)
+    rows = rows_of(np.where(time % 2 < 1, "coal", "gangue"), np.zeros(600, int), (time % 2)[:, None])
+    names = ("monday",) if is_of_one else tuple(map(str, range(12)))
+    group = np.arange(600) * len(names) // 600
+    more = {"time": time, "source": group, "group": group, "sources": names, "groups": names}
+    rows = replace(rows, unit="m/s^2", sampling_rates=(25_600.0, 25_600.0), digests=names, **more)
+    model = train_on_groups(rows, features=rows.names, level_free=True).model
+    assert model.training["metrics"]["accuracy"] > 0.9
+    assert ("all from one recording" in unproven(model, ("gangue",))) is is_of_one
+    assert bool(unproven(model, ("gangue",))) is is_of_one
 
 
 @pytest.mark.parametrize(

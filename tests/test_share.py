@@ -504,6 +504,9 @@ def test_chance_is_no_proof_and_a_good_model_is_proven_by_few_impacts(gangue: fl
         ({"metrics": of_a_test([[40, 0], [1, 39]], n_trials=5)}, True),
         ({"metrics": of_a_test([[30, 0, 30], [0, 60, 0], [30, 0, 30]])}, True),  # coal for steel, never for gangue
         ({"metrics": {}}, True),  # of a file that states nothing
+        ({"metrics": of_a_test([[40, 0], [1, 39]]), "one_recording": True}, False),
+        ({"metrics": of_a_test([[40, 0], [1, 39]]), "recorded": {}, "sources": ["a"]}, False),  # of an older file
+        ({"metrics": of_a_test([[40, 0], [1, 39]]), "recorded": {}, "sources": ["a", "b"]}, True),
         (
             {"metrics": of_a_test([[900, 100], [150, 850]]), "correction": of_a_test([[20, 0], [1, 19]], n_trials=2)},
             True,

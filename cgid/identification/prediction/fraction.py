@@ -443,16 +443,29 @@ def unproven(model: StoredModel, gangue: Collection[str]) -> str:
 
     By chance, gangue is called gangue as often as the rest is, and no fraction follows. A decision concerns recordings
     to come, so the interval of the difference counts what that of the accuracy does: recordings, where their impacts
-    resemble each other. A corrected model was tested on thousands of impacts elsewhere: those of its new beam disprove
-    it if chance explains them and that test does not.
+    resemble each other. A single one says nothing of others. A corrected model was tested on thousands of impacts
+    elsewhere: those of its new beam disprove it if chance explains them and that test does not.
     """
     if not separates(gangue, model):
         return ""
     is_gangue = np.isin(model.labels, as_in(model, gangue))
     own, here = (HeldOut.of(model.training.get(name, {}), is_gangue) for name in ("metrics", "correction"))
+    is_of_one = own is not None and _is_of_one_recording(model.training)
     if here is not None and (own is None or here.low > 0 or here.high < own.gangue - own.others):
-        own = here
-    return "" if own is None or own.low > 0 else str(own)
+        own, is_of_one = here, False
+    if own is None or (own.low > 0 and not is_of_one):
+        return ""
+    return (
+        f"its labelled impacts are all from one recording, which shows nothing of others; {own}"
+        if is_of_one
+        else str(own)
+    )
+
+
+def _is_of_one_recording(training: Mapping[str, Any]) -> bool:
+    """Return whether all labelled impacts of a training are from one recording, in older files by its sources."""
+    by_sources = "recorded" in training and len(set(training.get("sources", ()))) == 1
+    return bool(training.get("one_recording", by_sources))
 
 
 def separates(gangue: Collection[str], model: StoredModel) -> bool:

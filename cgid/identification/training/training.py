@@ -313,7 +313,8 @@ def train_on_groups(
             "rows must be of recordings, got those of a dataset or scene; give them to train_on_specimens"
         )
     names = _named_in(rows, features)
-    if len(set(rows.digests)) == 1 and len(rows.groups) == 1:
+    is_of_one = len(set(rows.digests)) == 1 and len(rows.groups) == 1
+    if is_of_one:
         stretched = in_stretches(rows)
         rows = in_blocks_of_time(rows) if stretched is None else stretched
         if stretched is not None and class_weights is None:
@@ -325,6 +326,7 @@ def train_on_groups(
     rows = _shuffled(rows, seed) if shuffle_labels else rows
     _require_labels(rows, class_weights)
     record = _record((*rows.digests, *(() if synthetic is None else synthetic.digests)), seed, shuffle_labels)
+    record["one_recording"] = is_of_one
     sets = {"asked for": names} if names else sets_for(rows.kind, rows.sampling_rates[0], level_free=level_free)
     candidates = candidates_for(sets, rows.names, family)
     training_set = TrainingSet(rows=rows, candidates=candidates, weights=class_weights, seed=seed)
