@@ -149,6 +149,8 @@ RECORDING_CASES: tuple[tuple[str, tuple[str, ...], int, tuple[str, ...]], ...] =
     ("stream of a head only", ("monitor", "head.wav", "--unit", "g"), 65, ("head.wav", "ended before the first")),
     ("stream of no readings", ("monitor", "broken.raw", *_RAW), 65, ("broken.raw", "finite", "sample format")),
     ("stream that is a file", ("monitor", "blow.npy", *_RAW), 65, ("this is an NPY file", "cgid predict")),
+    ("stream that is text by its name", ("monitor", "volts.csv", *_RAW), 65, ("volts.csv", "text", "cgid predict")),
+    ("stream that is text", ("monitor", "volts.csv"), 65, ("volts.csv", "text", "cgid predict")),
     ("stream of unknown numbers", ("monitor", "half.raw"), 2, ("--sample-format",)),
     ("stream of odd numbers", ("monitor", "half.raw", *_RAW[:5], "s17le"), 65, ("s16le", "'s17le'")),
     ("stream of no channels", ("monitor", "half.raw", "--channels", "0"), 65, ("--channels", "got 0")),
@@ -260,7 +262,7 @@ RECORDING_CASES: tuple[tuple[str, tuple[str, ...], int, tuple[str, ...]], ...] =
     ("full scale of 99 bits", ("predict", "volts.csv", "--full-scale", "10 V at 99 bit"), 65, ("--full-scale", "99")),
     ("full scale in words", ("predict", "counts.wav", "--full-scale", "10 stone"), 65, ("'10 V'", "'10 stone'")),
     ("full scale without a unit", ("predict", "counts.wav", "--full-scale", "10"), 2, ("unit", "--full-scale '10 V'")),
-    ("full scale of floats", ("predict", "volts.csv", "--full-scale", "10 V"), 65, ("sound file", "10 V at 24 bit")),
+    ("full scale of floats", ("predict", "volts.csv", "--full-scale", "10 V"), 65, ("leave it out", "10 V at 24 bit")),
     (
         "full scale of unsigned",
         ("predict", "unsigned.npy", *_SAID[:2], "--full-scale", "5 V"),

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import partial
+from pathlib import Path
 from typing import Any, BinaryIO
 
 import numpy as np
@@ -118,9 +119,9 @@ def live_stream(
         size = head.data_size if 0 < head.data_size < ENDLESS else None
         about: dict[str, Any] = {"coding": head.coding, "size": size, "warnings": head.warnings}
     else:
-        for magic, name in _FILES.items():
-            if start == magic:
-                raise BadData(f"{source}: a stream must be raw numbers or WAV, this is {name}; give it to cgid predict")
+        whole = _FILES.get(start) or _named_format(source) or ("text" if coding is None and _is_text(start) else None)
+        if whole is not None:
+            raise BadData(f"{source}: a stream must be raw numbers or WAV, this is {whole}; give it to cgid predict")
         for missing, what, option in (
             (coding is None, "how numbers are written", "--sample-format NAME, such as s16le"),
             (given is None, "the sampling rate", "--rate HZ"),
@@ -153,6 +154,22 @@ def _contents(n_channels: int, coding: Coding, fallback_unit: str | None, rate: 
         full_scales=[1.0] * n_channels,
         integers=[coding.kind != "f"] * n_channels,
     )
+
+
+def _named_format(source: str) -> str | None:
+    """Return what the name of a file says that it is, if that must be read whole."""
+    from cgid.recordings.formats import FORMATS
+
+    ending = Path(source).suffix.lower()
+    # Raw numbers are often called .dat, and a WAV is known by its head.
+    known = (one.name for one in FORMATS if ending in one.endings and ending not in (".dat", ".wav"))
+    return next((f"named as {name}" for name in known), None)
+
+
+def _is_text(start: bytes) -> bool:
+    """Return whether the first bytes are those of a text, as far as so few tell."""
+    is_plain = len(start) == 4 and all(byte in b"\t\n\r" or 32 <= byte < 127 for byte in start)
+    return is_plain or start.startswith(b"\xef\xbb\xbf")
 
 
 def _skip(file: BinaryIO, size: int) -> None:
