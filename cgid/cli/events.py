@@ -89,10 +89,11 @@ def events(
         )
     marks = None if audacity is None or not Path(audacity).exists() else read_track(Path(audacity))
     rates = require_trainable(every, reading, beams)
-    errors = FileErrors(strict=strict)
+    errors, n_read = FileErrors(strict=strict), 0
     for file in errors.each(every):
         with errors:
             rows += _rows(file, folder, reading, beams, rates)
+            n_read += 1
     if not rows:
         return errors.code
     if audacity is not None:
@@ -105,7 +106,8 @@ def events(
     # A byte order mark lets spreadsheets read non-ASCII letters.
     write_whole(path, text.encode("utf-8" if text.isascii() else "utf-8-sig"), overwrite=overwrite)
     train = shlex.join(["cgid", "train", str(path), "-o", "mine.npz"])
-    say(f"wrote {path}: {counted(len(rows), 'impact')}; fill in the column label, then {train}", err=True)
+    of = "" if n_read == len(every) else f" of {n_read} of {len(every)} recordings, without those that failed"
+    say(f"wrote {path}: {counted(len(rows), 'impact')}{of}; fill in the column label, then {train}", err=True)
     return errors.code
 
 

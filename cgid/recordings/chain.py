@@ -312,9 +312,15 @@ def _full_scale(scale: FullScale, stated: str | None, contents: Blocks, index: i
             raise InvalidValue(f"{name}: full_scale must leave out the bits, got {scale.text}, the file states them")
         largest = 2.0 ** (scale.bits - 1)
     if largest is None:
+        cure = f"give the bits of the converter, as in '{scale.value:g} {unit} at 24 bit'"
+        if stated is not None:
+            only = f"--full-scale 'OTHER.wav:{scale.value:g} {unit}'"
+            cure = (
+                f"its numbers are in {stated}: leave it out, or give it to other files alone, as in {only}; or {cure}"
+            )
         raise InvalidValue(
             f"{name}: full_scale must be that of a sound file or of signed integers of 16 bit, the file does not state "
-            f"its largest number; give the bits of the converter, as in '{scale.value:g} {unit} at 24 bit'"
+            f"its largest number; {cure}"
         )
     return unit, scale.value / largest
 
