@@ -142,6 +142,24 @@ def test_info_says_what_is_there(made: Path, capsys: pytest.CaptureFixture[str])
     assert "family: logistic" in capsys.readouterr().out
 
 
+def test_info_says_what_a_table_of_events_holds(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    table = tmp_path / "events.csv"
+    table.write_text("path,start_s,end_s,label\na.wav,0,1,\na.wav,1,2,coal\nb.wav,0,1,\n")
+    assert run(["info", str(table), "--json"]) == 0
+    content = json.loads(capsys.readouterr().out)
+    assert [content[name] for name in ("kind", "rows", "recordings", "labels", "without_a_label")] == [
+        "table of events",
+        3,
+        2,
+        {"coal": 1},
+        2,
+    ]
+    assert f"cgid train {table} -o" in content["next"]
+    # Without these columns it is a recording, which has no numbers.
+    table.write_text("file,text\na.wav,coal\n")
+    assert run(["info", str(table)]) == 65
+
+
 def test_drop_height_is_known_by_dataset_index_and_option(made: Path, capsys: pytest.CaptureFixture[str]) -> None:
     model = str(made / "h.npz")
     assert run(["train", str(made / "data"), "-o", model, "--drop-height"]) == 0

@@ -70,7 +70,7 @@ def _describe(file: str, as_json: bool, beams: Groups, reading: ReadingOptions) 
     elif (rows := written_table(file)) is not None:
         content = {"kind": rows.kind, "file": file, "rows": rows.n_rows, "columns": rows.columns}
     else:
-        content = _recording(file, as_json, beams, reading)
+        content = _manifest(file) or _recording(file, as_json, beams, reading)
     if as_json:
         print_json(content)
     else:
@@ -149,6 +149,29 @@ def _model(file: str) -> dict[str, Any]:
         "calibration_impacts": 0 if model.conformal is None else len(model.conformal.scores),
         "training": training,
         "metrics": {name: metrics[name] for name in shown if name in metrics},
+    }
+
+
+def _manifest(file: str) -> dict[str, Any]:
+    """Return the content of a manifest or table of `cgid events` in CSV; empty for any other file."""
+    import shlex
+    from collections import Counter
+
+    from cgid.identification.training.manifest import is_manifest, labels_in
+
+    rows = labels_in(Path(file)) if file.lower().endswith(".csv") and is_manifest(file) else None
+    if not rows:
+        return {}
+    labels = Counter(label for _, label in rows if label)
+    train = shlex.join(["cgid", "train", file, "-o", "mine.npz"])
+    return {
+        "kind": "table of events",
+        "file": file,
+        "rows": len(rows),
+        "recordings": len({path for path, _ in rows}),
+        "labels": dict(sorted(labels.items())) or "none",
+        "without_a_label": len(rows) - labels.total(),
+        "next": train if len(labels) > 1 else f"fill in the column label with two labels or more, then {train}",
     }
 
 

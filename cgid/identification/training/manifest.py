@@ -603,19 +603,25 @@ def named_recordings(item: Path) -> list[Path]:
     return found
 
 
+def labels_in(path: Path) -> list[tuple[str, str]] | None:
+    """Return file and label of each row of a manifest in CSV; None for any other table; raises `BadData`."""
+    table = [cells for cells in _csv_table(path)[0] if any(cells)]
+    titles = [cell.strip().lower() for cell in table[0]] if table else []
+    if not {"path", "label"} <= set(titles):
+        return None
+    path_at, label_at = titles.index("path"), titles.index("label")
+    rows = (cells for cells in table[1:] if len(cells) > max(path_at, label_at))
+    return [(text_of_cell(cells[path_at].strip()), text_of_cell(cells[label_at].strip())) for cells in rows]
+
+
 def require_labels_kept(path: Path, rows: Sequence[Mapping[str, Any]] = ()) -> None:
     """Raise `CannotCreate` if `rows`, written over an existing table, would lose labels that a person filled in."""
     try:
-        table = [cells for cells in _csv_table(path)[0] if any(cells)]
+        filled = labels_in(path)
     except CgidError:
         return  # there is none, or it is no table
-    titles = [cell.strip().lower() for cell in table[0]] if table else []
-    if not {"path", "label"} <= set(titles):
-        return
-    at = titles.index("path"), titles.index("label")
-    filled = [tuple(text_of_cell(cells[k].strip()) for k in at) for cells in table[1:] if len(cells) > max(at)]
     kept = {(row["path"], row["label"]) for row in rows}
-    lost = [label for file, label in filled if label and (file, label) not in kept]
+    lost = [label for file, label in filled or () if label and (file, label) not in kept]
     if lost:
         raise CannotCreate(
             f"{path}: must not contain labels to be replaced, got {counted(len(lost), 'label')}, the first is "
