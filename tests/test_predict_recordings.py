@@ -302,8 +302,10 @@ def test_summary_alone_and_fractions_from_ten_answers_on(
     assert not of_kind(alone, "impact")
     assert of_kind(alone, "share") == last
     assert of_kind(alone, "summary") == of_kind(rows, "summary")
-    assert run([*command, "--summary", "-o", str(tmp_path / "rows.csv")]) == 2
-    assert not (tmp_path / "rows.csv").exists()
+    assert run([*command, "--summary", "-o", str(tmp_path / "rows.csv")]) == 0
+    assert capsys.readouterr().out.splitlines() == out
+    assert run([*command, "-o", str(tmp_path / "all.csv")]) == 0
+    assert (tmp_path / "rows.csv").read_bytes() == (tmp_path / "all.csv").read_bytes()
 
 
 def test_silent_channel_is_a_warning_and_silence_an_error(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

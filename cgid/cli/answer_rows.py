@@ -55,13 +55,14 @@ class AnswerLines:
         self.as_json, self.only_summary = as_json, only_summary
         self._live, self._clock, self._listener = live, clock, listener
         self._table, self._datasets = table or TableOutput(), datasets
+        self._has_rows = not only_summary or self._table.is_file
 
     def begin(self, source: str, model: StoredModel, settings: PredictionSettings) -> None:
         """Set the columns; raises `BadData` if earlier rows have different ones."""
         from cgid.errors import BadData
         from cgid.identification.prediction.answers import answer_columns
 
-        if self.as_json or self.only_summary:
+        if self.as_json or not self._has_rows:
             return
         columns = [Column("source"), *answer_columns(model, settings)]
         columns += impactor_columns() if settings.impactors is not None else ()
@@ -75,7 +76,7 @@ class AnswerLines:
         """Print the prediction for an impact or window; `more`: its number in its channel, its index or its truth."""
         from cgid.identification.prediction.answers import COLUMNS
 
-        if self.only_summary:
+        if not self._has_rows:
             return
         row = {"source": source, **answer.row, "problem": answer.problem or None, **more}
         impactor = answer.impactor

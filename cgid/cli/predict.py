@@ -272,7 +272,11 @@ class _Tally:
 @click.argument("files", type=PATH, nargs=-1, metavar="FILE...")
 @click.option("--sample", is_flag=True, help="Use the bundled sample recording.")
 @answering_options
-@click.option("--summary", is_flag=True, help="Print only the gangue fraction at the end, the counts and warnings.")
+@click.option(
+    "--summary",
+    is_flag=True,
+    help="Print only the gangue fraction at the end, the counts and warnings; rows go to --output.",
+)
 @click.option(
     "--report",
     type=OUTPUT,
@@ -340,8 +344,6 @@ def predict(
         new_picture(report, "a report", ENDINGS, overwrite=overwrite)
     files = tuple(recordings_of(files))
     reading.require_files(files)
-    if summary and output is not None:
-        raise click.UsageError("--summary prints no rows for --output; leave one of them out")
     table = TableOutput(output, overwrite=overwrite, as_json=as_json)
     lines = AnswerLines(as_json, table, datasets=any(map(is_dataset, files)), only_summary=summary)
     prediction = _Prediction(

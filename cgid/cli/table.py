@@ -54,6 +54,11 @@ class TableOutput:
 
                 parquet_library()
 
+    @property
+    def is_file(self) -> bool:
+        """Whether the table is a file, not on stdout."""
+        return self._path is not None
+
     def begin(self, columns: Iterable[Column]) -> list[Column]:
         """Set the columns if none are set yet; return those of these that the table lacks."""
         new_columns = tuple(columns)
