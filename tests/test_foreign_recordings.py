@@ -64,6 +64,18 @@ def hdf5(tmp_path):
     return written
 
 
+@pytest.mark.parametrize("locking", [None, True, False, "best-effort"])
+def test_hdf5_that_other_code_has_open_is_read_and_left_open(hdf5, locking):
+    def fill(file):
+        file["force"] = SAMPLES[0]
+        file["force"].attrs["sampling_rate"] = 1e4
+
+    path = hdf5(fill)
+    with h5py.File(path, "r", locking=locking) as file:
+        assert np.array_equal(read(path)[1], SAMPLES[:1])
+        assert np.array_equal(file["force"][:], SAMPLES[0])
+
+
 @pytest.mark.parametrize("dtype", ["f4", ">f4", "f8", ">f8", "f2", "i2", "u4"])
 @pytest.mark.parametrize("turned", [False, True])
 @pytest.mark.parametrize("chunks", [None, (3, 100), (1, 3001)])

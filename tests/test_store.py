@@ -73,6 +73,13 @@ def tiny(tmp_path_factory):
     return generate(scene_of(32), tmp_path_factory.mktemp("tiny") / "tiny.h5", 48, 1)
 
 
+@pytest.mark.parametrize("locking", [None, True, False, "best-effort"])
+def test_a_dataset_that_other_code_has_open_is_read_and_left_open(tiny, locking):
+    with h5py.File(tiny, "r", locking=locking) as file:
+        assert np.array_equal(Dataset(tiny)[5].samples, file["signals"][5])
+        assert len(file["signals"][:]) == 48
+
+
 @pytest.fixture
 def copy(tiny, tmp_path):
     return Path(shutil.copy(tiny, tmp_path / "copy.h5"))

@@ -24,6 +24,7 @@ from cgid.store.gates import (
     cache_size,
     clear_damage,
     missing_chunks,
+    readable,
     require_closed,
     storage_fault,
 )
@@ -190,10 +191,9 @@ def array_blocks(
 
 @contextmanager
 def _opened(path: Path, source: str, **options: int) -> Iterator[h5py.File]:
-    # A lock would keep writers out, and fails on some network file systems.
     with clear_damage(source, *_CUT_OFF):
         try:
-            opened = h5py.File(path, "r", locking=False, **options)
+            opened = readable(path, **options)
         except OSError:
             require_closed(path, source)
             raise

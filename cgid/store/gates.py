@@ -147,14 +147,26 @@ def identity_of(about: os.stat_result) -> Identity:
     return about.st_dev, about.st_ino, about.st_size, about.st_mtime_ns
 
 
+def readable(path: Path, **options: int) -> h5py.File:
+    """Return an HDF5 file open for reading, also one that other code of this process has open; raises as h5py."""
+    try:
+        # A lock would keep writers out, and fails on some network file systems; files are replaced, never changed.
+        return h5py.File(path, "r", locking=False, **options)
+    except OSError:
+        # HDF5 opens a file a second time in a process only with the same kind of lock; a damaged one opens with none.
+        for locking in (None, True, "best-effort"):
+            with suppress(OSError):
+                return h5py.File(path, "r", locking=locking, **options)
+        raise
+
+
 @contextmanager
 def opened(path: Path, source: str, identity: Identity | None = None) -> Iterator[h5py.File]:
     """Yield an HDF5 file open for reading; raises `BadData` if it is damaged, or not in the state `identity`."""
     try:
         if not path.is_file():
             raise BadData(f"{source}: must be a regular file; copy it to one first")
-        # A lock would keep writers out, and fails on some network file systems; files are replaced, never changed.
-        file = h5py.File(path, "r", locking=False)
+        file = readable(path)
     except PermissionError as error:
         raise NoInput(f"{source}: cannot be read ({error.strerror}); see to its permissions") from None
     except CgidError:  # a pipe would wait for its writer
