@@ -714,6 +714,27 @@ def test_an_anchor_takes_the_place_of_the_coal_of_a_confusion() -> None:
     assert anchored.at(600.0).share < 0.2 < plain.at(600.0).share
 
 
+@pytest.mark.parametrize(("confusion", "widest"), [([[360, 40], [80, 320]], 0.5), ([[23, 2], [5, 20]], 0.7)])
+def test_a_tested_model_gives_the_share_beside_coal_that_it_often_takes_for_gangue(
+    confusion: Any, widest: float
+) -> None:
+    """A model of recordings calls .1 of its coal gangue, .3 of the coal of this seam, and .8 of the gangue of both."""
+    model = with_record(metrics=of_a_test(confusion))
+    rng, found = np.random.default_rng(5), []
+    for share in np.repeat([0.1, 0.5, 0.9], 20).tolist():
+        is_gangue = np.append(np.zeros(60, bool), rng.random(60) < share)
+        called = rng.random(120) < np.where(is_gangue, 0.8, 0.3)
+        answers = [answer(time + 0.5, gangue=0.7 if one else 0.2) for time, one in enumerate(called.tolist())]
+        settings = PredictionSettings(coal_until=60.0, share_time=60.0, share_step=60.0)
+        last = CavingWatch(model, ["1"], settings).feed(answers, 120.0)[-1].state.share
+        assert last.basis == Basis.ANCHOR
+        found.append((last.share - share, last.low <= share <= last.high, last.high - last.low))
+    error, holds, width = np.transpose(found)
+    assert abs(error.mean()) < 0.06
+    assert holds.mean() >= 0.9
+    assert width.mean() < widest
+
+
 def test_nothing_is_decided_where_coal_is_stated() -> None:
     confusion = Confusion(edges=np.array([0.0]), rates=np.array([[0.9, 0.1], [0.1, 0.9]]))
     model: Any = SimpleNamespace(**(vars(MODEL) | {"confusion": confusion}))
@@ -725,8 +746,10 @@ def test_nothing_is_decided_where_coal_is_stated() -> None:
 
 
 def test_a_model_without_rates_cannot_use_an_anchor() -> None:
-    with pytest.raises(InvalidValue, match="coal_until must be left out"):
-        CavingWatch(MODEL, ["1"], PredictionSettings(coal_until=30.0))
+    few = with_record(metrics=of_a_test([[90, 10], [5, 19]]))
+    for model, got in ((MODEL, "got 2 labels"), (few, "25 tested .* 100 of coal and 24 of gangue")):
+        with pytest.raises(InvalidValue, match=f"coal_until must be left out.*{got}"):
+            CavingWatch(model, ["1"], PredictionSettings(coal_until=30.0))
     with pytest.raises(InvalidValue, match="cycle_pause must come with coal_until"):
         PredictionSettings(cycle_pause=30.0)
 

@@ -39,6 +39,9 @@ _WINDOW = 10.0
 #: Minimum standard deviation of the fraction from stream to stream (assumed): a mine differs from its simulation.
 #: Another seam and location move the fraction by this much (`benchmarks/identification/streams.py`).
 MIN_SCATTER = 0.035
+#: Minimum number of tested impacts of either label whose answers make a confusion, and limit of its scatter: no wider
+#: than that of any fraction.
+MIN_TESTED, _MAX_SCATTER = 25, 0.5
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -118,6 +121,20 @@ class Confusion:
         pooled = counts.sum(axis=0) / counts.sum()
         spread = (counts + _ADDED * pooled) * (counts.sum(axis=1) / (counts.sum(axis=1) + _ADDED))[:, None]
         return cls(edges=edges, rates=spread / np.asarray(n_rocks)[:, None])
+
+    @classmethod
+    def of_test(cls, counts: Floats, n_trials: float) -> Self | None:
+        """Return the confusion of tested impacts (2, 2), truth by answer, as good as so many trials; None with too few.
+
+        The fraction of a recording has the error of the rates of the second label; an anchor replaces the first.
+        """
+        n = counts.sum(axis=1)
+        if n.min() < MIN_TESTED:
+            return None
+        rates = (counts + _ADDED * counts.sum(axis=0) / n.sum()) / (n + _ADDED)[:, None]
+        gain = max(float(rates[1, 1] - rates[0, 1]), MIN_DIVISOR)
+        error = float(np.sqrt(rates[1, 0] * rates[1, 1] / (max(n_trials, 1.0) * n[1] / n.sum()))) / gain
+        return cls(edges=np.zeros(1), rates=rates, scatter=min(float(np.hypot(error, MIN_SCATTER)), _MAX_SCATTER))
 
     @classmethod
     def of_streams(cls, streams: Sequence[StreamAnswers]) -> Self | None:

@@ -42,7 +42,14 @@ from cgid._lib import validation
 from cgid._lib.validation import Floats
 from cgid.errors import InvalidValue
 from cgid.identification.model.anchor import Anchor, Basis, Impacts, SeamNetworks, class_edges, impacts_of
-from cgid.identification.model.confusion import SUREST, Confusion, logit, trials_of, wilson_interval
+from cgid.identification.model.confusion import (
+    MIN_TESTED,
+    SUREST,
+    Confusion,
+    logit,
+    trials_of,
+    wilson_interval,
+)
 from cgid.identification.prediction.settings import COST_EARLY, COST_LATE, RULES, require_costs
 
 if TYPE_CHECKING:
@@ -142,6 +149,26 @@ def answers_of(model: StoredModel, gangue: Collection[str]) -> Confusion | NoCon
         if confusion is not None:
             return confusion.turned() if first else confusion
     return NoConfusion(trained_share=trained_share(model, gangue))
+
+
+def tested_answers(model: StoredModel, gangue: Collection[str]) -> Confusion:
+    """Return the confusion in the test of a model of two labels, for use with stated coal; `InvalidValue` without one.
+
+    It only knows which label each answer was; an anchor takes the place of its coal.
+    """
+    metrics, confusion = model.training.get("metrics", {}), None
+    held_out, got = HeldOut.of(metrics, np.isin(model.labels, gangue)), f"{len(model.labels)} labels"
+    if len(model.labels) == 2 and held_out is not None:
+        counts = np.asarray(metrics["confusion"], float)
+        confusion = Confusion.of_test(counts, held_out.n_trials)
+        got = " and ".join(f"{n:.0f} of {label}" for n, label in zip(counts.sum(axis=1), model.labels, strict=True))
+    if confusion is None:
+        raise InvalidValue(
+            "coal_until must be left out, this model does not know how often it errs for either label: that needs two "
+            f"labels and {MIN_TESTED} tested impacts of each, got {got}; label more impacts, or train one on streams "
+            "of a scene"
+        )
+    return confusion.turned() if model.labels[0] in gangue else confusion
 
 
 class ShareWindow:
@@ -409,6 +436,7 @@ class HeldOut(NamedTuple):
     others: float
     low: float
     high: float
+    n_trials: float  # as many as the interval rests on
 
     @classmethod
     def of(cls, metrics: Mapping[str, Any], is_gangue: NDArray[np.bool_]) -> HeldOut | None:
@@ -423,12 +451,12 @@ class HeldOut(NamedTuple):
         accuracy, low, high = np.clip([metrics["accuracy"], *metrics["accuracy_interval_95"]], 0.0, 1.0).tolist()
         n_trials = trials_of(accuracy, max(high - low, _NARROWEST)) if high - low < 1 else 0.0
         if not (n_trials and n.all()):
-            return cls(first, second, -1.0, 1.0)
+            return cls(first, second, -1.0, 1.0, n_trials)
         of_gangue, of_others = (n_trials * n / n.sum()).tolist()
         (low, high), (least, most) = wilson_interval(first, of_gangue), wilson_interval(second, of_others)
         # Newcombe 1998, method 10.
         below, above = np.hypot(first - low, most - second), np.hypot(high - first, second - least)
-        return cls(first, second, float(first - second - below), float(first - second + above))
+        return cls(first, second, float(first - second - below), float(first - second + above), n_trials)
 
     def __str__(self) -> str:
         """Return why it proves nothing."""
@@ -450,7 +478,8 @@ def unproven(model: StoredModel, gangue: Collection[str]) -> str:
         return ""
     is_gangue = np.isin(model.labels, as_in(model, gangue))
     own, here = (HeldOut.of(model.training.get(name, {}), is_gangue) for name in ("metrics", "correction"))
-    is_of_one = own is not None and _is_of_one_recording(model.training)
+    by_sources = "recorded" in model.training and len(set(model.training.get("sources", ()))) == 1  # of older files
+    is_of_one = own is not None and bool(model.training.get("one_recording", by_sources))
     if here is not None and (own is None or here.low > 0 or here.high < own.gangue - own.others):
         own, is_of_one = here, False
     if own is None or (own.low > 0 and not is_of_one):
@@ -460,12 +489,6 @@ def unproven(model: StoredModel, gangue: Collection[str]) -> str:
         if is_of_one
         else str(own)
     )
-
-
-def _is_of_one_recording(training: Mapping[str, Any]) -> bool:
-    """Return whether all labelled impacts of a training are from one recording, in older files by its sources."""
-    by_sources = "recorded" in training and len(set(training.get("sources", ()))) == 1
-    return bool(training.get("one_recording", by_sources))
 
 
 def separates(gangue: Collection[str], model: StoredModel) -> bool:

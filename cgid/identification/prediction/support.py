@@ -31,6 +31,7 @@ from cgid.identification.prediction.fraction import (
     answers_of,
     as_in,
     separates,
+    tested_answers,
     unproven,
 )
 from cgid.identification.prediction.settings import PredictionSettings
@@ -187,10 +188,7 @@ class CavingWatch:
         seams = self._seams = None if shares.trained_seam or gangue != ("gangue",) else model.seams
         is_stated = shares.coal_until is not None or shares.coal
         if is_stated and seams is None and isinstance(answers, NoConfusion):
-            raise InvalidValue(
-                "coal_until must be left out, this model does not know how often it errs for either label; train one "
-                "on streams of a scene, or on more specimens"
-            )
+            answers = tested_answers(model, gangue)
         self._sensors, self._channels = sensors, list(supports if channels is None else channels)
 
         def anchor(own: Sequence[int]) -> Anchor | None:
