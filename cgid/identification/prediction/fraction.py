@@ -157,7 +157,7 @@ def tested_answers(model: StoredModel, gangue: Collection[str]) -> Confusion:
     It only knows which label each answer was; an anchor takes the place of its coal.
     """
     metrics, confusion = model.training.get("metrics", {}), None
-    held_out, got = HeldOut.of(metrics, np.isin(model.labels, gangue)), f"{len(model.labels)} labels"
+    held_out, got = HeldOut.of(metrics, np.isin(model.labels, tuple(gangue))), f"{len(model.labels)} labels"
     if len(model.labels) == 2 and held_out is not None:
         counts = np.asarray(metrics["confusion"], float)
         confusion = Confusion.of_test(counts, held_out.n_trials)
