@@ -7,6 +7,7 @@ import io
 import json
 import warnings
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,10 +15,12 @@ import pytest
 from click.testing import CliRunner
 
 from cgid import load_model, open_recording, predict, read_recording, shipped
+from cgid.cli.hints import Hints
 from cgid.cli.main import cli
 from cgid.errors import InvalidValue
 from cgid.identification.model.model import StoredModel
 from cgid.identification.prediction import Answer, identify_recording
+from cgid.identification.prediction.diagnosis import Cause, CauseKind
 from cgid.identification.prediction.same_beam import (
     CROSSING,
     Detected,
@@ -459,14 +462,48 @@ def test_a_table_of_rocks_trains_a_model(pairs: Path) -> None:
             writer = csv.DictWriter(file, kept, extrasaction="ignore")
             writer.writeheader()
             writer.writerows(both)
-        ran("train", path, "--by", "impact", *options, "-o", path.with_suffix(".npz"))
-        counts[name] = StoredModel.load(path.with_suffix(".npz")).training["n_train"]
+        _, err = ran("train", path, "--by", "impact", *options, "-o", path.with_suffix(".npz"))
+        own = StoredModel.load(path.with_suffix(".npz"))
+        counts[name] = own.training["n_train"]
+        assert own.same_beam == (() if name == "apart" else ("1+2",))
+        assert err.rstrip().endswith(".npz" if name == "apart" else ".npz --same-beam 1+2")
+    assert "| channels of one beam | 1+2;" in (pairs / "column.md").read_text()
     assert counts["column"] == counts["option"] == 60
     assert counts["apart"] == 120
     out, _ = ran("predict", pairs / "monday.npy", *READ, "--same-beam", "1+2", "--model", pairs / "column.npz")
     answers = list(csv.DictReader(io.StringIO(out)))
     assert sum(row["channel"] == "1+2" for row in answers) == 30
     assert sum(row["label"] != "unknown" for row in answers if row["channel"] == "1+2") >= 27
+    for name, more, is_told in (("column", (), True), ("apart", (), False), ("column", ("--same-beam", "1+2"), False)):
+        _, err = ran("predict", pairs / "monday.npy", *READ, *more, "--model", pairs / f"{name}.npz")
+        assert ("trained with channels of one beam together; give --same-beam 1+2" in err) is is_told
+
+
+def test_hints_name_the_channels_of_one_beam(default_force: StoredModel) -> None:
+    """As given; or as in the training, where that is why impacts are unknown."""
+    plain = default_force
+    beams = replace(plain, training={**plain.training, "same_beam": ["1+2"]})
+    unlike = Answer(
+        time=0.0,
+        channel="1",
+        label="unknown",
+        novelty=9.0,
+        probabilities={"coal": 1.0},
+        cause=Cause(CauseKind.FEATURES, 1.0),
+    )
+    for own, given, channels, first in (
+        (plain, [], ["1", "2"], "cgid events x.wav --unit N --channel 1 -o events.csv"),
+        (plain, ["--same-beam", "1+2"], ["1+2"], "cgid events x.wav --unit N --same-beam 1+2 -o events.csv"),
+        (beams, ["--same-beam", "1+2"], ["1+2"], "cgid events x.wav --unit N --same-beam 1+2 -o events.csv"),
+        (beams, [], ["1", "2"], "cgid predict x.wav --unit N --same-beam 1+2"),
+    ):
+        hints = Hints(own, 200e3, "x.wav", ["--unit", "N"], given, channels=["1", "2"])
+        hints.add([replace(unlike, time=float(k), channel=name) for k in range(30) for name in channels])
+        (hint,) = hints.hints()
+        assert hint.commands[0] == first
+        if len(hint.commands) > 1:
+            assert ("--same-beam 1+2" in hint.commands[-1]) is bool(given)
+            assert ("--channel" in hint.commands[-1]) is False
 
 
 def test_pulse_names_are_those_of_the_model(model: StoredModel) -> None:

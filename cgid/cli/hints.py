@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from cgid.cli.options import untold_beams
 from cgid.identification.model.world import Misfit, MisfitPart
 from cgid.identification.prediction.diagnosis import CauseKind, Diagnosis, Hint, InWords, misfit_text, scale_warning
 from cgid.units import UNITS
@@ -50,6 +51,9 @@ class Hints(Diagnosis):
         self._options, self._answering = tuple(options), tuple(answering)
         self._labelled, self._all_channels = labelled, tuple(channels)
         self._kind = "signal" if labelled else model.subject
+        #: The options that name the channels of a beam: those given, and those of the training that were not.
+        self._beams = [word for pair in pairwise(answering) if pair[0] == "--same-beam" for word in pair]
+        self._untold = untold_beams(model, channels, self._beams)
 
     def hints(self, names: Iterable[str] | None = None) -> list[Hint]:
         """Return a hint for each cause, by default of all channels; none where none has a finding."""
@@ -129,6 +133,8 @@ class Hints(Diagnosis):
             key = "hidden"
         elif finding.cause is CauseKind.SHAPE and self._is_of_beam:
             key = "other_beam"
+        elif finding.cause is CauseKind.FEATURES and self._untold:
+            key = "same_beam"
         found = tomllib.loads(Path(__file__).with_name("hints.toml").read_text(encoding="utf-8"))[key]
         return found["reason"].format(**fields).removesuffix(" ()"), found["advice"].format(**fields)
 
@@ -142,6 +148,8 @@ class Hints(Diagnosis):
         """Return the next steps, and alternatives."""
         ways: list[tuple[str, ...]]
         match finding.cause:
+            case CauseKind.FEATURES if self._untold:
+                ways = [(self._predict(*self._untold),)]
             case CauseKind.UPSIDE_DOWN:
                 ways = [self._turned()]
             case CauseKind.SAMPLING_RATE:
@@ -171,8 +179,8 @@ class Hints(Diagnosis):
     def _predict_with(self, model: str) -> str:
         """Return the command for a model made here, without options for the former one."""
         is_for_all = self.model.together > 1 or self.channels.keys() >= set(self._all_channels)
-        options = self._options if is_for_all else self._for_one()  # others may be of another quantity
-        return shlex.join(["cgid", "predict", self._source, *options, "--model", model])
+        options = self._options if is_for_all else self._for_rows()  # others may be of another quantity
+        return shlex.join(["cgid", "predict", self._source, *options, *self._beams, "--model", model])
 
     def _turned(self) -> tuple[str, ...]:
         """Return the command that inverts the signal, for the channels that need it."""
@@ -210,6 +218,10 @@ class Hints(Diagnosis):
         """Return whether a flag is the unit of volts, which a sensitivity converts."""
         return flag == "--unit" and "--sensitivity" in self._options
 
+    def _for_rows(self) -> tuple[str, ...]:
+        """Return the options to read what gives one row: channels of a beam that were named, else one channel."""
+        return self._options if self._beams else self._for_one()
+
     def _for_one(self) -> tuple[str, ...]:
         """Return the options to read one channel: that with the most usable impacts."""
         if len(self._all_channels) < 2:
@@ -235,12 +247,12 @@ class Hints(Diagnosis):
         model = _unused("mine", ".npz")
         if self._labelled:
             return (shlex.join(["cgid", "train", self._source, "-o", model]), self._predict_with(model))
-        options, table = list(self._for_one()), _unused("events", ".csv")
+        options, table = list(self._for_rows()), _unused("events", ".csv")
         if self.model.quantity == "level" and "--unit" not in options:
             options += ["--unit", "FS"]
         dead_time = [word for pair in pairwise(options) if pair[0] == "--dead-time" for word in pair]
         return (
-            shlex.join(["cgid", "events", self._source, *options, "-o", table]),
+            shlex.join(["cgid", "events", self._source, *options, *self._beams, "-o", table]),
             InWords(f"fill in the label column of {table}"),
             shlex.join(["cgid", "train", table, *dead_time, "-o", model]),
             self._predict_with(model),

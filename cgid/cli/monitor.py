@@ -283,7 +283,8 @@ def _follow(
         settings = settings_with_coal(settings, labelled, live.source, live.channels, model)
     inbox, delay = Inbox(live, live.sampling_rate), DelayReport(live.source, lines)
     # The stream is over when the next command runs: it is for a recording of it.
-    hints = Hints(model, live.sampling_rate, "RECORDING", given_options()[0], channels=names, live=True)
+    beams = [word for group in settings.same_beam for word in ("--same-beam", "+".join(group))]
+    hints = Hints(model, live.sampling_rate, "RECORDING", given_options()[0], beams, channels=names, live=True)
     pipeline = Pipeline(
         model, live.channels, live.sampling_rate, settings, live.source, warned, live=True, diagnosis=hints
     )
@@ -300,7 +301,7 @@ def _follow(
             blind_after=settings.blinded_after,
             waited=lambda: inbox.waited,
         )
-    warn_of_model(live.source, live.source, live.sampling_rate, model, settings)
+    warn_of_model(live.source, live.source, live.sampling_rate, model, settings, names)
 
     def begun(name: str) -> None:
         from cgid.errors import InvalidValue

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shlex
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial, wraps
@@ -653,9 +654,19 @@ class Models:
 
 
 def warn_of_model(
-    source: str, name: str, sampling_rate: float, model: StoredModel, settings: PredictionSettings
+    source: str,
+    name: str,
+    sampling_rate: float,
+    model: StoredModel,
+    settings: PredictionSettings,
+    channels: Sequence[str] = (),
 ) -> None:
-    """Warn if a model was not trained for the sampling rate [Hz] of a signal, or needs the name of its sensor."""
+    """Warn if a model was not trained for the sampling rate [Hz] of a signal, or needs its sensor or its channels."""
+    if beams := untold_beams(model, channels, settings.same_beam):
+        warn(
+            f"{source}: the model was trained with channels of one beam together; give {shlex.join(beams)}, or the "
+            "channels that this recording has on one beam"
+        )
     if model.sensors and not settings.sensors:
         known = ", ".join(model.sensors)
         warn(
@@ -672,6 +683,16 @@ def warn_of_model(
     if not model.covers(sampling_rate):
         trained = f"{low:g}" if low == high else f"{low:g} to {high:g}"
         warn(f"{name}: sampled at {sampling_rate:g} Hz, the model was trained at {trained} Hz")
+
+
+def untold_beams(model: StoredModel, channels: Sequence[str], given: Sequence[Any]) -> list[str]:
+    """Return the options that name the channels of a beam, as in the training, where several channels lack them."""
+    if given or not model.same_beam or len(channels) < 2:
+        return []
+    is_known = all(set(beam.split("+")) <= set(channels) for beam in model.same_beam)
+    n = min(len(model.same_beam[0].split("+")), len(channels))
+    beams = model.same_beam if is_known else ("+".join(str(number) for number in range(1, n + 1)),)
+    return [word for beam in beams for word in ("--same-beam", beam)]
 
 
 def warn_of_chance(model: StoredModel, source: str = "", gangue: Sequence[str] = ("gangue",)) -> None:

@@ -150,7 +150,7 @@ class _Prediction:
             channels = channels[:MAX_CHANNELS]
             pictures = OverviewStream(rate, len(channels))
         rows = RecordingRows(pipeline, self.lines, hints=hints, keep=pictures is not None)
-        warn_of_model(source, rows.name(rows.channels[0]), rate, model, settings)
+        warn_of_model(source, rows.name(rows.channels[0]), rate, model, settings, names)
         with progress_bar(recording.n_samples, "samples", "predicting") as progress:
             seen = 0
             for step in pipeline.steps(blocks, marked=None if pictures is None else pictures.watching):

@@ -312,6 +312,11 @@ class StoredModel(Model):
         recorded = self.training.get("recorded", {})
         return bool(recorded.get("fewest_groups", MIN_GROUPS) < MIN_GROUPS)
 
+    @property
+    def same_beam(self) -> tuple[str, ...]:
+        """Channels of a beam of the training whose impacts are one row, such as "1+2"; none if each is by itself."""
+        return tuple(self.training.get("same_beam", ()))
+
     @cached_property
     def measured(self) -> tuple[str, ...]:
         """Features to measure: those of the classifier, then the guards."""

@@ -303,6 +303,9 @@ def check_training(model: StoredModel) -> None:
         _check_level_range(training[LEVEL_RANGE])
     if training.get(VOTE_CORRELATION, 0.0) > 1:
         raise BadData(f"{VOTE_CORRELATION} must be at most 1, got {training[VOTE_CORRELATION]:g}")
+    beams = training.get("same_beam", [])
+    if not (isinstance(beams, list) and all(isinstance(one, str) for one in beams)):
+        raise BadData("same_beam must be a list of names of channels, such as 1+2")
     if "fewest_groups" in recorded:
         validation.count("fewest_groups", recorded["fewest_groups"])
     for weights in (training.get("class_weights"), recorded.get("class_weights")):

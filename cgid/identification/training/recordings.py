@@ -111,6 +111,12 @@ class AnnotatedFile:
         return len(self.groups) < len(self.recording.channels)
 
     @property
+    def beams(self) -> list[str]:
+        """Names of the channels of each beam that has several, such as 1+2."""
+        names = [channel.name for channel in self.recording.channels]
+        return ["+".join(names[row] for row in rows) for rows in self.groups if len(rows) > 1]
+
+    @property
     def upright(self) -> float:
         """1, or -1 to invert the samples."""
         return -1.0 if self.annotations[0].invert else 1.0
@@ -458,6 +464,7 @@ def rows_of(measured: Sequence[tuple[AnnotatedFile, list[AnnotatedRows]]], cutti
         ],
         files=tuple((str(one.path), str(one.channels)) for file, _ in measured for one in file.annotations[:1]),
         channel=np.repeat([piece.channel for piece in pieces], [piece.n_rows for piece in pieces])[complete],
+        same_beam=tuple(dict.fromkeys(name for file, _ in measured for name in file.beams)),
         chosen=np.array([one.chosen for one in annotations]) if any(one.chosen for one in annotations) else _NONE,
         snr=snr[complete] if cutting.augment and cutting.slicing.by == "window" else np.empty(0),
         left_out=int((~complete & (snr == np.inf)).sum()),

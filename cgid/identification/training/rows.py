@@ -118,6 +118,8 @@ class Rows:
         Path and chosen channels of each number in `file`.
     channel : ndarray of str, (n_rows,)
         Name of the channel of each impact, "" for a window. Empty for scenes and datasets.
+    same_beam : tuple of str
+        Channels of a beam whose impacts are one row, such as "1+2".
     chosen : ndarray of str, (n_rows,)
         How each row came to be labelled, "random" if it was drawn at random; empty if no table says so.
     snr : ndarray, (n_rows,) [dB]
@@ -155,6 +157,7 @@ class Rows:
     file: NDArray[np.intp] = field(default_factory=lambda: np.empty(0, np.intp))
     files: tuple[tuple[str, str], ...] = ()
     channel: NDArray[np.str_] = field(default_factory=lambda: np.empty(0, np.str_))
+    same_beam: tuple[str, ...] = ()
     chosen: NDArray[np.str_] = field(default_factory=lambda: np.empty(0, np.str_))
     snr: Floats = field(default_factory=lambda: np.empty(0))
     references: Mapping[str, Floats] = field(default_factory=dict)

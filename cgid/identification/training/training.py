@@ -326,7 +326,7 @@ def train_on_groups(
     rows = _shuffled(rows, seed) if shuffle_labels else rows
     _require_labels(rows, class_weights)
     record = _record((*rows.digests, *(() if synthetic is None else synthetic.digests)), seed, shuffle_labels)
-    record["one_recording"] = is_of_one
+    record |= {"one_recording": is_of_one, **({"same_beam": [*rows.same_beam]} if rows.same_beam else {})}
     sets = {"asked for": names} if names else sets_for(rows.kind, rows.sampling_rates[0], level_free=level_free)
     candidates = candidates_for(sets, rows.names, family)
     training_set = TrainingSet(rows=rows, candidates=candidates, weights=class_weights, seed=seed)
