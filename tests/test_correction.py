@@ -19,6 +19,7 @@ from cgid.identification.model.model import StoredModel
 from cgid.identification.training import Rows, train_on_specimens
 from cgid.identification.training.card import correction_section, write_card
 from cgid.identification.training.correction import Shift, advice, correct, fit_bias_and_slope, shifted
+from cgid.identification.training.grouped import warnings_of_few
 from cgid.identification.training.manifest import Manifest
 from cgid.identification.training.metrics import clustered_interval
 from cgid.scene import load_scene, synthesise
@@ -123,7 +124,7 @@ def test_impacts_that_the_model_does_not_know_teach_nothing(model: StoredModel) 
     rows = impacts(30, 8)
     strange = rows.features.copy()
     strange[:25, 1] *= 1e3
-    with pytest.raises(BadData, match="within the training of the model, 10 at least, got 5 of 30; calibrate the beam"):
+    with pytest.raises(BadData, match="within the training of the model, 10 at least, got 5 of 30; train without"):
         correct(model, replace(rows, features=strange))
     strange = np.where(np.arange(30)[:, None] < 12, strange, rows.features)
     assert correct(model, replace(rows, features=strange)).n_unknown == 12
@@ -224,6 +225,8 @@ def test_recordings_of_several_days_are_the_trials(model: StoredModel) -> None:
     hits = np.array(model.labels)[np.argmax(days.probabilities, axis=1)] == days.labels
     assert (low, high) == clustered_interval(hits, rows.group)
     assert any("3 groups of recordings" in line for line in days.warnings)
+    (of_one_file,) = warnings_of_few(replace(rows, file=np.zeros_like(rows.file)))
+    assert "3 groups within one recording" in of_one_file
     assert "more days or supports" in advice(days)[0]
 
 

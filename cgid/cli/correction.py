@@ -34,7 +34,8 @@ def correct_model(
     require_correctable(model)
     slicing = Slicing(by="impact", dead_time=dead_time)
     if (manifest.n_intervals or 0) > _LOOK:
-        require_known(model, record(manifest.sample(_LOOK), slicing=slicing, reading=how, model=model))
+        sample = record(manifest.sample(_LOOK), slicing=slicing, reading=how, model=model)
+        require_known(model, sample, manifest.n_intervals or 0)
     with progress_bar(manifest.n_intervals, "impacts", "measuring") as progress:
         rows = record(manifest, slicing=slicing, reading=how, model=model, progress=progress)
     for warning in rows.warnings:

@@ -458,7 +458,8 @@ def print_training(training: Any, path: Path, written: list[Path], as_json: bool
 
     metrics, about = training.metrics, training.model.training
     if about["n_left_out"]:
-        warn(f"{about['n_left_out']} {training.model.subject}s could not be measured and were excluded")
+        few = counted(about["n_left_out"], training.model.subject)
+        warn(f"{few} could not be measured and {'was' if about['n_left_out'] == 1 else 'were'} excluded")
     without = about.get("recorded", {}).get("synthetic", {}).get("accuracy_without")
     if without is not None and without > metrics["accuracy"]:
         summary = f"{metrics['accuracy']:.4f} accuracy on the recorded impacts, without them {without:.4f}"
@@ -475,8 +476,9 @@ def print_training(training: Any, path: Path, written: list[Path], as_json: bool
         summary = f"{accuracy_text(vote)} of {vote['n']}" if vote["n"] else "no recording is that long"
         say(f"running vote over {vote['time']:g} s {summary}")
     if "recordings" in metrics:
-        say(f"vote of a recording {accuracy_text(metrics['recordings'])} of {metrics['recordings']['n']}")
-        for row in metrics["recordings"]["rows"]:
+        rows = metrics["recordings"]["rows"]
+        say(f"vote of a recording {accuracy_text(metrics['recordings'])}, of {counted(len(rows), 'recording')}")
+        for row in rows:
             wrong = "" if row["vote"] == row["label"] else f", taken for {row['vote']}"
             say(f"  {row['name']}: {row['label']}{wrong}, {row['accuracy']:.4f} of {row['n']}")
     say("recall " + ", ".join(f"{label} {value:.4f}" for label, value in metrics["recall"].items()))

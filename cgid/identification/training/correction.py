@@ -26,7 +26,7 @@ from cgid.identification.model.families import Contrast, Standardiser, softmax
 from cgid.identification.model.model import StoredModel
 from cgid.identification.model.model_file import STANDARDISER
 from cgid.identification.model.world import World
-from cgid.identification.training.grouped import groups_of_labels, warnings_of_few
+from cgid.identification.training.grouped import warnings_of_few
 from cgid.identification.training.metrics import clustered_interval, evaluate, evaluate_drawn
 from cgid.identification.training.rows import Rows
 from cgid.measure.features.extraction import FEATURES
@@ -142,7 +142,7 @@ def correct(model: StoredModel, rows: Rows) -> Correction:
         probabilities,
         rows,
         n_unknown,
-        (*_word_of_trained(left_out), *warnings_of_few(groups_of_labels(rows))),
+        (*_word_of_trained(left_out), *warnings_of_few(rows)),
     )
 
 
@@ -200,16 +200,17 @@ def require_correctable(model: StoredModel) -> None:
         )
 
 
-def require_known(model: StoredModel, rows: Rows) -> None:
-    """Raise `BadData` if no impact of a sample is within the training of the model."""
+def require_known(model: StoredModel, rows: Rows, n_labelled: int) -> None:
+    """Raise `BadData` if no impact of a sample of so many is within the training of the model."""
     if not (model.novelty(rows.columns(model.features), rows.columns(model.guards)) <= 1).any():
-        raise _too_few_known(0, len(rows.labels))
+        raise _too_few_known(0, len(rows.labels), f" that were tried of {n_labelled}")
 
 
-def _too_few_known(n_known: int, n: int) -> BadData:
+def _too_few_known(n_known: int, n: int, tried: str = "") -> BadData:
     return BadData(
-        f"labelled impacts must be within the training of the model, {MIN_LABELLED} at least, got {n_known} of {n}; "
-        "calibrate the beam (cgid calibrate RECORDING --channel CHANNEL) or train without --from"
+        f"labelled impacts must be within the training of the model, {MIN_LABELLED} at least, got {n_known} of {n}"
+        f"{tried}; train without --from, or calibrate the beam first (cgid calibrate RECORDING --channel CHANNEL "
+        "--scene YOUR_BEAM.toml)"
     )
 
 

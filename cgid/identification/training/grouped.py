@@ -7,7 +7,7 @@ and calibrates its probabilities, so the evaluation group never takes part in a 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
 from itertools import pairwise, product
@@ -254,15 +254,16 @@ def groups_of_labels(rows: Rows) -> dict[str, int]:
     return {str(label): len(np.unique(group[labels == label])) for label in np.unique(labels)}
 
 
-def warnings_of_few(counts: Mapping[str, int]) -> list[str]:
-    """Return a warning if a label has too few groups for an interval valid beyond them, else ""."""
+def warnings_of_few(rows: Rows) -> list[str]:
+    """Return a warning if a label has too few groups for an interval valid beyond them."""
+    counts = groups_of_labels(rows)
     label = min(counts, key=lambda one: counts[one])
     if counts[label] >= MIN_GROUPS:
         return []
+    what = "of recordings (days, supports)" if len(np.unique(rows.file)) != 1 else "within one recording"
     return [
-        f"label {label} has {counted(counts[label], 'group')} of recordings (days, supports); with fewer than "
-        f"{MIN_GROUPS} of each label, expect lower accuracy on another day, which the intervals do not cover; add "
-        "recordings of other days"
+        f"label {label} has {counted(counts[label], 'group')} {what}; with fewer than {MIN_GROUPS} of each label, "
+        "expect lower accuracy on another day, which the intervals do not cover; add recordings of other days"
     ]
 
 

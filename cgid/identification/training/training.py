@@ -629,7 +629,7 @@ def _left_out(
         "class_weights": training_set.weights,
         "candidates": _comparison(training_set.candidates, selection, judged.chosen),
         "failures": [str(error) for error in rows.failures],
-        "warnings": [*rows.warnings, *warnings_of_few(counts)],
+        "warnings": [*rows.warnings, *warnings_of_few(recorded_rows)],
         "level_free": level_free,
         **adaptation,
     }
