@@ -127,12 +127,11 @@ def recording_facts(recording: RecordingFile, overview: Overview, channels: Sequ
 
 def model_facts(model: StoredModel, name: str, gangue: Collection[str] = ("gangue",)) -> dict[str, str]:
     """Describe a model in words, by which `gangue` is told from other labels; `name` is that of its file."""
-    low, high = min(model.sampling_rates), max(model.sampling_rates)
-    rates = hertz(low) if low == high else f"{hertz(low, 3)} to {hertz(high, 3)}"
+    ends = dict.fromkeys(hertz(rate, 3) for rate in (min(model.sampling_rates), max(model.sampling_rates)))
     facts = {
         "model": name,
         "tells apart": ", ".join(model.labels),
-        "from": f"{model.quantity} [{written(model.unit)}], {model.kind}s, trained at {rates}",
+        "from": f"{model.quantity} [{written(model.unit)}], {model.kind}s, trained at {' to '.join(ends)}",
         "family": model.family,
         "features": _listed(model.features),
     }
