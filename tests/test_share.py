@@ -26,6 +26,7 @@ from cgid.identification.prediction.fraction import (
     Share,
     ShareWindow,
     ShutDecision,
+    Switch,
     as_in,
     estimate_of,
     separates,
@@ -208,6 +209,30 @@ def test_turns_are_said_when_they_lose_less_and_the_last_one_was_held() -> None:
     neither = state(0.65, spread=0.3)
     assert rule.cost(neither) == pytest.approx(0.0, abs=1e-12)
     assert ShutDecision(1.0, cost_late=1.0, cost_early=1.0).cost(neither) == pytest.approx(2 * (0.65 - 0.5))
+
+
+def test_a_wide_fraction_above_the_limit_opens_if_shutting_early_costs_more_and_hold_keeps_shut() -> None:
+    """Five of eight rocks are gangue: Beta(6, 4), below .5 with a probability of a quarter, which counts six times."""
+
+    def turns(cost_early: float, hold: float) -> list[Switch]:
+        window, rule = ShareWindow(10.0), ShutDecision(cost_early=cost_early, hold=hold)
+        turned = []
+        for start, n_coal in ((0.0, 0), (20.0, 3)):
+            for number in range(8):
+                window.add(start + number, float(number >= n_coal))
+            turned.append(rule.watch(window.at(start + 8.0)))
+        return [one for one in turned if one is not None]
+
+    shut, opened = turns(6.0, 10.0)
+    density = stats.beta(6, 4).pdf
+    late = quad(lambda x: (x - 0.5) * density(x), 0.5, 1.0)[0]
+    early = quad(lambda x: (0.5 - x) * density(x), 0.0, 0.5)[0]
+    assert (shut.shut, opened.shut) == (True, False)
+    assert opened.share.share == pytest.approx(0.625, abs=0.01)
+    assert opened.evidence == pytest.approx(stats.beta(6, 4).cdf(0.5), abs=2e-3)
+    assert opened.cost == pytest.approx(2.0 * (late - 6.0 * early), abs=2e-3) and opened.cost < 0
+    # Equal costs keep it shut, and so does a longer time.
+    assert [one.shut for one in turns(1.0, 10.0)] == [one.shut for one in turns(6.0, 60.0)] == [True]
 
 
 @pytest.mark.parametrize("costs", [(-1.0, 1.0), (1.0, -1e-9), (float("nan"), 1.0), (1.0, float("inf")), (0.0, 0.0)])

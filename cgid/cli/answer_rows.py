@@ -121,7 +121,9 @@ class AnswerLines:
         """Print that continuing costs more than shutting, or less again."""
         word, side = ("SHUT", "above") if turn.shut else ("OPEN", "below")
         share, limit, sure = turn.share, 1 / (1 + costs["dilution_cost"]), f"{turn.evidence:.1%} sure"
-        why = f"going on is expected to lose {turn.cost:.2f} coal a rock" if turn.shut else "continuing pays again"
+        why = f"{'going on' if turn.shut else 'staying shut'} is expected to lose {abs(turn.cost):.2f} coal a rock"
+        if not turn.shut:
+            why += f", as shut too early costs {costs['cost_early']:g} where too late costs {costs['cost_late']:g}"
         message = (
             f"{word} {turn.time:.6g} s: {why} (gangue fraction {share.share:.2f}, {sure} that it is {side} "
             f"{limit:.2f}, the limit where a drawn gangue costs {costs['dilution_cost']:g} coal)  {name}"

@@ -211,7 +211,7 @@ def monitor(
     Stdout is one CSV table, one row per impact. Everything else goes to stderr: each channel is a support with its own
     gangue fraction, printed ten times per window and once in a pause. SHUT is printed when going on is expected to lose
     more (--cost-late) than shutting (--cost-early), with drawn gangue (--dilution-cost) against lost coal (1); OPEN
-    when drawing pays again, after at least a window (--hold). Nothing is dropped: if predictions are slower than the
+    when staying shut is, after at least a window (--hold). Nothing is dropped: if predictions are slower than the
     stream, a warning reports the delay.
     """
     from cgid.identification.prediction.settings import SHARE_TIME

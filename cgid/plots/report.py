@@ -240,12 +240,14 @@ def _switches(report: Report) -> Iterator[str]:
     many = len({share.channel for share in report.shares}) > 1
     for switch in report.turns:
         where = f", channel {switch.share.channel}" if many else ""
-        what, side = ("Shut the window", "above") if switch.shut else ("Continuing pays again", "below")
+        what, side, other = (
+            ("Shut the window", "above", "continuing") if switch.shut else ("Open it again", "below", "staying shut")
+        )
         limit = "" if report.threshold is None else f" that it is {side} the limit of {report.threshold:.0%}"
         text = (
             f"{what} at {switch.time:.2f} s{where}: gangue fraction {switch.share.share:.0%} "
-            f"({switch.share.low:.0%} to {switch.share.high:.0%}), {switch.evidence:.1%} sure{limit}; continuing is "
-            f"expected to lose {switch.cost:+.2g} coal per rock"
+            f"({switch.share.low:.0%} to {switch.share.high:.0%}), {switch.evidence:.1%} sure{limit}; {other} is "
+            f"expected to lose {abs(switch.cost):.2g} coal per rock"
         )
         yield f'<p class="turn">{_text(text)}</p>'
 
