@@ -302,6 +302,12 @@ NORMAL = {"distribution": "normal", "mean": "1400 kg/m^3", "deviation": "200 kg/
         ({"tail_beam": {"modes": [MODE, {**MODE, "frequency": "1 kg"}]}}, "tail_beam.modes.1.frequency", "'1 kg'"),
         ({"tail_beam": {"modes": [MODE] * 10_001}}, "tail_beam.modes", "at most 10000, got 10001"),
         ({"impact__dissipation": None}, "impact.dissipation", "missing: How the rock loses energy"),
+        (
+            {"impact__dissipation": None, "impact__disipation": "none"},
+            "impact.disipation",
+            "did you mean 'dissipation'?",
+        ),
+        ({"impact__target": "concrete"}, "impact.target", "youngs_modulus"),
     ],
     ids=lambda value: value if isinstance(value, str) else "",
 )

@@ -15,7 +15,7 @@ from pydantic import BaseModel, Field, PrivateAttr, ValidationError, model_valid
 from cgid._lib.files import parse_toml, read_regular
 from cgid._lib.lazy import picture_of
 from cgid._lib.notebook import facts_table
-from cgid._lib.validation import cut, shown, suggestion
+from cgid._lib.validation import cut, shown, similar, suggestion
 from cgid.errors import BadData, InvalidValue
 from cgid.physics.contact.bodies import Target
 from cgid.physics.contact.laws import named
@@ -410,7 +410,10 @@ def parse_scene(content: dict[str, Any], source: str = "scene", folder: Path | N
         return scene
     except ValidationError as error:
         errors = error.errors(include_url=False)
-        entries = [entry for entry in errors if not _secondary(entry, errors)]
+        unknown = [entry["loc"] for entry in errors if entry["type"] == "extra_forbidden"]
+        # A key that is misspelt is missing, too.
+        misspelt = {(*location[:-1], key) for location in unknown for key in _similar_keys(location)}
+        entries = [entry for entry in errors if entry["loc"] not in misspelt and not _secondary(entry, errors)]
         problems = [line for entry in entries for line in _lines(entry)]
         more = [f"and {len(problems) - _MAX_MISTAKES} more mistakes"] * (len(problems) > _MAX_MISTAKES)
         raise BadData(*(f"{source}: {line}" for line in problems[:_MAX_MISTAKES] + more)) from None
@@ -443,9 +446,8 @@ def _lines(entry: Any) -> list[str]:
 
 def _message(entry: Any) -> str:
     if entry["type"] == "extra_forbidden":
-        keys = [key for section in _sections_at(entry["loc"][:-1]) for key in section.model_fields]
-        hint = suggestion(entry["loc"][-1], keys)
-        return f"unknown key{hint or '; check the spelling, or remove it'}"
+        meant = _similar_keys(entry["loc"])
+        return f"unknown key; {f'did you mean {meant[0]!r}?' if meant else 'check the spelling, or remove it'}"
     if entry["type"] == "missing":
         return f"is missing{_description(entry['loc'])}"
     if entry["type"] in ("too_short", "too_long"):
@@ -461,9 +463,17 @@ def _message(entry: Any) -> str:
         text += f", got {shown(given)}"
     if entry["type"] == "literal_error":
         hint = suggestion(given, re.findall("'([^']+)'", entry["ctx"]["expected"]))
+        if "literal['rigid']" in entry["loc"]:
+            hint = hint or "; or give its material as { density = ..., youngs_modulus = ..., poisson_ratio = ... }"
         of_law = "; give the module of a law of your own with --laws" if "dissipation" in entry["loc"] else ""
         text += hint or of_law
     return text
+
+
+def _similar_keys(location: Sequence[int | str]) -> list[str]:
+    """Return the key that an unknown one may mean, if there is one."""
+    keys = [key for section in _sections_at(location[:-1]) for key in section.model_fields]
+    return similar(str(location[-1]), keys)
 
 
 def _description(location: Sequence[int | str]) -> str:
