@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 
 #: The shipped scene with a beam, and its sampling rate [Hz], which recordings for its calibration must have.
 SCENE, SCENE_RATE = "tail_beam", 25_600.0
+#: Name of a scene that the user has to write first.
+OWN_SCENE = "YOUR_BEAM.toml"
 #: Minimum number of impacts to calibrate a scene, and to train on one recording (in blocks of its time, with two
 #: labels).
 CALIBRATED, _TRAINED = 20, 16
@@ -164,7 +166,7 @@ class Hints(Diagnosis):
             case CauseKind.BEAM:
                 ways = [self._training(), self._calibration()]
             case CauseKind.SHAPE if self._is_of_beam:
-                ways = [self._training(), self._calibration()]
+                ways = [self._training(), self._calibration(is_of_scene=False)]
             case CauseKind.SHAPE | CauseKind.FEATURES:
                 ways = [self._training()]
             case _:
@@ -270,13 +272,16 @@ class Hints(Diagnosis):
             self._predict_with(model),
         )
 
-    def _calibration(self) -> tuple[str, ...]:
+    def _calibration(self, *, is_of_scene: bool = True) -> tuple[str, ...]:
         """Return the steps to calibrate this recording's beam; none if the shipped scene does not suit."""
         if not self._has_usable(CALIBRATED) or abs(self._rate / SCENE_RATE - 1) > 1e-3:
             return ()
         name = _unused("site", ".toml", "-modes.csv", ".npz")
+        # From another beam the modes of the shipped one are sought for minutes in vain.
+        scene = SCENE if is_of_scene else OWN_SCENE
         return (
-            shlex.join(["cgid", "calibrate", self._source, *self._for_one(), "--scene", SCENE, "-o", f"{name}.toml"]),
+            *(() if is_of_scene else [InWords(f"write {scene}, a scene with the size and sensor of your beam")]),
+            shlex.join(["cgid", "calibrate", self._source, *self._for_one(), "--scene", scene, "-o", f"{name}.toml"]),
             f"cgid train {name}.toml -o {name}.npz",
             self._predict_with(f"{name}.npz"),
         )
