@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import sys
 from importlib.metadata import EntryPoint, EntryPoints
 from pathlib import Path
 from types import SimpleNamespace
@@ -28,6 +29,7 @@ from cgid.physics import (
     Sphere,
     ThinPlate,
     Thornton,
+    add_laws,
 )
 from cgid.physics.contact import own_laws
 from cgid.physics.contact.curves import MAX_WEIGHT
@@ -49,7 +51,7 @@ def cone(tmp_path, monkeypatch):
     monkeypatch.setattr(own_laws, "_own", {})
     path = tmp_path / "cone.py"
     path.write_text(CONE)
-    own_laws.add_laws(str(path))
+    add_laws(str(path))
     return path
 
 
@@ -145,15 +147,30 @@ def test_workers_make_the_same_bytes_and_another_law_is_no_resumption(cone, tmp_
     assert sorted(sums[0].splitlines()) == sorted(sums[1].splitlines())
     next((tmp_path / "one").glob("*.h5")).unlink()
     cone.write_text(cone.read_text() + "# edited")
-    own_laws.add_laws(str(cone))
+    add_laws(str(cone))
     with pytest.raises(CannotCreate):
         generate(scene_of_cones(), tmp_path / "one", 600, shard_signals=256, resume=True)
 
 
 def test_a_scene_with_a_law_that_is_not_there_is_refused_by_name(monkeypatch):
     monkeypatch.setattr(own_laws, "_own", {})
-    with pytest.raises(BadData, match="got 'cone'; give the module of a law of your own with --laws"):
+    with pytest.raises(BadData, match=r"got 'cone'; .* --laws MODULE, in Python cgid\.physics\.add_laws\(MODULE\)"):
         scene_of_cones()
+
+
+def test_a_law_takes_the_shape_of_a_population_or_its_own_default(cone):
+    keys = 'exponent: float = 1.7\n    keys = ("exponent", "restitution")'
+    numbers = "def numbers(self, impact):\n"
+    code = CONE.replace('keys = ("restitution",)', keys)
+    cone.write_text("seen = []\n" + code.replace(numbers, f"{numbers}        seen.append(self.exponent)\n"))
+    add_laws(cone)
+    seen = sys.modules[own_laws.own_law("cone").law.__module__].seen
+    populations = [POPULATION | {"label": "a"}, POPULATION | {"label": "b", "exponent": 2.0}]
+    scene = scene_of({"dissipation": "cone"}, populations=populations)
+    seen.clear()
+    for _ in synthesise(scene, 30):
+        pass
+    assert set(np.concatenate([np.ravel(one) for one in seen])) == {1.7, 2.0}
 
 
 def test_signals_on_disk_need_no_law(cone, tmp_path, monkeypatch):
@@ -237,7 +254,7 @@ def test_a_module_that_ends_the_process_is_an_error(tmp_path, monkeypatch):
     path = tmp_path / "exits.py"
     path.write_text(EXITS)
     with pytest.raises(InvalidValue, match="SystemExit"):
-        own_laws.add_laws(str(path))
+        add_laws(str(path))
 
     def load(entry):
         exec(EXITS)
@@ -317,7 +334,7 @@ def read_cone(cone):
             "slope = ", f"from pathlib import Path\n        slope = float(Path({str(factor)!r}).read_text()) * "
         )
     )
-    own_laws.add_laws(str(cone))
+    add_laws(str(cone))
     return factor
 
 

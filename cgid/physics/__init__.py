@@ -40,6 +40,7 @@ if TYPE_CHECKING:
     from cgid.physics.contact.materials import Material as Material
     from cgid.physics.contact.materials import MaterialRange as MaterialRange
     from cgid.physics.contact.materials import StrengthRange as StrengthRange
+    from cgid.physics.contact.own_laws import add_laws as add_laws
     from cgid.physics.contact.sampled import SampledPulses as SampledPulses
     from cgid.physics.structure.coupled import ModalImpact as ModalImpact
     from cgid.physics.structure.response import HighPass as HighPass
@@ -81,6 +82,7 @@ _NAMES = {
         "StrengthRange",
         "YANG2018_SPHERES",
     ),
+    "contact.own_laws": ("add_laws",),
     "contact.sampled": ("SampledPulses",),
     "structure.coupled": ("ModalImpact",),
     "structure.response": ("HighPass", "LowPass", "Resonance", "Response"),

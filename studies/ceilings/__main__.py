@@ -11,6 +11,7 @@ from tqdm import tqdm
 
 from cgid._lib.files import write_whole
 from cgid._lib.validation import whole
+from cgid.physics import add_laws
 from cgid.plots.figure import new_picture
 from cgid.scene import load_scene
 from studies import run
@@ -24,6 +25,8 @@ from studies.ceilings.survey import Point, survey, survey_picture
 
 def study(given: argparse.Namespace) -> None:
     """Compute and print what was asked."""
+    for module in given.laws:
+        add_laws(module)
     scene, n, seed, known = load_scene(given.scene), given.signals, given.seed, given.drop_height
     require_supported(scene)
     whole("signals", n, 2, MAX_SIGNALS)
@@ -77,6 +80,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command and return its exit code."""
     parser = argparse.ArgumentParser(prog="python -m studies.ceilings", description=__doc__)
     parser.add_argument("scene", help="a .toml file or the name of a shipped scene")
+    parser.add_argument("--laws", action="append", default=[], metavar="MODULE", help="module of a law of your own")
     parser.add_argument("-n", "--signals", type=int, default=20_000, help="signals to answer")
     parser.add_argument("--seed", type=int, default=1_000_003, help="of these signals")
     parser.add_argument("--drop-height", action="store_true", help="take the drop height of each rock as known")

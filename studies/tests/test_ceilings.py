@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from functools import partial
 from pathlib import Path
 
@@ -16,6 +17,7 @@ from studies.ceilings.__main__ import main
 from studies.ceilings.survey import changed, survey
 
 SEED = 1_000_003
+LAWS = Path(__file__).parents[2] / "docs" / "how-to" / "laws.md"
 
 
 @pytest.fixture(scope="module")
@@ -99,6 +101,23 @@ def test_the_command_says_which_kind_of_limit_it_is(capsys: pytest.CaptureFixtur
         assert kind in capsys.readouterr().out
 
 
+@pytest.mark.long
+@pytest.mark.usefixtures("_few_draws")
+def test_a_law_of_ones_own_is_bound_by_two_learners(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("cgid.physics.contact.own_laws._own", {})
+    (tmp_path / "cone.py").write_text(re.findall(r"```python\n(.*?)```", LAWS.read_text(), re.DOTALL)[0])
+    text = Path(shipped.scene_path("peers")).read_text().replace('"hunt-crossley"', '"cone"')
+    (tmp_path / "corners.toml").write_text(text)
+    arguments = [str(tmp_path / "corners.toml"), "-n", "64", "--learner", "300"]
+    assert main(arguments) == 65
+    assert main([*arguments, "--laws", str(tmp_path / "cone.py")]) == 0
+    out = capsys.readouterr().out
+    low, high = (float(found) for found in re.findall(r"(0\.\d+|1\.0+) \+-", out))
+    assert 0.5 < low <= high <= 1 and "cone pulses are another family" in out
+
+
 def test_the_survey_is_a_picture_and_a_table(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -120,6 +139,7 @@ def test_the_survey_is_a_picture_and_a_table(
     [
         (["none.toml"], 66),
         (["peers", "-n", "0"], 65),
+        (["peers", "--laws", "none.py"], 65),
         (["peers", "--learner", "20"], 65),
         (["caving"], 65),
         (["strangers"], 65),

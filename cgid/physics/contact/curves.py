@@ -62,7 +62,8 @@ class Law:
     name : str
         Name in scenes and data; empty for a law without one.
     keys : tuple of str
-        Keys of a population that a scene passes as fields: of restitution, yield_pressure, viscous_restitution.
+        Keys of a population that a scene passes as fields: one of restitution and yield_pressure; and
+        viscous_restitution, exponent, contact_radius, breaking_force, remaining_force.
     pulls : bool
         Whether the force may become attractive on the way back, which ends the contact. Otherwise it ends at w = 0,
         and a force below 0 is an error.

@@ -646,10 +646,9 @@ def named(name: str) -> type[Law]:
     """Return the contact law of this name; raises `InvalidValue` for an unknown one."""
     law = known(name)
     if law is None:
-        raise InvalidValue(
-            f"dissipation must be one of {', '.join(LAWS)} or a custom law, got {name!r}; name its module by --laws, "
-            "or install its package"
-        )
+        from cgid.physics.contact.own_laws import HOW_TO_ADD
+
+        raise InvalidValue(f"dissipation must be one of {', '.join(LAWS)}, got {name!r}; {HOW_TO_ADD}")
     return law
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import importlib
 import importlib.util
+import os
 import sys
 import warnings
 from functools import cache
@@ -18,8 +19,22 @@ from cgid.physics.contact.curves import Law
 #: Entry points of laws of other packages; each is a module.
 GROUP = "cgid.laws"
 #: The keys of a population that a law may take.
-_KEYS = ("restitution", "yield_pressure", "viscous_restitution")
+_KEYS = (
+    "restitution",
+    "yield_pressure",
+    "viscous_restitution",
+    "exponent",
+    "contact_radius",
+    "breaking_force",
+    "remaining_force",
+)
 _VERBS = ("force", "corner", "turn")
+
+
+#: What to do about a law that no scene knows.
+HOW_TO_ADD = (
+    "give the name of a law of your own, and its module with --laws MODULE, in Python cgid.physics.add_laws(MODULE)"
+)
 
 
 class OwnLaw(NamedTuple):
@@ -34,11 +49,20 @@ _own: dict[str, OwnLaw] = {}
 _sound: list[type[Law]] = []
 
 
-def add_laws(source: str) -> None:
-    """Register the laws of a module for scenes, by its name or the path of its .py file.
+def add_laws(source: str | Path) -> None:
+    """Register the laws of a module for scenes, as `--laws` does; worker processes load the module, too.
 
-    Raises `InvalidValue` if the module cannot be loaded, has no law, or has one that cannot be used.
+    Parameters
+    ----------
+    source : str or Path
+        Name of the module, or the path of its .py file. Scenes then take the names of its laws as their dissipation.
+
+    Raises
+    ------
+    InvalidValue
+        The module cannot be loaded, has no law, or has one that cannot be used.
     """
+    source = os.fspath(source)
     try:
         module = _from_file(Path(source).resolve()) if source.endswith(".py") else importlib.import_module(source)
     except KeyboardInterrupt:

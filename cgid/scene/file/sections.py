@@ -77,7 +77,7 @@ def _or_custom_law(value: Any, handler: Callable[[Any], Any]) -> Any:
 
 def loss_key(dissipation: str) -> str | None:
     """Return the key of a population with the amount of loss, None for none."""
-    return next((key for key in named(dissipation).keys if key != "viscous_restitution"), None)
+    return next((key for key in named(dissipation).keys if key in ("restitution", "yield_pressure")), None)
 
 
 if TYPE_CHECKING:

@@ -237,7 +237,7 @@ def _dissipation(scene: Scene, values: Mapping[str, Floats], rows: NDArray[np.in
         given["viscous_restitution"] = np.where(has, viscous, 1.0) if has.any() else None
     for key in CONTACT_SHAPE.keys() & given.keys():
         drawn = values[key][rows]
-        given[key] = np.where(np.isfinite(drawn), drawn, CONTACT_SHAPE[key])
+        given[key] = np.where(np.isfinite(drawn), drawn, getattr(law, key, CONTACT_SHAPE[key]))
     if not is_builtin(law):
         with own_code(law):
             return law(**given)
