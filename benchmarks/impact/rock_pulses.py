@@ -11,9 +11,9 @@ In units of the depth (m v^2 / K)^(2/5) and of depth / v, with x the approach:
 * Walton and Braun (1986), J. Rheol. 30, 949: two springs, the first as deep as Hertz's contact without loss.
 * Contacts that are no spheres, and rocks that break (`OTHERS`), integrated by Runge-Kutta's steps of all rocks at once
   (`stepped`): a cone of 60 to 80 degrees half angle and a flat face of .1 to .4 of the radius (Sneddon 1965), a sphere
-  that loses .3 to .7 of its force at .4 to .9 of the peak without loss, a layer of dust (x^3, then Hertz), loss by
-  hysteresis (unloading at e^2 of the force), two points and six asperities of different heights. All but hysteresis
-  are damped as Hunt and Crossley's sphere; sizes are assumed.
+  that loses .3 to .7 of its force where x^(3/2) is .4 to .9 of its largest without loss (never if damping stops it
+  before), a layer of dust (x^3, then Hertz), loss by hysteresis (unloading at e^2 of the force), two points and six
+  asperities of different heights. All but hysteresis are damped as Hunt and Crossley's sphere; sizes are assumed.
 
     from benchmarks.impact.rock_pulses import CASES, record
     impacts = record(CASES["kuwabara-kono"], 4096, seed=7)

@@ -525,8 +525,10 @@ class PowerLaw(Law):
     `arccot(c / 2)`, 60 to 80 degrees for c of 1.15 to 0.35. The damping delivers the restitution at every exponent,
     since chi depends on the energy alone.
 
-    A rock that breaks loses a part of its force at once, when it first reaches a fraction of the peak that it would
-    reach without loss; from then on the force is that fraction of an unbroken one at every approach.
+    A rock that breaks loses a part of its force at once, at the approach b^(1 / n) of the largest one without loss, at
+    which `k delta^n` is the fraction b of the peak force without loss; from then on the force is the remaining fraction
+    of an unbroken one at every approach. Damping does not count: the force itself is higher when the rock breaks, and a
+    rock whose loss stops it before never breaks, at a restitution of 0.5 and n = 3/2 from b = 0.69 on.
 
     Parameters
     ----------
@@ -537,7 +539,7 @@ class PowerLaw(Law):
     contact_radius : array_like, above 0
         c; 1 by default.
     breaking_force : array_like, above 0
-        Force at which it breaks over the peak force without loss; from 1 on it never does.
+        b: `k delta^n` where it breaks, without damping, over the peak force without loss; from 1 on it never breaks.
     remaining_force : array_like, in [0.01, 1]
         What is left of the force.
 
@@ -557,6 +559,13 @@ class PowerLaw(Law):
     ... )
     >>> impact.restitution.round(6).tolist(), (impact.contact_duration * 1e6).round().tolist()
     ([0.5, 0.5], [392.0, 814.0])
+
+    The last rock stops before it would break:
+
+    >>> law = PowerLaw(restitution=0.5, breaking_force=[0.4, 0.68, 0.69], remaining_force=0.5)
+    >>> impact = Impact(sphere=impact.sphere, target=RIGID, velocity=2.0, stiffness="hertz", dissipation=law)
+    >>> impact.restitution.round(2).tolist()
+    [0.47, 0.4, 0.5]
     """
 
     restitution: ArrayLike

@@ -182,7 +182,9 @@ class Population(_Source):
     the cotangent of a corner's half angle, 1.15 at 60 and 0.35 at 80 degrees; 1 by default, without effect on a sphere.
     """
     breaking_force: _Clipped | None = None
-    """Force at which the rock breaks, over the peak force without loss, of power-law dissipation; never by default."""
+    """Force without damping at which the rock breaks, over the peak force without loss, of power-law dissipation; never
+    by default, nor if its loss stops the rock before.
+    """
     remaining_force: _Remaining | None = None
     """Fraction of the force that is left when it breaks."""
     drop_height: _Length | None = None
