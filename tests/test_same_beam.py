@@ -479,6 +479,20 @@ def test_a_table_of_rocks_trains_a_model(pairs: Path) -> None:
         assert ("trained with channels of one beam together; give --same-beam 1+2" in err) is is_told
 
 
+@pytest.mark.parametrize(("factor", "cause"), [(1.0, "features"), (0.1, "amplitude"), (10.0, "amplitude")])
+def test_no_labels_are_asked_for_where_the_scale_is_wrong(
+    factor: float, cause: str, default_force: StoredModel
+) -> None:
+    hints = Hints(default_force, 200e3, "x.wav", ["--sensitivity", "1 V"], channels=["1"])
+    levels = default_force.level_deviation * np.random.default_rng(2).normal(0, 1, 40) + np.log(factor)
+    unlike = Answer(time=0.0, label="unknown", novelty=9.0, probabilities={"coal": 1.0})
+    feature = Cause(CauseKind.FEATURES, 1.0, "peak")
+    hints.add([replace(unlike, time=float(k), level=one, cause=feature) for k, one in enumerate(levels.tolist())])
+    (hint,) = hints.hints()
+    assert hint.cause == cause
+    assert bool(hint.commands) is (cause == "features")
+
+
 def test_hints_name_the_channels_of_one_beam(default_force: StoredModel) -> None:
     """As given; or as in the training, where that is why impacts are unknown."""
     plain = default_force

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from itertools import chain, count, pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -59,7 +60,7 @@ class Hints(Diagnosis):
 
     def hints(self, names: Iterable[str] | None = None) -> list[Hint]:
         """Return a hint for each cause, by default of all channels; none where none has a finding."""
-        return [self._hint(finding) for finding in self.findings(names)]
+        return [self._hint(self._of_scale(finding)) for finding in self.findings(names)]
 
     def level_warning(self, factor: float) -> str:
         """Return one line on levels that differ from those of the training by a factor."""
@@ -100,6 +101,13 @@ class Hints(Diagnosis):
             n_answers=finding.n_answers,
         )
 
+    def _of_scale(self, finding: ChannelFinding) -> ChannelFinding:
+        """Return a finding, as one of amplitude if the levels of all its channels are not those of the training."""
+        factors = [self.scale(name) for name in finding.channels or self.channels]
+        if finding.cause is not CauseKind.FEATURES or 1 in factors:
+            return finding
+        return replace(finding, cause=CauseKind.AMPLITUDE, value=float(np.median(factors)))
+
     # -- texts ----------------------------------------------------------------------------------------
 
     def _words(self, finding: ChannelFinding, has_steps: bool) -> tuple[str, str]:
@@ -135,6 +143,8 @@ class Hints(Diagnosis):
             key = "hidden"
         elif finding.cause is CauseKind.SHAPE and self._is_of_beam:
             key = "other_beam"
+        elif finding.cause is CauseKind.AMPLITUDE and finding.name:
+            key = "scale"
         elif finding.cause is CauseKind.FEATURES and self._untold:
             key = "same_beam"
         found = tomllib.loads(Path(__file__).with_name("hints.toml").read_text(encoding="utf-8"))[key]

@@ -474,8 +474,12 @@ class Diagnosis:
 
     def change(self, channel: str, condition: Condition, time: float) -> Change:
         """Return a condition of a channel as it is now."""
-        factor = self._scales[channel].factor if channel in self._scales else float("nan")
+        factor = self.scale(channel) if channel in self._scales else float("nan")
         return Change(channel, condition, condition in self.conditions(channel), time, factor)
+
+    def scale(self, channel: str) -> float:
+        """Return the likely factor of the levels of a channel over those of the training; 1 if they are alike."""
+        return self._scales[channel].factor
 
     @property
     def _limit(self) -> float:
