@@ -172,7 +172,7 @@ def test_a_wrong_sampling_rate_is_told_by_the_true_one() -> None:
     (hint,) = hints.hints()
     assert hint is not None
     assert hint.cause == "sampling_rate"
-    assert "at 25600 Hz they would be inside" in hint.lines[0]
+    assert "at 25600 Hz they would be inside" in hint.line
     assert hint.commands == ("cgid predict x.csv --unit g --mass 2 --rate 25600",)
 
 
@@ -277,8 +277,9 @@ def test_modes_that_are_off_by_a_hundredth_are_noticed(noise: float | None) -> N
     hint = change_of(answers)
     assert hint is not None
     assert hint.cause == "beam"
-    assert hint.lines[0].startswith("the beam has changed, or it is another: the modes of the model's leave ")
-    assert hint.commands == (
+    assert hint.line.startswith("the beam has changed, or it is another: the modes of the model's leave ")
+    assert hint.commands[0] == "cgid events 'my file.csv' --unit g -o events.csv"
+    assert hint.instead == (
         "cgid calibrate 'my file.csv' --unit g --scene tail_beam -o site.toml",
         "cgid train site.toml -o site.npz",
         "cgid predict 'my file.csv' --unit g --model site.npz",
@@ -316,11 +317,11 @@ def test_forces_that_no_contact_has_are_told_with_the_way_to_find_out() -> None:
             hints.add([replace(answer, time=float(number), misshapen=share if number % 2 else float("nan"))])
             found += [(number, one.condition, one.begins) for one in hints.changes(float(number))]
         assert found == ([(199, Condition.CHAIN, True)] if told else [])
-        lines = [line for hint in hints.hints() for line in hint.lines]
+        lines = [hint.line for hint in hints.hints()]
         assert bool(lines) == told
         if told:
             assert lines[0].startswith("the force has a shape that no contact has (6 % of it, median of the last 100")
-            assert lines[1].endswith("cgid calibrate 'my file.csv' --unit g --scene tail_beam -o site.toml")
+            assert lines[0].endswith("cgid calibrate 'my file.csv' --unit g --scene tail_beam -o site.toml")
 
 
 @pytest.mark.long
@@ -337,7 +338,8 @@ def test_a_changed_beam_in_a_stream(tmp_path: Path, capsys: pytest.CaptureFixtur
         assert told.err.count("cgid: hint: ") == n_hints
         for line in found:
             assert line["cause"] == "beam"
-            assert line["commands"][0].startswith("cgid calibrate RECORDING ")
+            assert line["commands"][0].startswith("cgid events RECORDING ")
+            assert line["instead"][0].startswith("cgid calibrate RECORDING ")
 
 
 # -- the line -----------------------------------------------------------------------------------------
