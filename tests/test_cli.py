@@ -235,7 +235,7 @@ def test_internal_errors_are_one_line(monkeypatch: pytest.MonkeyPatch, capsys: p
     def broken(*_: object) -> None:
         raise RuntimeError("two\nlines")
 
-    monkeypatch.setattr(module.Model, "probabilities", broken)
+    monkeypatch.setattr(module.StoredModel, "probabilities", broken)
     assert run(["predict", "--sample"]) == 70
     assert capsys.readouterr().err.count("\n") == 1
 
