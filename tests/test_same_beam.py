@@ -479,7 +479,9 @@ def test_a_table_of_rocks_trains_a_model(pairs: Path) -> None:
         assert ("trained with channels of one beam together; give --same-beam 1+2" in err) is is_told
 
 
-@pytest.mark.parametrize(("factor", "cause"), [(1.0, "features"), (0.1, "amplitude"), (10.0, "amplitude")])
+@pytest.mark.parametrize(
+    ("factor", "cause"), [(1.0, "features"), (2.4, "features"), (0.1, "amplitude"), (10.0, "amplitude")]
+)
 def test_no_labels_are_asked_for_where_the_scale_is_wrong(
     factor: float, cause: str, default_force: StoredModel
 ) -> None:

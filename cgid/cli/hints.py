@@ -102,8 +102,8 @@ class Hints(Diagnosis):
         )
 
     def _of_scale(self, finding: ChannelFinding) -> ChannelFinding:
-        """Return a finding, as one of amplitude if the levels of all its channels are not those of the training."""
-        factors = [self.scale(name) for name in finding.channels or self.channels]
+        """Return a finding, as one of amplitude if the levels of all its channels are far from the training."""
+        factors = [self.far_scale(name) for name in finding.channels or self.channels]
         if finding.cause is not CauseKind.FEATURES or 1 in factors:
             return finding
         return replace(finding, cause=CauseKind.AMPLITUDE, value=float(np.median(factors)))

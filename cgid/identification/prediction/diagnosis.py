@@ -474,12 +474,13 @@ class Diagnosis:
 
     def change(self, channel: str, condition: Condition, time: float) -> Change:
         """Return a condition of a channel as it is now."""
-        factor = self.scale(channel) if channel in self._scales else float("nan")
+        factor = self._scales[channel].factor if channel in self._scales else float("nan")
         return Change(channel, condition, condition in self.conditions(channel), time, factor)
 
-    def scale(self, channel: str) -> float:
-        """Return the likely factor of the levels of a channel over those of the training; 1 if they are alike."""
-        return self._scales[channel].factor
+    def far_scale(self, channel: str) -> float:
+        """Return the likely factor of the levels of a channel, if it is so large that it is a cause; else 1."""
+        factor = self._scales[channel].factor  # another beam may have a smaller one
+        return factor if max(factor, 1 / factor) >= _MAX_DISTANCE else 1.0
 
     @property
     def _limit(self) -> float:
