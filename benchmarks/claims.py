@@ -4,7 +4,9 @@
     python -m benchmarks.claims --write           # write what claims.toml says into the pages
     python -m benchmarks.claims --quick           # measure again what takes two minutes together: no times
     python -m benchmarks.claims --all --write     # measure all again; what was found goes into claims.toml and pages
-    python -m benchmarks.claims --only NAME ...   # measure some again
+    python -m benchmarks.claims --only NAME ...   # measure some again: what each finds, and whether it holds
+
+Without --write, tables and pictures of the repository that a command writes are put back as they were.
 
 A claim of `claims.toml` is what one command says:
 
@@ -31,9 +33,11 @@ import re
 import shlex
 import subprocess
 import sys
+import textwrap
 import time
 import tomllib
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
@@ -303,6 +307,21 @@ def run(command: str) -> str:
     return done.stdout
 
 
+@contextmanager
+def put_back(wanted: bool) -> Iterator[None]:
+    """Put tables and pictures that git tracks back as they were; commands write some."""
+    listed = subprocess.run(
+        ["git", "ls-files", "-z", "*.csv", "*.png"], cwd=ROOT, capture_output=True, encoding="utf-8", check=True
+    ).stdout.split("\0")
+    before = {ROOT / name: (ROOT / name).read_bytes() for name in listed if (ROOT / name).is_file() and wanted}
+    try:
+        yield
+    finally:
+        for path, content in before.items():
+            if not path.is_file() or path.read_bytes() != content:
+                path.write_bytes(content)
+
+
 def again(claims: Sequence[Claim], chosen: Sequence[Claim]) -> tuple[list[Claim], list[str], list[str]]:
     """Run the commands of the chosen claims; return all claims as found now, what differs, and what failed."""
     commit = subprocess.run(
@@ -316,7 +335,10 @@ def again(claims: Sequence[Claim], chosen: Sequence[Claim]) -> tuple[list[Claim]
             printed = run(command)
             for claim in (one for one in chosen if one.command == command):
                 found = replace(measured(claim, printed), commit=commit, date=datetime.date.today())
-                changed += differences(claim, found)
+                differ = [*differences(claim, found)]
+                print(f"{claim.name}: {'differs' if differ else 'holds'}; found:")
+                print(*(said.rendered() for said in found.says), found.table, sep="\n", end="")
+                changed += differ
                 new[claim.name] = found
         except ClaimError as error:
             failed.append(str(error))
@@ -371,7 +393,18 @@ def filled(claims: Sequence[Claim], pages: Mapping[str, str]) -> dict[str, str]:
 
 
 def main(words: Sequence[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(prog="benchmarks.claims", description=(__doc__ or "").partition("\n")[0])
+    try:
+        claims, given = read()
+    except ClaimError as error:
+        print(f"benchmarks.claims: error: {error}", file=sys.stderr)
+        return 1
+    every = ", ".join(one.name for one in claims)
+    parser = argparse.ArgumentParser(
+        prog="benchmarks.claims",
+        description=(__doc__ or "").partition("\n")[0],
+        epilog=textwrap.fill(f"names: {every}", 100, break_on_hyphens=False),
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
     which = parser.add_mutually_exclusive_group()
     which.add_argument("--quick", action="store_true", help="measure again what takes two minutes together")
     which.add_argument("--all", action="store_true", help="measure all again, which takes hours")
@@ -379,13 +412,13 @@ def main(words: Sequence[str] | None = None) -> int:
     parser.add_argument("--write", action="store_true", help="write claims.toml and the pages")
     chosen = parser.parse_args(words)
     try:
-        claims, given = read()
         names = chosen.only or [one.name for one in claims if chosen.all or (chosen.quick and one.quick)]
         if unknown := set(names) - {one.name for one in claims}:
-            raise ClaimError(f"--only: {min(unknown)} is no claim; they are {', '.join(one.name for one in claims)}")
+            raise ClaimError(f"--only: {min(unknown)} is no claim; they are {every}")
         wrong: list[str] = []
         if names:
-            claims, changed, wrong = again(claims, [one for one in claims if one.name in names])
+            with put_back(not chosen.write):
+                claims, changed, wrong = again(claims, [one for one in claims if one.name in names])
             if chosen.write:
                 print("\n".join(f"changed: {line}" for line in changed))
             else:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import subprocess
 from dataclasses import replace
 from pathlib import Path
 
@@ -134,3 +135,28 @@ def test_quick_claims_have_no_times() -> None:
             if re.search(r"\[s\]|\b[um]?s\b|time$", title)
         ]
         assert set(times) <= set(claim.ignore), claim.name
+
+
+def test_a_run_says_what_holds_and_leaves_the_files_of_the_repository(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    claim = next(one for one in CLAIMS if one.name == "open-entries")
+    table = tmp_path / "table.csv"
+    table.write_bytes(b"as committed")
+    author = ("-c", "user.name=a", "-c", "user.email=a@b.c")
+    for words in (("init", "-q"), ("add", "table.csv"), (*author, "commit", "-qm", "Table")):
+        subprocess.run(["git", *words], cwd=tmp_path, check=True)
+    monkeypatch.setattr(claims, "ROOT", tmp_path)
+
+    def run(command: str) -> str:
+        table.write_bytes(b"another")
+        return claim.table
+
+    monkeypatch.setattr(claims, "run", run)
+    assert claims.main(["--only", claim.name]) == 0
+    assert table.read_bytes() == b"as committed"
+    out = capsys.readouterr().out
+    assert f"{claim.name}: holds" in out and claim.table in out
+    with pytest.raises(SystemExit):
+        claims.main(["--help"])
+    assert claim.name in capsys.readouterr().out
