@@ -101,7 +101,7 @@ def open_results() -> pandas.DataFrame:
     import pandas as pd
 
     table = pd.read_csv(path_of("benchmarks/open", "results.csv"), dtype=str, keep_default_na=False)
-    numbers = {name: pd.to_numeric(table[name]) for name in ("value", "low", "high", "n")}
+    numbers = {name: pd.to_numeric(table[name]).round(12) for name in ("value", "low", "high", "n")}
     table = table.assign(date=pd.to_datetime(table["date"]), **numbers)
     rocks = ("cost of the wrong time", "gangue let through", "coal lost")
     table.attrs["units"] = {**dict.fromkeys(rocks, "rocks"), "delay": "s"}

@@ -227,7 +227,7 @@ def test_what_is_no_classifier_is_refused() -> None:
         ("sklearn.linear_model.LinearRegression", "class of classifiers"),
         ("os.system(command='x')", "none"),
         ("absent.Forest", "absent"),
-        ("RandomForestClassifier()", "none"),
+        ("RandomForestClassifier()", "the full path, such as sklearn.ensemble.RandomForestClassifier"),
         ("forest", "none"),
     ],
 )

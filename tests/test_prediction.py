@@ -87,6 +87,12 @@ def test_signals_bring_their_rate_unit_and_name() -> None:
     ):
         with pytest.raises(BadData, match=says):
             cgid.predict(wrong, rate)
+    batch = next(cgid.synthesise("reference", 4))
+    for wrong in ([batch], [str(SAMPLE)], iter([batch])):
+        with pytest.raises(InvalidValue, match="one Batch, Dataset or path a call"):
+            cgid.predict(wrong)  # type: ignore[arg-type]
+    with pytest.raises(BadData, match="one impact a row"):
+        cgid.predict(batch.signals, batch.sampling_rate, "N")
     with pytest.raises(MissingOption, match="the unit must be known"):
         cgid.predict(replace(signal, unit=None))
     with pytest.raises(MissingOption, match="give sampling_rate"):

@@ -87,7 +87,9 @@ def c_source(model: Model) -> str:
 def require_small(model: StoredModel) -> None:
     """Raise `InvalidValue` if a model has too many numbers for an exported file."""
     if model.family not in (families := ("boosting", "linear", "logistic", "network")):
-        raise InvalidValue(f"family must be {', '.join(families)} to be exported, got {model.family}; train it again")
+        raise InvalidValue(
+            f"family must be {', '.join(families)} to be exported, got {model.family}; train one of these"
+        )
     names = ("family.", "neighbourhood.", Contrast.PREFIX)
     n_numbers = sum(array.size for name, array in model.arrays.items() if name.startswith(names))
     if n_numbers > MAX_NUMBERS:

@@ -59,8 +59,8 @@ class ImpactFeatures(TransformerMixin, BaseEstimator):  # type: ignore[misc]
         Minimum height of a pulse over the standard deviation of the noise.
     invalid : {"nan", "raise"}
         Treatment of a row that cannot be measured: it has no impact, is cut off or too short. A row of nan keeps the
-        rows of a table together; imputers and histogram gradient boosting accept it. Samples that are not finite are
-        always an error.
+        rows of a table together; imputers and scikit-learn's histogram boosting accept it, `ImpactClassifier` does not.
+        Samples that are not finite are always an error.
     scene : Scene, Dataset, str or Path, optional
         A scene with the tail beam whose vibrations the rows are: a scene, its name or file, or a dataset made from it.
         Features such as `beam_peak_force` then estimate the contact force through its modes.

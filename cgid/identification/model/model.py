@@ -53,7 +53,7 @@ from cgid.identification.model.model_file import (
 )
 from cgid.identification.model.reference import equalisations_of
 from cgid.identification.model.world import World, trait_names
-from cgid.measure.features.extraction import FEATURES, kind_of
+from cgid.measure.features.extraction import FEATURES, UnknownFeature, kind_of
 from cgid.measure.features.table import Kind
 from cgid.measure.filters import Equalisation
 from cgid.measure.modal.beam import Beam
@@ -208,6 +208,8 @@ class Model(ABC):
     @abstractmethod
     def save(self, path: str | Path, *, overwrite: bool = False) -> Path:
         """Write the model file, whole or not at all; `Training.save` also writes its card.
+
+        Of a feature of one's own it has the name alone: where the file is read, `choose` must have named the function.
 
         Parameters
         ----------
@@ -763,7 +765,8 @@ class StoredModel(Model):
         except (BadData, InvalidValue) as error:
             # The message may quote long texts of the file.
             reason = textwrap.shorten(str(error), _MAX_MESSAGE_LENGTH, placeholder=" ...")
-            raise BadData(f"{path}: not a valid model: {reason}; train it again with cgid train") from None
+            cure = "" if isinstance(error, UnknownFeature) else "; train it again with cgid train"
+            raise BadData(f"{path}: not a valid model: {reason}{cure}") from None
 
     @classmethod
     def from_bytes(cls, content: bytes) -> StoredModel:

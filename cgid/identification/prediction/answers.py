@@ -182,7 +182,8 @@ def factor_to(model: StoredModel, unit: str | None, name: str, mass: float | Non
     if unit is None:
         raise MissingOption(
             f"{name}: the unit must be known, neither header nor option states it; give --unit, such as "
-            f"{_unit_options(model)}, and for integers --full-scale, too, such as --full-scale '500 g'"
+            f"{_unit_options(model)}, and for integers --full-scale, too, such as --full-scale '500 g'; in Python "
+            f'Signal(..., unit="{model.unit}")'
         )
     quantity, factor = quantity_of(unit), 1.0
     if model.quantity not in ELECTRICAL:

@@ -208,6 +208,12 @@ def predict(
 def _measured(samples: Any, sampling_rate: float | None, unit: str | None, chain: Chain) -> list[Signal]:
     """Return the channels of samples or Signals, in the measured quantity."""
     listed = [samples] if isinstance(samples, Signal) else samples
+    one = listed[0] if isinstance(listed, list | tuple) and listed else None
+    if isinstance(one, Batch | str | Path) or hasattr(one, "batches") or hasattr(listed, "__next__"):
+        raise InvalidValue(
+            f"samples: a list must be of Signals, got a {type(samples if one is None else one).__name__}; give one "
+            "Batch, Dataset or path a call"
+        )
     of_signals = isinstance(listed, list | tuple) and any(isinstance(one, Signal) for one in listed)
     signals = _require_alike(listed, sampling_rate) if of_signals else _signals(samples, sampling_rate)
     if not of_signals and unit is None and chain == Chain():
@@ -249,7 +255,7 @@ def _signals(samples: Any, sampling_rate: float | None) -> list[Signal]:
     if columns.shape[1] > columns.shape[0]:
         raise BadData(
             f"samples must be (n_samples, n_channels), got shape {columns.shape} with more channels than samples; "
-            "transpose them, or give frames of single impacts as a cgid.Batch"
+            "one impact a row? give a cgid.Batch; one channel a row? transpose them"
         )
     labels = range(1, columns.shape[1] + 1) if names is None else names
     return [

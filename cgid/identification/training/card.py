@@ -16,6 +16,7 @@ from cgid.errors import CannotCreate
 from cgid.identification.detection.detector import VIBRATION_DEAD_TIME
 from cgid.identification.model.model import MIN_GROUPS, Model, StoredModel, stored
 from cgid.identification.training.metrics import drawn_text
+from cgid.measure.features import FEATURES
 from cgid.signals import KNOWN
 
 if TYPE_CHECKING:
@@ -194,7 +195,8 @@ def _fields(model: StoredModel, name: str, pictures: tuple[str, ...]) -> dict[st
 
 def _features(model: StoredModel) -> str:
     if len(model.features) <= _MAX_NAMES:
-        return ", ".join(model.features)
+        own = " (name it in `cgid.measure.features.choose([...])` before you load the model)"
+        return ", ".join(name + own * FEATURES.is_own(name) for name in model.features)
     selected = [plain(row["name"]) for row in model.training.get("recorded", {}).get("candidates", ()) if row["chosen"]]
     return f"{len(model.features)}: {', '.join(selected) or 'many'} (`cgid info` lists them)"
 

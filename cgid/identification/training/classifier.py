@@ -480,6 +480,8 @@ def named_classifier(text: str) -> Any:
         call = ast.parse(text, mode="eval").body
         name, given = (call.func, call.keywords) if isinstance(call, ast.Call) and not call.args else (call, [])
         module, _, last = ast.unparse(name).rpartition(".")
+        if not module:
+            raise InvalidValue(f"give the full path, such as sklearn.ensemble.{last}")
         settings = {str(one.arg): ast.literal_eval(one.value) for one in given}
         kind = getattr(import_module(module), last)
         if not issubclass(kind, ClassifierMixin):

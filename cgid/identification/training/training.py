@@ -161,7 +161,7 @@ class Training:
 
 
 def train_on_specimens(  # noqa: PLR0913
-    data: Iterable[Batch] | Rows,
+    data: Batch | Iterable[Batch] | Rows,
     *,
     features: Iterable[Named] | None = None,
     guards: Iterable[str] | None = None,
@@ -184,7 +184,7 @@ def train_on_specimens(  # noqa: PLR0913
 
     Parameters
     ----------
-    data : iterable of Batch, or Rows
+    data : Batch, iterable of Batch, or Rows
         Batches of a dataset or scene; or rows, measured from batches (`cgid.identification.training.measure`).
     features : iterable of str, function or Feature, optional
         Also features of one's own, as in `cgid.extract`. Default: those in `cgid.identification.training.rows` for the
@@ -240,7 +240,8 @@ def train_on_specimens(  # noqa: PLR0913
         rows, names, limiting = data, _named_in(data, features), _named_in(data, guards)
     else:
         _refuse_table("data", data)
-        rows, names, limiting = _measured(data, features, guards, tuple(known), beam, progress, workers)
+        batches = [data] if isinstance(data, Batch) else data
+        rows, names, limiting = _measured(batches, features, guards, tuple(known), beam, progress, workers)
     rows = _in_one_spelling(rows)
     rows = _shuffled(rows, seed) if shuffle_labels else rows
     _require_labels(rows, class_weights)

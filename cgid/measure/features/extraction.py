@@ -117,14 +117,19 @@ def name_of(entry: Named) -> str:
     return FEATURES.add(entry if isinstance(entry, Feature) else own_feature(entry))
 
 
+class UnknownFeature(InvalidValue):
+    """No feature of cgid, nor one that this process has named."""
+
+
 def require_known(name: str) -> None:
-    """Raise `InvalidValue` for an unknown feature; the message lists similar names."""
+    """Raise `UnknownFeature` for an unknown feature; the message lists similar names."""
     if not isinstance(name, str) or name not in FEATURES:
         names = [*FEATURES, *(entry.name for entry in FEATURES.entries if "*" in entry.name)]
         likely = validation.similar(str(name), names, n=5, cutoff=0.3)
-        raise InvalidValue(
+        raise UnknownFeature(
             f"feature must be one of the {len(FEATURES)} that `cgid features --list` describes, got {name!r}; most "
-            f"like it are {', '.join(likely) or 'none'}"
+            f"like it are {', '.join(likely) or 'none'}; a feature of your own? name its function first, in "
+            "cgid.measure.features.choose([...])"
         )
 
 

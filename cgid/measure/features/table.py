@@ -186,6 +186,10 @@ class FeatureTable(Mapping[str, Feature]):
         self._own[feature.name] = feature
         return feature.name
 
+    def is_own(self, name: str) -> bool:
+        """Return whether this process has added a feature, which others do not know."""
+        return name in self._own
+
     def names(self, kind: Kind) -> tuple[str, ...]:
         """Return the names of a kind's features that need neither an extra nor a beam."""
         names = (

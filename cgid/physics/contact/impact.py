@@ -154,7 +154,8 @@ class Impact:
                 "contact duration": f"{ends(self.contact_duration, 1e6)} us",
                 "restitution": ends(self.restitution),
             }
-        return facts_table(f"{type(self).__name__} of {self.peak_force.size}", facts)
+        several = f" of {self.peak_force.size} rocks" * (self.peak_force.size != 1)
+        return facts_table(f"{type(self).__name__}{several}", facts)
 
     def plot(self, axes: Any = None) -> Any:
         """Draw the contact force over time; of an array, that of each impact.

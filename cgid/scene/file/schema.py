@@ -365,7 +365,9 @@ def load_scene(path: str | Path | Scene) -> Scene:
     try:
         text = read_regular(path, "a scene file", _MAX_FILE_SIZE, "give a .toml file").decode()
     except UnicodeDecodeError:
-        raise BadData(f"{path}: a scene file must be UTF-8 text; this one is not") from None
+        raise BadData(
+            f"{path}: a scene file must be UTF-8 text; this one is not; cgid.Dataset reads a dataset"
+        ) from None
     try:
         content = parse_toml(text, _MAX_KEYS)
     except ValueError as error:  # also integers of thousands of digits
