@@ -244,7 +244,7 @@ def test_what_is_no_object_of_the_package_is_refused_with_the_way_out(tmp_path: 
             train(table)
     with pytest.raises(InvalidValue, match="model must be a Model, a Training or"):
         cgid.predict(np.zeros(100), 1e5, "N", model=5)
-    with pytest.raises(BadData, match="as a cgid"):
+    with pytest.raises(BadData, match="give a cgid"):
         cgid.predict(np.zeros((5, 100)), 1e5, "N")
     with pytest.raises(InvalidValue, match="signal must be a Signal"):
         cgid.find_impacts(np.zeros(100))
