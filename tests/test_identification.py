@@ -443,6 +443,12 @@ def test_equal_particles_of_two_datasets_stay_on_one_side() -> None:
     assert high - low > 0.5, "two specimens are two trials, however many impacts"
 
 
+def test_one_batch_trains_as_a_list_of_it() -> None:
+    (batch,) = synthesise(load_scene("reference"), 200, seed=3)
+    one, listed = (train_on_specimens(given, features=["peak_force", "width_50"]) for given in (batch, [batch]))
+    assert one.model.to_bytes() == listed.model.to_bytes()
+
+
 def test_calibration_folds_keep_specimens_together() -> None:
     """A classifier that knows every specimen by heart must be told so: its scores are worth little for others."""
     generator = np.random.default_rng(6)

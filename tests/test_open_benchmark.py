@@ -335,6 +335,7 @@ def test_the_results_are_a_table_in_python() -> None:
     rows = judge.read_results(program.RESULTS)
     assert len(table) == len(rows) and list(table) == list(judge.RESULT_COLUMNS)
     assert table["value"].tolist() == [float(row["value"]) for row in rows]
+    assert not table["low"].abs().between(1e-300, 1e-9).any()  # the rounding error of a bound is no bound
     assert (table["date"] >= "2026-11-01").all() and set(table.attrs["units"]) < set(table["metric"])
 
 
