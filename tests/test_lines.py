@@ -256,6 +256,18 @@ def test_the_warning_names_the_channel_and_a_cure() -> None:
     assert not answers(samples[None], lines=False)[1]
 
 
+def test_a_machine_that_is_known_to_run_is_taken_out_from_the_begin() -> None:
+    n = round(4 * RATE)
+    samples = noise(4) + tone(n, 297.0)
+    first = slice(0, round(RATE))
+    heard, known = (
+        np.concatenate(list(Lines(1, RATE, from_begin=one).taken_out([samples[None]])), axis=1)[0]
+        for one in (False, True)
+    )
+    np.testing.assert_array_equal(heard[first], samples[first])
+    assert known[first].std() < 0.3 * samples[first].std()
+
+
 def test_bad_input() -> None:
     with pytest.raises(InvalidValue, match="lines must be"):
         PredictionSettings(lines="no")  # type: ignore[arg-type]

@@ -1,4 +1,4 @@
-"""Tones of machines beside a window: answers and fraction of gangue with and without `--no-lines`.
+"""Tones of machines beside a window: answers and fraction of gangue with `--no-lines`, neither, and `--lines`.
 
     python benchmarks/beam/lines.py [--streams 4] [--first 0] [--rows none "3 g" ...]
     python benchmarks/beam/lines.py --seams wet hard     # beside 25 s of coal, with tones taken out
@@ -380,7 +380,7 @@ def main() -> None:
     streams = [Stream.of(given.first + k) for k in range(given.streams)]
     print("| " + " | ".join(TITLES) + " |\n" + "|---" * len(TITLES) + "|")
     for name in given.rows:
-        for how, fields in (("kept", {"lines": False}), ("out", {})):
+        for how, fields in (("kept", {"lines": False}), ("once heard", {}), ("out", {"lines": True})):
             row = Row()
             for one in streams:
                 stream = one.with_another() if name.startswith("16 rocks") else one

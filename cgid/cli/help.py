@@ -18,7 +18,7 @@ _OPTIONS = {
     "Task": "--labels --sample --list --explain --features-only --closed-form-only --parameters-only --scene "
     "--template",
     "Reading the recording": "--rate --unit --sensitivity --gain --full-scale --channel --channels --same-beam "
-    "--sample-format --variable --format --index --invert --keep-baseline --no-lines --dead-time --give-up --from --to "
+    "--sample-format --variable --format --index --invert --keep-baseline --lines --dead-time --give-up --from --to "
     "--events --kind",
     "Model": "--model --mass --drop-height --sensor --family --by --hop --level-free --features --class-weights",
     "Decision": "--miss-cost --coverage --class-conditional --vote",

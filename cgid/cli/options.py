@@ -500,12 +500,10 @@ answering_options = _options(
     ),
     same_beam_option,
     click.option(
-        "--no-lines",
-        "lines",
-        is_flag=True,
-        flag_value=False,
-        default=True,
-        help="Keep tones of machines, which are otherwise taken out of accelerations of a beam once they are heard.",
+        "--lines/--no-lines",
+        default=None,
+        help="Take tones of machines out of accelerations of a beam from the begin on, or keep them; by default they "
+        "are taken out once they are heard, after two seconds.",
     ),
     click.option(
         "--window", "share_time", type=float, help="Set the window of the gangue fraction [s], by default 10."

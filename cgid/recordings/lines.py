@@ -7,7 +7,7 @@ machine runs, two seconds tell: its tone is steady, and its phase goes on from f
 mode decays between impacts, and each impact begins another phase. From then on the bands around the lines are taken
 back to samples and subtracted, and what is left is clipped again, closer now. So a sample is known as soon as its
 second frame is: after half a second. Frames count from the first sample, so the result does not depend on the blocks.
-Without a machine, samples stay as they are.
+Without a machine, samples stay as they are, unless one is known to run from the begin on.
 """
 
 from __future__ import annotations
@@ -123,7 +123,8 @@ class _Found(NamedTuple):
 class Lines:
     """Take lines out of the blocks of a recording; they come out up to `FRAME_TIME` later, in other blocks."""
 
-    def __init__(self, n_channels: int, sampling_rate: float) -> None:
+    def __init__(self, n_channels: int, sampling_rate: float, *, from_begin: bool = False) -> None:
+        self._from_begin = from_begin  # a machine is known to run
         # A length with small factors.
         step = 2 ** max(int(np.log2(FRAME_TIME * sampling_rate)) - 4, 2)
         self.length = max(int(FRAME_TIME * sampling_rate) // step * step, 16)
@@ -243,7 +244,7 @@ class Lines:
             size = np.sqrt(now)
             mean = size if one.mean is None else one.mean + max(_LATEST, 1 / (one.n_frames + 1)) * (size - one.mean)
             found = self._lines(now, np.square(mean) if one.n_frames >= _N_MEAN else None)
-            if number == 0 and not one.hears(spectrum, found, self._width):
+            if number == 0 and not (one.hears(spectrum, found, self._width) or self._from_begin):
                 break
             bands = self._bands(found)
             share = now[bands].sum() / max(now[self._first :].sum(), _TINY)

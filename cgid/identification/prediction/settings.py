@@ -120,9 +120,9 @@ class PredictionSettings:
         Whether pulses point downwards.
     sensors : tuple of str
         Names of sensors in the model: one for all channels, or one for each.
-    lines : bool
-        Whether tones of machines are taken out of accelerations that a model sees through a beam, once two seconds have
-        told that a machine runs.
+    lines : bool, optional
+        Whether tones of machines are taken out of accelerations that a model sees through a beam: from the begin on,
+        never, or, without a statement, once two seconds have told that a machine runs.
     dead_time : float, optional [s]
         Time after an impact in which no other begins, see `find_impacts`.
     vote_time : float, optional [s]
@@ -170,7 +170,7 @@ class PredictionSettings:
     mass: float | None = None
     invert: bool = False
     sensors: tuple[str, ...] = ()
-    lines: bool = True
+    lines: bool | None = None
     dead_time: float | None = None
     vote_time: float | None = None
     batch: int = BATCH
@@ -192,8 +192,10 @@ class PredictionSettings:
 
     def __post_init__(self) -> None:
         validation.instance("costs", self.costs, Mapping)
-        for name in ("class_conditional", "invert", "lines", "trained_seam"):
+        for name in ("class_conditional", "invert", "trained_seam"):
             validation.instance(name, getattr(self, name), bool, np.bool_)
+        if self.lines is not None:
+            validation.instance("lines", self.lines, bool, np.bool_)
         if not (isinstance(self.sensors, tuple | list) and all(isinstance(one, str) for one in self.sensors)):
             raise InvalidValue(f"sensors must be a tuple of names, as in ('left', 'right'), got {shown(self.sensors)}")
         object.__setattr__(self, "same_beam", require_groups(self.same_beam))

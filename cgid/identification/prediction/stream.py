@@ -157,10 +157,10 @@ def _impacts(
         require_measurable(model.measured, sampling_rate, detector.n_samples, None, model.beam)
         # A model of labelled recordings has learned with their tones.
         lines = None
-        if settings.lines and beam is not None:
+        if settings.lines is not False and beam is not None:
             from cgid.recordings.lines import Lines
 
-            lines = Lines(len(channels), sampling_rate)
+            lines = Lines(len(channels), sampling_rate, from_begin=bool(settings.lines))
         for block in chain(blocks if lines is None else lines.taken_out(blocks), [None]):
             ended = block is None
             events = detector.finish() if block is None else detector.feed(block)
