@@ -292,7 +292,7 @@ def test_plastic_contacts_on_modes_are_those_of_scipy(name):
 def test_random_plastic_impacts_on_modes_are_those_of_scipy():
     """Soft and hard, light and heavy structures; those that their weight holds, or that never rest, are refused."""
     draw, solved = np.random.default_rng(9), 0
-    for _ in range(60):
+    for _ in range(40):
         n = draw.integers(1, 6)
         omega, ratios = np.sort(10 ** draw.uniform(-0.5, 1.5, n)), 10 ** draw.uniform(-3, -0.3, n)
         shares, weight = 10 ** draw.uniform(-2, 1, n), draw.choice([0.0, 0.0, 0.02, 0.1])
@@ -315,7 +315,7 @@ def test_random_plastic_impacts_on_modes_are_those_of_scipy():
         assert np.abs(found - force).max() < 1e-8 * force.max()
         assert impact.restitution == pytest.approx(expected.restitution, abs=1e-8)
         solved += 1
-    assert solved > 50
+    assert solved > 33
 
 
 def test_peaks_are_the_largest_values_of_the_curves(pair):

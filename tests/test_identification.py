@@ -244,7 +244,7 @@ def test_models_are_the_same_with_one_thread_and_with_two(families: list[str]) -
     code = (
         "import hashlib, threadpoolctl; "
         "from cgid.identification.training import train_on_specimens; from cgid.scene import load_scene, synthesise; "
-        f"batches = list(synthesise(load_scene({str(SCENE)!r}), 1200, seed=6)); "
+        f"batches = list(synthesise(load_scene({str(SCENE)!r}), 600, seed=6)); "
         f"models = {{family: train_on_specimens(batches, family=family).model.to_bytes() for family in {families}}}; "
         "print({family: hashlib.sha256(model).hexdigest() for family, model in models.items()}); "
         "print(max(pool['num_threads'] for pool in threadpoolctl.threadpool_info()))"

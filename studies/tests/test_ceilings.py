@@ -41,8 +41,12 @@ def test_exact_pulses_bound_the_limit_from_above(peers: Scene) -> None:
 
 
 @pytest.mark.long
-def test_exact_pulses_are_told_apart_as_well_as_their_densities_allow(peers: Scene) -> None:
+def test_exact_pulses_are_told_apart_as_well_as_their_densities_allow(
+    peers: Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Against Bayes' rule on exact peak, duration and restitution, by the densities of half a million draws."""
+    monkeypatch.setattr(learners, "_EXACT_SIZES", (1 << 14, 1 << 16))
+    monkeypatch.setattr(learners, "_HELD_DRAWS", 1 << 14)
     priors = [ceiling._Knowledge.of(peers, index, False).prior for index in range(2)]
     test = learners.exact(peers, 8192, SEED, False)
     density = np.stack([prior.log_density(*test.inputs[:, :3].T) for prior in priors])
@@ -61,7 +65,7 @@ def test_what_cannot_be_measured_is_guessed() -> None:
 
 @pytest.mark.long
 def test_a_better_rig_never_has_a_lower_ceiling(peers: Scene) -> None:
-    found = survey(peers, 256, SEED, snrs=(20.0, 40.0), sampling_rates=(1e4, 5e4, 5e5), size_spreads=(1.1, 16.0))
+    found = survey(peers, 128, SEED, snrs=(20.0, 40.0), sampling_rates=(1e4, 5e4, 5e5), size_spreads=(1.1, 16.0))
     assert found.here.axis == "present"
     assert found.present["snr"] == pytest.approx(20 * np.log10(1 / 0.02))
     assert found.present["size_spread"] == pytest.approx(8.0)
