@@ -322,8 +322,8 @@ def test_a_beam_one_per_cent_off_that_nobody_has_learned():
     """Trained on simulations through drawn modes: .77 on five beams; without their errors as noise .715."""
     scene = load_scene("tail_beam")
     stated, truth = uncertain(scene, 0.01), modes_off(scene, 0.01, 0.1, seed=21)[0]
-    model = train_on_specimens(synthesise(stated, 6000, 31), beam=beam_of(stated)).model
-    rows = measure(synthesise(truth, 2048, 32), model.measured, beam=model.beam.beam)
+    model = train_on_specimens(synthesise(stated, 4000, 31), beam=beam_of(stated)).model
+    rows = measure(synthesise(truth, 1024, 32), model.measured, beam=model.beam.beam)
     likely = model.probabilities(rows.features[:, : len(model.features)])
     right = np.mean(model.decide(likely) == rows.labels)
     assert right > 0.74

@@ -115,7 +115,7 @@ def test_a_model_is_finished(short, shipped_model: StoredModel) -> None:
 
 @pytest.mark.long
 def test_training_on_streams_gives_a_share_that_covers(caving: Scene) -> None:
-    training = train_on_streams(caving, 6000, seed=5)
+    training = train_on_streams(caving, 4000, seed=5)
     assert training.metrics["accuracy"] > 0.75
     held, errors, unknown = [], [], []
     for number, share in enumerate((0.05, 0.3, 0.5)):
