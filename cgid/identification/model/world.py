@@ -159,9 +159,11 @@ class World:
         for group in np.argsort(-distances).tolist():
             if found and not self.is_foreign(float(distances[group])):
                 break
-            of_pulses = self._of_pulses(check, self._differences(check, summary)[:, GROUPS[0]])
-            part = (MisfitPart.BEAM, MisfitPart.NOISE)[group == _OF_NOISE]
-            found += [Misfit(part, CHECKS[check], float("nan"))] if group else of_pulses
+            if group:
+                part = (MisfitPart.BEAM, MisfitPart.NOISE)[group == _OF_NOISE]
+                found.append(Misfit(part, CHECKS[check], float("nan")))
+            else:
+                found += self._of_pulses(check, self._differences(check, summary)[:, GROUPS[0]])
         return found[0]._replace(others=tuple(found[1:]))
 
     def _of_pulses(self, check: int, differences: Floats) -> list[Misfit]:
