@@ -25,7 +25,7 @@ from cgid._lib.validation import Floats, Rule, poisson_ratio
 from cgid.measure.fit.family import MAX_RESTITUTION, MIN_RESTITUTION
 from cgid.measure.modal.modes import COLUMNS, LEARNED_COLUMNS, Modes, rows_of_table
 from cgid.physics.contact.bodies import RIGID, HalfSpace, RigidWall, ThinPlate
-from cgid.physics.contact.laws import EXPONENTS, HUNT_CROSSLEY_LAWS, LAWS, REMAINING, known, named
+from cgid.physics.contact.laws import EXPONENTS, HUNT_CROSSLEY_LAWS, LAWS, REMAINING, PowerLaw, known, named
 from cgid.physics.contact.materials import Material
 from cgid.physics.structure.tail_beam import Ribs, TailBeam
 from cgid.scene.file.distributions import (
@@ -65,7 +65,7 @@ PLASTIC = ("thornton", "walton-braun")
 #: rock.
 CURVATURES, MIN_MASS = (1e-3, 10.0), 1e-2
 #: The keys of power-law dissipation beside the restitution, and their defaults: a sphere that never breaks.
-CONTACT_SHAPE = {"exponent": 1.5, "contact_radius": 1.0, "breaking_force": 1.0, "remaining_force": 1.0}
+CONTACT_SHAPE = {key: getattr(PowerLaw, key) for key in PowerLaw.keys if key != "restitution"}
 #: Maximum number of rows of a table of modes.
 _MAX_MODES = 10_000
 
