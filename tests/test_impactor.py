@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import io
 import json
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
 import pytest
 
+from cgid import shipped
 from cgid.cli.main import run
 from cgid.impactor import Detection, MeasuredPulses, estimate_impactors, population_of, size_distribution
 from cgid.impactor.columns import match_times
@@ -326,3 +328,12 @@ def test_predict_says_what_struck(capsys):
 def test_matched_takes_each_found_impact_once():
     true, found = np.array([0.1, 0.2, 0.201, 0.5]), np.array([0.1003, 0.2012, 0.2013, 0.9])
     assert match_times(true, found).tolist() == [0, -1, 1, -1]
+
+
+def test_a_scene_file_that_changes_has_another_population(tmp_path: Path):
+    path, text = tmp_path / "scene.toml", Path(shipped.scene_path("reference")).read_text()
+    path.write_text(text)
+    before = population_of(path, 2048)
+    assert population_of(path, 2048) is before
+    path.write_text(text.replace('"1400 kg/m^3"', '"1500 kg/m^3"'))
+    assert np.median(population_of(path, 2048).log_peak) > np.median(before.log_peak)

@@ -39,7 +39,6 @@ _CACHE_SIZE = 4
 _LOCATIONS, _EVENLY, _ENERGY = 64, (0.7548776662, 0.5698402910), 1e8
 
 
-@lru_cache(maxsize=_CACHE_SIZE)
 def population_of(scene: Scene | str | Path, n_draws: int | None = None) -> ImpactorPopulation:
     """Return the population of a scene, the prior of an impactor.
 
@@ -59,7 +58,12 @@ def population_of(scene: Scene | str | Path, n_draws: int | None = None) -> Impa
     InvalidValue
         The scene has no impacts of spheres, or draws its rig.
     """
-    scene = load_scene(scene)
+    # A file may change, a scene does not.
+    return _drawn(load_scene(scene), n_draws)
+
+
+@lru_cache(maxsize=_CACHE_SIZE)
+def _drawn(scene: Scene, n_draws: int | None) -> ImpactorPopulation:
     if scene.randomise is not None:
         raise InvalidValue(f"scene {scene.name}: must have fixed settings to estimate impactors; take [randomise] out")
     if not scene.populations:
