@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from cgid._lib import validation
 from cgid._lib.validation import require_rate
 from cgid.errors import BadData, InvalidValue, MissingOption
-from cgid.identification.model.model import Model, StoredModel
+from cgid.identification.model.model import Model, StoredModel, stored
 from cgid.identification.prediction.answers import Answer, answer_columns
 from cgid.identification.prediction.batches import identify_batches
 from cgid.identification.prediction.pipeline import Pipeline, answers_with_warnings
@@ -68,8 +68,10 @@ def load_model(model: str | Path = "default") -> Model:
     return read_model(model)
 
 
-def read_model(model: str | Path) -> StoredModel:
-    """Return a model by file or name as `load_model`, with all that predictions use."""
+def read_model(model: Model | str | Path) -> StoredModel:
+    """Return a model by file or name as `load_model`, or as it is, with all that predictions use."""
+    if isinstance(model, Model):
+        return stored(model)
     return _shipped(model) if isinstance(model, str) and model in MODELS else StoredModel.load(model_path(model))
 
 
@@ -167,7 +169,7 @@ def predict(
     for name in settings:
         validation.choice("setting", name, _SETTINGS)
     applied = replace(PredictionSettings(), **settings)
-    model = cast("StoredModel | str | Path | None", getattr(model, "model", model))  # of a Training
+    model = cast("Model | str | Path | None", getattr(model, "model", model))  # of a Training
     if model is not None and not isinstance(model, Model | str | Path):
         raise InvalidValue(f"model must be a Model, a Training or the name or path of a model, got {model!r:.60}")
     if isinstance(samples, str | Path) and is_dataset(samples):
@@ -183,8 +185,7 @@ def predict(
     else:
         signals = _measured(samples, sampling_rate, unit, Chain.of(sensitivity, gain, full_scale))
     first = signals[0]
-    given = default_model(first.quantity, applied) if model is None else model
-    loaded = given if isinstance(given, StoredModel) else read_model(given)
+    loaded = read_model(default_model(first.quantity, applied) if model is None else model)
     applied.check(loaded)
     channels = [Channel(name=signal.channel, unit=signal.unit) for signal in signals]
 
@@ -285,10 +286,9 @@ def _require_alike(signals: Sequence[Any], sampling_rate: float | None) -> list[
     return [replace(one, sampling_rate=rate, channel=name) for one, name in zip(signals, names, strict=True)]
 
 
-def _of_batches(samples: Any, model: StoredModel | str | Path | None, settings: PredictionSettings) -> pandas.DataFrame:
+def _of_batches(samples: Any, model: Model | str | Path | None, settings: PredictionSettings) -> pandas.DataFrame:
     """Return one row for each signal of a batch or dataset: its number, answer and true label, but no channel."""
-    given = default_model(quantity_of(samples.unit), settings) if model is None else model
-    loaded = given if isinstance(given, StoredModel) else read_model(given)
+    loaded = read_model(default_model(quantity_of(samples.unit), settings) if model is None else model)
     settings.check(loaded)
     batches = [samples] if isinstance(samples, Batch) else samples.batches()
     answers: list[Answer] = []

@@ -14,7 +14,7 @@ from cgid._lib.terminal import counted
 from cgid.errors import BadData
 from cgid.identification.detection.detector import ImpactDetector
 from cgid.identification.detection.events import Event
-from cgid.identification.model.model import Model, stored
+from cgid.identification.model.model import Model
 from cgid.identification.training.recordings import measurable, unit_of
 from cgid.identification.training.rows import SAME_IMPACT
 from cgid.measure.features.extraction import kind_for
@@ -94,7 +94,7 @@ def impact_table(
     from cgid.identification.prediction.prediction import read_model
     from cgid.identification.prediction.same_beam import SameBeamWarning
 
-    loaded = stored(model) if isinstance(model, Model) else read_model(model)
+    loaded = read_model(model)
     with warnings.catch_warnings():  # here the channels are taken together
         warnings.simplefilter("ignore", SameBeamWarning)
         answers = [one for one in identify_recording(recording, loaded, dead_time=dead_time) if one.probabilities]
