@@ -25,6 +25,7 @@ from cgid.cli.options import (
     Models,
     ReadingOptions,
     answering_options,
+    beam_words,
     given_options,
     json_option,
     plant_options,
@@ -283,7 +284,7 @@ def _follow(
         settings = settings_with_coal(settings, labelled, live.source, live.channels, model)
     inbox, delay = Inbox(live, live.sampling_rate), DelayReport(live.source, lines)
     # The stream is over when the next command runs: it is for a recording of it.
-    beams = [word for group in settings.same_beam for word in ("--same-beam", "+".join(group))]
+    beams = beam_words(map("+".join, settings.same_beam))
     hints = Hints(model, live.sampling_rate, "RECORDING", given_options()[0], beams, channels=names, live=True)
     pipeline = Pipeline(
         model, live.channels, live.sampling_rate, settings, live.source, warned, live=True, diagnosis=hints

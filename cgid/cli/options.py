@@ -683,6 +683,11 @@ def warn_of_model(
         warn(f"{name}: sampled at {sampling_rate:g} Hz, the model was trained at {trained} Hz")
 
 
+def beam_words(beams: Iterable[str]) -> list[str]:
+    """Return the options that name beams, each by its channels such as 1+2."""
+    return [word for beam in beams for word in ("--same-beam", beam)]
+
+
 def untold_beams(model: StoredModel, channels: Sequence[str], given: Sequence[Any]) -> list[str]:
     """Return the options that name the channels of a beam, as in the training, where several channels lack them."""
     if given or not model.same_beam or len(channels) < 2:
@@ -690,7 +695,7 @@ def untold_beams(model: StoredModel, channels: Sequence[str], given: Sequence[An
     is_known = all(set(beam.split("+")) <= set(channels) for beam in model.same_beam)
     n = min(len(model.same_beam[0].split("+")), len(channels))
     beams = model.same_beam if is_known else ("+".join(str(number) for number in range(1, n + 1)),)
-    return [word for beam in beams for word in ("--same-beam", beam)]
+    return beam_words(beams)
 
 
 def warn_of_chance(model: StoredModel, source: str = "", gangue: Sequence[str] = ("gangue",)) -> None:

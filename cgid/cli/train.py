@@ -21,6 +21,7 @@ from cgid.cli.options import (
     SCENE,
     OutputName,
     ReadingOptions,
+    beam_words,
     given_flags,
     json_option,
     laws_option,
@@ -485,8 +486,7 @@ def print_training(training: Any, path: Path, written: list[Path], as_json: bool
     say(f"Brier score {metrics['brier_score']:.4f}")
     chance = metrics["calibration_error_by_chance"]
     say(f"expected calibration error {metrics['expected_calibration_error']:.4f} (by chance alone {chance:.4f})")
-    beams = [word for beam in training.model.same_beam for word in ("--same-beam", beam)]
-    then = shlex.join(["cgid", "predict", "FILE", "--model", str(path), *beams])
+    then = shlex.join(["cgid", "predict", "FILE", "--model", str(path), *beam_words(training.model.same_beam)])
     say(f"wrote {', '.join(map(str, written))}; now {then}", err=True)
 
 
