@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid._lib.validation import Complex, Floats
-from cgid.calibration.joint import Blow, Gram
+from cgid.calibration.joint import Blow, Gram, spectra_of
 from cgid.measure.modal.finite import bins_in
 
 #: A response begins this long before or after its force, at most [s].
@@ -65,10 +65,7 @@ def disagreeing_at_first(
 ) -> dict[int, Disagreement]:
     """Return taps, equally long, that the response measured at others does not explain, before any mode is known."""
     # Vibration of earlier taps is not in the forces, so that only gross errors count.
-    n = blows[0].response.size
-    heard = bins_in(n, sampling_rate, band)
-    spectrum = np.stack([np.fft.rfft(blow.response)[heard] for blow in blows])
-    force = np.stack([np.fft.rfft(blow.force, n)[heard] for blow in blows])
+    spectrum, force = spectra_of(blows, bins_in(blows[0].response.size, sampling_rate, band))
     spectrum = spectrum / np.maximum(np.linalg.norm(spectrum, axis=1, keepdims=True), 1e-300)
     force = force / np.maximum(np.linalg.norm(force, axis=1, keepdims=True), 1e-300)
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cgid._lib.validation import Complex, Floats
-from cgid.calibration.joint import Blow
+from cgid.calibration.joint import Blow, spectra_of
 from cgid.measure.modal.finite import bins_in
 from cgid.measure.modal.modes import Modes
 from cgid.physics.structure.response import Quantity, Response
@@ -58,8 +58,7 @@ class FrequencyResponse:
         n = blows[0].response.size
         inside = bins_in(n, sampling_rate, band)
         frequency = inside * sampling_rate / n
-        motion = np.stack([np.fft.rfft(blow.response)[inside] for blow in blows])
-        force = np.stack([np.fft.rfft(blow.force, n)[inside] for blow in blows])
+        motion, force = spectra_of(blows, inside)
         force = force * np.exp(2j * np.pi * frequency * delay)
         cross = (motion * force.conj()).sum(axis=0)
         power = np.maximum(np.square(np.abs(force)).sum(axis=0), 1e-300)

@@ -60,6 +60,13 @@ class Blow:
         return replace(self, response=self.response[: at.size] * np.exp(np.maximum(at, 0) / samples))
 
 
+def spectra_of(blows: Sequence[Blow], bins: Indices) -> tuple[Complex, Complex]:
+    """Return some bins of the responses and forces of taps, equally long, each (n_taps, n_bins)."""
+    n = blows[0].response.size
+    response = np.stack([np.fft.rfft(blow.response)[bins] for blow in blows])
+    return response, np.stack([np.fft.rfft(blow.force, n)[bins] for blow in blows])
+
+
 @dataclass(frozen=True, eq=False)
 class Gram:
     """Products of the responses to the forces of taps, column by column, and of the measured responses.
