@@ -109,6 +109,8 @@ def test_a_new_user_labels_by_keys_alone(site: Any, browser: Any, pages: Any) ->
     pressed(driver, "u")
     until(driver, "!page.outbox.length && page.state.n_unsure === 1 && page.state.n_labels === 26")
     until(driver, "page.state.learning.results.new && page.state.learning.results.new.drawn")
+    # The page has the state before it has the impacts, and draws both then.
+    until(driver, "document.getElementById('headline').textContent.startsWith('new model')")
     assert driver.find_element("id", "headline").text.startswith("new model: right on ")
     pressed(driver, "o")  # by time
     first, last = (int(np.argmin(np.abs(onsets - time_))) for time_ in (8.0, 9.5))
