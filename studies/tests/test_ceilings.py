@@ -45,8 +45,8 @@ def test_exact_pulses_are_told_apart_as_well_as_their_densities_allow(
     peers: Scene, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Against Bayes' rule on exact peak, duration and restitution, by the densities of half a million draws."""
-    monkeypatch.setattr(learners, "_EXACT_SIZES", (1 << 14, 1 << 16))
-    monkeypatch.setattr(learners, "_HELD_DRAWS", 1 << 14)
+    monkeypatch.setattr(learners, "_EXACT_SIZES", (1 << 13, 1 << 15))
+    monkeypatch.setattr(learners, "_HELD_DRAWS", 1 << 13)
     priors = [ceiling._Knowledge.of(peers, index, False).prior for index in range(2)]
     test = learners.exact(peers, 8192, SEED, False)
     density = np.stack([prior.log_density(*test.inputs[:, :3].T) for prior in priors])
