@@ -12,6 +12,7 @@ import pandas as pd
 import pytest
 
 import cgid
+from cgid import shipped
 from cgid.cli.main import run
 from cgid.errors import BadData, CannotCreate, InvalidValue, MissingOption
 from cgid.identification.training import Training, train_on_specimens
@@ -235,6 +236,44 @@ def test_objects_of_the_package_go_into_its_functions(dataset: cgid.Dataset) -> 
     assert [one.onset for one in cgid.find_impacts(sample)] == [one.onset for one in cgid.find_impacts(signal)]
     population = cgid.impactor.population_of("reference", 2048)
     assert np.array_equal(population.log_peak, cgid.impactor.population_of(cgid.load_scene("reference"), 2048).log_peak)
+
+
+def test_estimates_of_impactors_take_signals_and_batches(dataset: cgid.Dataset) -> None:
+    batch = next(dataset.batches(20))
+    row, rate = batch.signals[0].astype(np.float64), batch.sampling_rate
+    by_array = cgid.estimate_impactors(row, rate, "reference", pre_trigger=batch.pre_trigger).median("mass")
+    in_kn = cgid.Signal(row / 1000, rate, "kN", pre_trigger=batch.pre_trigger)
+    assert cgid.estimate_impactors(in_kn, among="reference").median("mass") == pytest.approx(by_array, rel=1e-6)
+    assert len(cgid.estimate_impactors(batch, among="reference").median("mass")) == 20
+    with pytest.raises(MissingOption, match="among"):
+        cgid.estimate_impactors(batch)
+
+
+def test_paths_and_batches_go_where_their_samples_do(dataset: cgid.Dataset) -> None:
+    assert cgid.train_on_specimens(dataset.path, family="linear").model.labels == ("coal", "gangue")
+    sample, model = shipped.path_of("datasets", "sample.csv"), cgid.load_model("default")
+    by_path = [answer.label for answer in cgid.identify_recording(sample, model)]
+    assert by_path == [answer.label for answer in cgid.identify_recording(cgid.open_recording(sample), model)]
+    batch = next(dataset.batches(4))
+    features = cgid.ImpactFeatures(batch.sampling_rate)
+    assert np.array_equal(features.fit_transform(batch), features.fit_transform(batch.signals))
+
+
+@pytest.mark.parametrize("wrong", [None, 3, 2.5, [], {}, b"x", np.zeros(9), pd.DataFrame({"a": [1.0]}), print, {1}])
+def test_wrong_types_are_errors_of_the_package(wrong: Any, training: Training) -> None:
+    calls = [
+        *(cgid.open_recording, cgid.read_recording, cgid.Dataset, cgid.impact_table, cgid.load_scene),
+        *(cgid.train_on_specimens, cgid.train_on_groups, cgid.find_impacts, cgid.load_model),
+        lambda given: list(cgid.identify_recording(given, training.model)),
+        lambda given: cgid.predict(np.zeros(100), 1e5, given),
+        lambda given: cgid.predict(np.zeros(100), given, "N"),
+        lambda given: cgid.extract(np.zeros(100), 1e5, given),
+    ]
+    for call in calls:
+        if wrong is None and call is calls[-1]:
+            continue  # these are all features
+        with pytest.raises(cgid.errors.CgidError):
+            call(wrong)
 
 
 def test_what_is_no_object_of_the_package_is_refused_with_the_way_out(tmp_path: Path) -> None:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cgid._lib.validation import Floats, require_rate
-from cgid.errors import InvalidValue
+from cgid.errors import InvalidValue, MissingOption
 from cgid.identification.inversion.through_beam import ThroughBeam
 from cgid.impactor.estimation import estimate
 from cgid.impactor.measured import MeasuredPulses
@@ -27,6 +27,8 @@ from cgid.measure.frames import DETECTION_LIMIT, frames_of
 from cgid.physics.contact.bodies import RIGID, HalfSpace, RigidWall
 from cgid.physics.contact.materials import STEEL, Material
 from cgid.scene.file.schema import Scene, load_scene
+from cgid.signals import Batch, Signal
+from cgid.units import UNITS, quantity_of
 
 #: Vibrations processed at once.
 _ROWS = 256
@@ -35,9 +37,9 @@ _STEP = 1e-3
 
 
 def estimate_impactors(
-    samples: ArrayLike,
-    sampling_rate: float,
-    among: str | Path | Scene | ImpactorPopulation | Material,
+    samples: ArrayLike | Signal | Batch,
+    sampling_rate: float | None = None,
+    among: str | Path | Scene | ImpactorPopulation | Material | None = None,
     *,
     target: HalfSpace | RigidWall = HalfSpace(material=STEEL),  # noqa: B008
     pre_trigger: int | None = None,
@@ -49,10 +51,11 @@ def estimate_impactors(
 
     Parameters
     ----------
-    samples : array_like, (n_samples,) or (n_signals, n_samples)
-        One impact per row: forces [N], or for a scene with a beam and a sensor of motion its samples in the SI unit.
-    sampling_rate : float
-        [Hz].
+    samples : array_like, (n_samples,) or (n_signals, n_samples), Signal or Batch
+        One impact per row: forces [N], or for a scene with a beam and a sensor of motion its samples in the SI unit. A
+        signal or batch states its unit, its rate and its samples before onset.
+    sampling_rate : float, optional
+        [Hz]; required for an array.
     among : str, Path, Scene, ImpactorPopulation or Material
         Possible impactors: a scene (a shipped one or a file), draws, or spheres of one material.
     target : HalfSpace or RIGID
@@ -74,6 +77,8 @@ def estimate_impactors(
         Samples are not finite rows of numbers, or a force has no impact.
     InvalidValue
         A number breaks its rule, or the scene has no population.
+    MissingOption
+        An array has no sampling rate, or nothing says what the impactors may be.
 
     Examples
     --------
@@ -86,6 +91,14 @@ def estimate_impactors(
     >>> [round(float(x[0]), 2) for x in (found.median("mass"), *found.interval("mass", 0.95))]
     [3.6, 3.57, 3.62]
     """
+    if isinstance(samples, Signal | Batch):
+        samples, own_rate, own_start = _in_si(samples)
+        sampling_rate = own_rate if sampling_rate is None else sampling_rate
+        pre_trigger = own_start if pre_trigger is None else pre_trigger
+    if sampling_rate is None:
+        raise MissingOption("samples: an array has no sampling rate; give sampling_rate in Hz")
+    if among is None:
+        raise MissingOption("among: the possible impactors must be known; give a scene, as in among='reference'")
     if isinstance(among, Material):
         return of_material(_of_forces(samples, sampling_rate, pre_trigger, options), among, target)
     if isinstance(among, str | Path):
@@ -100,6 +113,14 @@ def estimate_impactors(
     if not isinstance(among, ImpactorPopulation):
         raise InvalidValue(f"among must be a scene, draws or a material, got a {type(among).__name__}")
     return among.posterior(_of_forces(samples, sampling_rate, pre_trigger, options))
+
+
+def _in_si(given: Signal | Batch) -> tuple[NDArray[Any], float, int | None]:
+    """Return the samples of a signal or batch in the SI unit of their quantity, their rate and samples before onset."""
+    rows = given.signals if isinstance(given, Batch) else given.samples
+    quantity = None if given.unit is None else quantity_of(given.unit)
+    factor = 1.0 if quantity is None else UNITS[quantity][str(given.unit)]
+    return rows if factor == 1 else rows * factor, given.sampling_rate, given.pre_trigger
 
 
 def _of_forces(

@@ -28,6 +28,7 @@ from cgid.scene.file.schema import Scene, load_scene
 from cgid.scene.synthesis.draws import require_seed
 from cgid.scene.synthesis.synthesis import require_count, require_frames, synthesise
 from cgid.scene.synthesis.through_beam import shared_beam
+from cgid.signals import Batch, Signal
 from cgid.store.reading import Dataset
 
 __all__ = ["TrainingStream"]
@@ -107,7 +108,7 @@ class ImpactFeatures(TransformerMixin, BaseEstimator):  # type: ignore[misc]
 
         Parameters
         ----------
-        X : array_like, (n_signals, n_samples)
+        X : array_like, (n_signals, n_samples), or Batch
         y : object
             Ignored.
 
@@ -146,7 +147,7 @@ class ImpactFeatures(TransformerMixin, BaseEstimator):  # type: ignore[misc]
 
         Parameters
         ----------
-        X : array_like, (n_signals, n_samples)
+        X : array_like, (n_signals, n_samples), or Batch
 
         Returns
         -------
@@ -178,6 +179,9 @@ class ImpactFeatures(TransformerMixin, BaseEstimator):  # type: ignore[misc]
         return np.array(self.features_, dtype=object)
 
     def _frames(self, X: ArrayLike, *, reset: bool) -> NDArray[Any]:
+        if isinstance(X, str | Path | Signal | Dataset):
+            raise InvalidValue(f"X must be rows of samples, one impact each, got {validation.shown(X)}")
+        X = X.signals if isinstance(X, Batch) else X
         validation.plain("X", X)
         return np.asarray(validate_data(self, X, dtype=(np.float64, np.float32), reset=reset))
 

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, Generic, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from cgid._lib import validation
 from cgid._lib.validation import shown
 from cgid.errors import BadData, InvalidValue, MissingOption
 from cgid.signals import channel_name
@@ -140,6 +141,7 @@ class Unit:
     @classmethod
     def of(cls, given: Any) -> Unit:
         """Return a known unit; raise `InvalidValue` for another one."""
+        validation.instance("unit", given, str)
         quantity_of(given)
         return cls(given)
 
@@ -228,7 +230,7 @@ class Chain:
         """Return the link of each channel, from the statements of user and file, which must agree."""
         # Nothing to convert: a known unit for all channels, of which neither file nor user says more.
         of_file = (*contents.units, *contents.integers, *contents.sensitivities, *contents.gains)
-        if self == Chain() and not any(of_file) and any(unit in known for known in UNITS.values()):
+        if self == Chain() and not any(of_file) and isinstance(unit, str) and any(unit in of for of in UNITS.values()):
             return [Link(unit=unit)] * len(channels)
         # A sensitivity or charge gain for all channels applies to those in volts or coulombs; there must be at least
         # one.

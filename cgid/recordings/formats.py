@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import os
 import re
 import sys
 import warnings
@@ -15,6 +16,7 @@ from pathlib import Path
 from threading import Timer
 from typing import Any, BinaryIO
 
+from cgid._lib import validation
 from cgid._lib.validation import require_rate
 from cgid.errors import BadData, InvalidValue, NoInput, WriteFailed
 from cgid.recordings.chain import Chain, Statement, units_of
@@ -302,6 +304,7 @@ def open_recording(
     >>> recording.channels[0].unit, recording.channels[0].origin, blocks
     ('m/s^2', 'from V, sensitivity 100 mV/g', [[[0.0, 19.6133]]])
     """
+    validation.instance("path", path, str, os.PathLike)
     chain = Chain.of(sensitivity, gain, full_scale)
     if sampling_rate is not None:
         sampling_rate = require_rate(sampling_rate)

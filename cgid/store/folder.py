@@ -219,7 +219,12 @@ def read_folder(path: Path) -> Folder:
         description = parse_description(text, file)
         return Folder(path=path, description=description, sums=read_sums(path, description.sha256))
     require_not_former(path)
-    raise BadData(f"{path}: must have a {DESCRIPTION}, it has none; cgid generate ... --resume writes it again")
+    cure = (
+        "cgid generate ... --resume writes it again"
+        if is_dataset_folder(path)
+        else "of a folder of recordings, give one recording a call"
+    )
+    raise BadData(f"{path}: must have a {DESCRIPTION}, it has none; {cure}")
 
 
 def require_not_former(path: Path) -> None:

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from cgid._lib import validation
 from cgid._lib.lazy import picture_of
 from cgid._lib.notebook import facts_table
 from cgid._lib.terminal import counted
@@ -94,6 +95,7 @@ class Dataset:
     header: ShardHeader
 
     def __init__(self, path: str | Path) -> None:
+        validation.instance("path", path, str, os.PathLike)
         self.path = Path(path)
         try:
             is_there = self.path.exists()

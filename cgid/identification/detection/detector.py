@@ -393,7 +393,11 @@ def find_impacts(
         if others:
             raise InvalidValue(f"{signal}: must be of one channel; take one of those of cgid.read_recording")
         signal = first
-    validation.instance("signal", signal, Signal)
+    if not isinstance(signal, Signal):
+        raise InvalidValue(
+            f"signal must be a Signal or a path, got {validation.shown(signal)}; samples are one as "
+            "cgid.Signal(samples, sampling_rate, unit)"
+        )
     detector = ImpactDetector(signal.sampling_rate, kind=kind, dead_time=dead_time)
     try:
         pulses = detector.feed(signal.samples) + detector.finish()

@@ -57,6 +57,7 @@ from cgid.measure.features.extraction import FEATURES, UnknownFeature, kind_of
 from cgid.measure.features.table import Kind
 from cgid.measure.filters import Equalisation
 from cgid.measure.modal.beam import Beam
+from cgid.signals import Batch, Signal
 from cgid.units import quantity_of
 
 if TYPE_CHECKING:
@@ -423,6 +424,11 @@ class StoredModel(Model):
         """Return rows of features, of a DataFrame by the names of its columns."""
         columns = getattr(features, "columns", None)
         if columns is None:
+            if isinstance(features, str | Path | Signal | Batch):
+                raise InvalidValue(
+                    f"features must be a table of them, got {validation.shown(features)}; cgid.predict(..., "
+                    "model=model) identifies recordings and signals"
+                )
             return validation.real("features", features)
         missing = [name for name in self.inputs if name not in columns]
         if missing:

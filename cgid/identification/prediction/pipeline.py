@@ -11,6 +11,7 @@ import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from itertools import chain
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from numpy.typing import NDArray
@@ -142,14 +143,15 @@ class Pipeline:
 
 
 def identify_recording(
-    recording: RecordingFile, model: Model, settings: PredictionSettings | None = None, **fields: Any
+    recording: RecordingFile | str | Path, model: Model, settings: PredictionSettings | None = None, **fields: Any
 ) -> Iterator[Answer]:
     """Yield the predictions for a recording, in order of time; it is read block by block.
 
     Parameters
     ----------
-    recording : RecordingFile
-        From `cgid.recordings.open_recording`; all channels in the quantity of the model.
+    recording : RecordingFile, str or Path
+        From `cgid.open_recording`, or the path of a file that states all of it; all channels in the quantity of the
+        model.
     model : Model
     settings : PredictionSettings, optional
     **fields
@@ -171,6 +173,9 @@ def identify_recording(
     MissingOption
         The unit of a channel, or the drop height that the model needs, is not given.
     """
+    from cgid.recordings import RecordingFile, open_recording
+
+    recording = recording if isinstance(recording, RecordingFile) else open_recording(recording)
     settings = replace(settings or PredictionSettings(), **fields)
     settings = replace(settings, same_beam=recording.named(settings.same_beam, "same_beam"))
     channels, rate, source = recording.channels, recording.sampling_rate, recording.source

@@ -299,6 +299,8 @@ def features_for(
     if beam is not None:
         return batches, BEAM_FEATURES
     first = next(batches, None)
+    if not isinstance(first, Batch | None):
+        raise InvalidValue(f"data must be batches of signals, got {validation.shown(first)} among them")
     if first is None or kind_for(quantity_of(first.unit)) == "pulse":
         return chain([first] if first is not None else [], batches), DEFAULT_FEATURES
     names = supported(DEFAULT_VIBRATION_FEATURES, first.sampling_rate, first.signals.shape[1])

@@ -65,6 +65,7 @@ from cgid.measure.features.extraction import Named, any_through_beam, choose, na
 from cgid.measure.features.pulses import MAX_UNEXPLAINED
 from cgid.measure.modal.beam import Beam
 from cgid.signals import Batch
+from cgid.store.reading import Dataset
 from cgid.units import quantity_of
 
 __all__ = ["Training", "train_on_groups", "train_on_specimens"]
@@ -161,7 +162,7 @@ class Training:
 
 
 def train_on_specimens(  # noqa: PLR0913
-    data: Batch | Iterable[Batch] | Rows,
+    data: Batch | Iterable[Batch] | Rows | str | Path,
     *,
     features: Iterable[Named] | None = None,
     guards: Iterable[str] | None = None,
@@ -184,8 +185,9 @@ def train_on_specimens(  # noqa: PLR0913
 
     Parameters
     ----------
-    data : Batch, iterable of Batch, or Rows
-        Batches of a dataset or scene; or rows, measured from batches (`cgid.identification.training.measure`).
+    data : Batch, Dataset, iterable of Batch, str, Path, or Rows
+        Batches of a dataset or scene, or the path of a dataset; or rows, measured from batches
+        (`cgid.identification.training.measure`).
     features : iterable of str, function or Feature, optional
         Also features of one's own, as in `cgid.extract`. Default: those in `cgid.identification.training.rows` for the
         quantity.
@@ -239,8 +241,9 @@ def train_on_specimens(  # noqa: PLR0913
             )
         rows, names, limiting = data, _named_in(data, features), _named_in(data, guards)
     else:
-        _refuse_table("data", data)
+        data = Dataset(data) if isinstance(data, str | Path) else data
         batches = [data] if isinstance(data, Batch) else data
+        _refuse_others("data", batches, Iterable)
         rows, names, limiting = _measured(batches, features, guards, tuple(known), beam, progress, workers)
     rows = _in_one_spelling(rows)
     rows = _shuffled(rows, seed) if shuffle_labels else rows
@@ -308,7 +311,7 @@ def train_on_groups(
         An unknown choice, or rows of datasets or scenes.
     """
     seed = validation.whole("seed", seed, 0, 2**32 - 1)
-    _refuse_table("rows", rows)
+    _refuse_others("rows", rows, Rows)
     if rows.slicing is None:
         raise InvalidValue(
             "rows must be of recordings, got those of a dataset or scene; give them to train_on_specimens"
@@ -342,12 +345,12 @@ def _named_in(rows: Rows, features: Iterable[Named] | None) -> tuple[str, ...]:
     return names
 
 
-def _refuse_table(name: str, given: Any) -> None:
-    """Raise `InvalidValue` for a table or array of features, which has no signals."""
-    if hasattr(given, "shape"):
+def _refuse_others(name: str, given: Any, kind: type) -> None:
+    """Raise `InvalidValue` for a table or array of features, which has no signals, and for what is not of a kind."""
+    if hasattr(given, "shape") or not isinstance(given, kind):
         raise InvalidValue(
             f"{name} must be signals or rows measured from them, got {type(given).__name__}; a table of features "
-            "trains cgid.ImpactClassifier().fit(table, labels)"
+            "trains cgid.ImpactClassifier().fit(table, labels), labelled recordings go to cgid train"
         )
 
 

@@ -101,6 +101,8 @@ def choose(features: Iterable[Named] | None, kind: Kind = "pulse") -> tuple[str,
     """
     if features is None:
         return FEATURES.names(kind)
+    if not isinstance(features, str):
+        validation.instance("features", features, Iterable)  # names, not the samples
     given = (features,) if isinstance(features, str) else tuple(features)
     names = tuple(name for entry in given for name in FEATURES.expand(name_of(entry)))
     for name in names:
