@@ -308,6 +308,11 @@ NORMAL = {"distribution": "normal", "mean": "1400 kg/m^3", "deviation": "200 kg/
             "did you mean 'dissipation'?",
         ),
         ({"impact__target": "concrete"}, "impact.target", "youngs_modulus"),
+        (
+            {"populations__0__labl": "coal", "populations__1__labl": "gangue"},
+            "populations.0.labl",
+            "did you mean 'label'? (also in populations.1)",
+        ),
     ],
     ids=lambda value: value if isinstance(value, str) else "",
 )

@@ -416,9 +416,22 @@ def parse_scene(content: dict[str, Any], source: str = "scene", folder: Path | N
         # A key that is misspelt is missing, too.
         misspelt = {(*location[:-1], key) for location in unknown for key in _similar_keys(location)}
         entries = [entry for entry in errors if entry["loc"] not in misspelt and not _secondary(entry, errors)]
-        problems = [line for entry in entries for line in _lines(entry)]
+        problems = _each_key_once([line for entry in entries for line in _lines(entry)])
         more = [f"and {len(problems) - _MAX_MISTAKES} more mistakes"] * (len(problems) > _MAX_MISTAKES)
         raise BadData(*(f"{source}: {line}" for line in problems[:_MAX_MISTAKES] + more)) from None
+
+
+def _each_key_once(problems: Sequence[str]) -> list[str]:
+    """Return the problems; one of several entries of a list is told once, with the places of the others."""
+    places: dict[tuple[str, ...], list[str]] = {}
+    for line in problems:
+        path, colon, text = line.partition(": ")
+        section, index, key = (re.match(r"(\w+\.)(\d+)(\..+)", path) or re.match("(.*)()()", path, re.S)).groups()
+        places.setdefault((section, key, colon, text), []).append(index)
+    return [
+        f"{section}{first}{key}{colon}{text}" + f" (also in {section}{', '.join(more[:8])})" * bool(more)
+        for (section, key, colon, text), (first, *more) in places.items()
+    ]
 
 
 def _path(location: tuple[int | str, ...]) -> str:
