@@ -520,6 +520,17 @@ def test_raw_streams_are_what_was_written(name, n_channels, seed):
     assert (stream.n_samples, stream.warnings, stream.channels[0].unit) == (100, [], None if name[0] == "f" else "FS")
 
 
+@pytest.mark.parametrize("name", ["s16le", "s24be", "f32le", "f64be"])
+def test_a_text_is_no_raw_stream(name):
+    content = b"".join(b"%.4f,%.2f\n" % (k / 1000, k % 7) for k in range(50))
+    with pytest.raises(BadData, match="text"):
+        list(live_stream(Trickle(content, 1), sampling_rate=1000, n_channels=1, sample_format=name))
+    for n_numbers in (1, 7, 20):  # numbers that look like letters are numbers
+        file = io.BytesIO(b"@@@@" * n_numbers)
+        blocks = list(live_stream(file, sampling_rate=1000, n_channels=1, sample_format="f32le"))
+        assert np.concatenate(blocks, axis=1).shape == (1, n_numbers)
+
+
 def test_live_stream_does_not_wait_for_a_full_block():
     reading, writing = os.pipe()
     with os.fdopen(reading, "rb") as file, os.fdopen(writing, "wb", buffering=0) as source:

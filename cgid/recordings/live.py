@@ -20,6 +20,9 @@ from cgid.recordings.sound import AUDIO_MAGICS, ENDLESS, WAV_MAGICS, Coding, rea
 
 #: Most numbers to read from the stream at once.
 _MAX_NUMBERS = 1 << 16
+#: Number of bytes that tell a text from numbers of more than one byte each.
+_TELLING = 32
+_NOT_RAW = "{}: a stream must be raw numbers or WAV, this is {}; give it to cgid predict"
 #: First bytes of formats that can only be read as complete files.
 _FILES = {
     b"\x93NUM": "an NPY file",
@@ -58,8 +61,13 @@ class LiveStream:
         """Yield samples as they arrive, (n_channels, n); never wait for a full block."""
         frame_size = self.n_channels * self.coding.width
         pending, left = self.head, self.size
+        may_be_text = self.coding.width > 1 and _is_text(self.head)  # a number of one byte may be a letter
         while True:
-            n_complete = len(pending) - len(pending) % frame_size
+            if may_be_text and len(pending) >= _TELLING:
+                if _is_text(pending[:_TELLING]):
+                    raise BadData(_NOT_RAW.format(self.source, "text"))
+                may_be_text = False
+            n_complete = 0 if may_be_text else len(pending) - len(pending) % frame_size
             if n_complete:
                 samples = self.coding.decoded(pending[:n_complete]).reshape(-1, self.n_channels)
                 self.n_samples += len(samples)
@@ -69,8 +77,9 @@ class LiveStream:
             raw = _available(self.file, max_bytes if left is None else min(max_bytes, left))
             if left is not None:
                 left -= len(raw)
-            if not raw:
+            if not raw and not may_be_text:
                 break
+            may_be_text = may_be_text and bool(raw)
             pending += raw
         if left:
             self.warnings.append(f"the header declares {left} more bytes of sound than arrived; the stream was cut off")
@@ -121,7 +130,7 @@ def live_stream(
     else:
         whole = _FILES.get(start) or _named_format(source) or ("text" if coding is None and _is_text(start) else None)
         if whole is not None:
-            raise BadData(f"{source}: a stream must be raw numbers or WAV, this is {whole}; give it to cgid predict")
+            raise BadData(_NOT_RAW.format(source, whole))
         for missing, what, option in (
             (coding is None, "how numbers are written", "--sample-format NAME, such as s16le"),
             (given is None, "the sampling rate", "--rate HZ"),
@@ -168,8 +177,8 @@ def _named_format(source: str) -> str | None:
 
 def _is_text(start: bytes) -> bool:
     """Return whether the first bytes are those of a text, as far as so few tell."""
-    is_plain = len(start) == 4 and all(byte in b"\t\n\r" or 32 <= byte < 127 for byte in start)
-    return is_plain or start.startswith(b"\xef\xbb\xbf")
+    is_plain = len(start) >= 4 and all(byte in b"\t\n\r" or 32 <= byte < 127 for byte in start)
+    return (is_plain and (len(start) == 4 or len(set(start)) > 4)) or start.startswith(b"\xef\xbb\xbf")
 
 
 def _skip(file: BinaryIO, size: int) -> None:
