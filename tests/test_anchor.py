@@ -189,6 +189,18 @@ def test_a_cycle_may_begin_when_it_is_said() -> None:
     assert len(anchor.impacts.logits) == 1 and anchor.has(50.0) and not anchor.has(50.1)
 
 
+def test_what_an_anchor_forgets_is_not_in_its_coal() -> None:
+    anchor = Anchor(20.0)
+    for k in range(24):
+        anchor.add(float(k), 0.2, PULSE)
+    anchor.is_foreign = True
+    anchor.forget(-3.0, 1.75)
+    assert len(anchor.impacts.logits) == 19
+    assert anchor.basis(24.0) == Basis.ANCHOR
+    anchor.forget(15.0, 40.0)
+    assert len(anchor.impacts.logits) == 14
+
+
 def test_spans_of_coal_make_an_anchor_where_they_are() -> None:
     # A stretch, and later single labelled impacts.
     anchor = Anchor(0.0, spans=[(5.0, 8.0), *((20.0 + k, 20.1 + k) for k in range(8))])

@@ -15,7 +15,7 @@ from cgid import load_model, predict
 from cgid.errors import BadData, InvalidValue
 from cgid.identification.prediction.settings import PredictionSettings
 from cgid.identification.prediction.stream import identify_blocks
-from cgid.recordings.lines import FRAME_TIME, Lines
+from cgid.recordings.lines import FRAME_TIME, HEARD_AFTER, Lines
 
 RATE = 25_600.0
 #: Standard deviation of the noise of the streams [m/s^2].
@@ -266,6 +266,25 @@ def test_a_machine_that_is_known_to_run_is_taken_out_from_the_begin() -> None:
     )
     np.testing.assert_array_equal(heard[first], samples[first])
     assert known[first].std() < 0.3 * samples[first].std()
+
+
+def test_a_machine_is_heard_each_time_it_begins() -> None:
+    n, start = round(12 * RATE), 4.0
+    samples = np.stack([noise(12), noise(12, 1), noise(12, 2)])
+    samples[1] += tone(n, 297.0)
+    samples[2] += (np.arange(n) / RATE > start) * tone(n, 297.0)
+    lines, heard = Lines(3, RATE), list[tuple[int, float]]()
+    for block in lines.taken_out(samples[:, first : first + 6400] for first in range(0, n, 6400)):
+        assert block.shape[0] == 3
+        heard += lines.heard().items()
+    (first, at), (second, later) = heard
+    assert (first, second) == (1, 2)
+    assert at == HEARD_AFTER
+    assert start < later < start + HEARD_AFTER + FRAME_TIME
+    known = Lines(3, RATE, from_begin=True)
+    for _ in known.taken_out([samples]):
+        pass
+    assert not known.heard()
 
 
 def test_bad_input() -> None:

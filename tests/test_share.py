@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
+from itertools import pairwise
 from types import SimpleNamespace
 from typing import Any
 
@@ -35,6 +36,7 @@ from cgid.identification.prediction.fraction import (
 )
 from cgid.identification.prediction.prediction import Answer, PredictionSettings
 from cgid.identification.prediction.support import CavingWatch, Decision, Ground, SupportReport
+from cgid.recordings.lines import HEARD_AFTER
 from cgid.recordings.soundness import SensorWatch
 from tests.test_anchor import PULSE, networks
 
@@ -479,6 +481,49 @@ def test_nothing_is_decided_before_the_evidence_and_no_decision_outlives_its_gro
     assert 44 <= unknown[0].time <= 47
     assert {one.decision for one in unknown} == {Decision.NONE}
     assert all(one.last_identified == pytest.approx(39.9) for one in unknown)
+
+
+def test_what_came_before_a_machine_was_heard_is_no_evidence() -> None:
+    rng, looking = np.random.default_rng(6), SimpleNamespace(**{**vars(MODEL), "beam": object()})
+    tones = flow(rng, 0, HEARD_AFTER, 1.0)
+    answers = tones + flow(rng, HEARD_AFTER + 0.05, 30, 0.05) + flow(rng, 30, 32, 1.0) + flow(rng, 32.05, 60, 0.05)
+
+    def said(model: Any, heard: dict[float, float], **fields: Any) -> dict[float, SupportReport]:
+        watch, found = CavingWatch(model, ["1"], PredictionSettings(share_step=0.25, hold=20.0, **fields)), {}
+        for last, until in pairwise([-1.0, *sorted({*heard, 60.0})]):
+            due = {"1": heard[until]} if until in heard else None
+            for one in watch.feed([one for one in answers if last < one.time <= until], until, due):
+                found[one.state.time] = one
+        return found
+
+    # Nothing is decided before a machine could be heard, unless nobody listens.
+    assert next(t for t, one in said(MODEL, {}).items() if one.kind == "shut") < HEARD_AFTER
+    assert next(t for t, one in said(looking, {}, lines=False).items() if one.kind == "shut") < HEARD_AFTER
+    unheard = said(looking, {})
+    assert all(one.state.decision == Decision.NONE for t, one in unheard.items() if t < HEARD_AFTER)
+    assert any(one.kind == "shut" for one in unheard.values())
+    heard = said(looking, {HEARD_AFTER: HEARD_AFTER, 32.0: 32.0})
+    assert not any(one.kind == "shut" for one in heard.values())
+    first = heard[5.0].state.share
+    assert first.n_impacts == sum(HEARD_AFTER < one.time <= 5 for one in answers)
+    # Of the ten seconds before, half are kept.
+    assert heard[32.25].state.share.n_impacts == sum(
+        22.25 < one.time <= 27 or 32 < one.time <= 32.25 for one in answers
+    )
+
+
+def test_a_switch_that_rests_on_tones_is_not_held() -> None:
+    rng = np.random.default_rng(7)
+    answers = flow(rng, 0, 20, 0.05) + flow(rng, 20, 31, 1.0) + flow(rng, 31.05, 60, 0.05)
+    turns = {}
+    for name, heard in (("held", None), ("heard", {"1": 31.0})):
+        watch = CavingWatch(MODEL, ["1"], PredictionSettings(share_step=0.5, hold=25.0, share_time=5.0))
+        reports = watch.feed([one for one in answers if one.time <= 31], 31.0)
+        reports += watch.feed([one for one in answers if one.time > 31], 60.0, heard)
+        turns[name] = {one.kind: one.state.time for one in reports if one.switch is not None}
+    assert turns["held"]["shut"] == turns["heard"]["shut"] < 25
+    assert turns["held"]["open"] >= turns["held"]["shut"] + 25
+    assert turns["heard"]["open"] < 33
 
 
 def of_a_test(confusion: list[list[int]], n_trials: float | None = None) -> dict[str, Any]:

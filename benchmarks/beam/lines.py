@@ -217,13 +217,14 @@ class Found:
     def of(cls, samples: Floats, model: Model, **fields: object) -> Found:
         """Answer for a recording."""
         settings = PredictionSettings(share_time=WINDOW, share_step=1.0, trained_seam=True, **fields)
-        answers, lines, begun = [], [], time.process_time()
-        for step in identify_blocks([samples.astype(np.float32)[None]], RATE, model, ("1",), settings):
-            answers += step.answers
-            lines += [*step.warnings, *step.silent]
+        begun = time.process_time()
+        steps = list(identify_blocks([samples.astype(np.float32)[None]], RATE, model, ("1",), settings))
         cost = time.process_time() - begun
+        answers = [answer for step in steps for answer in step.answers]
+        lines = [line for step in steps for line in (*step.warnings, *step.silent)]
         watch = CavingWatch(model, ("1",), settings)
-        return cls(answers, watch.feed(answers, DURATION) + watch.finish(DURATION), lines, cost)
+        reports = [report for step in steps for report in watch.feed(step.answers, step.until, step.heard)]
+        return cls(answers, reports + watch.finish(DURATION), lines, cost)
 
 
 @dataclass
@@ -318,9 +319,9 @@ def in_seam(name: str, row: str, model: Model, first: int) -> str:
         samples = samples[: round((SPAN + AFTER_TIME) * RATE)]
         samples = samples + noise_for(row, seed, len(samples))
         steps = identify_blocks([samples.astype(np.float32)[None]], RATE, model, ("1",), settings)
-        answers = [answer for step in steps for answer in step.answers]
         watch = CavingWatch(model, ("1",), settings)
-        for report in watch.feed(answers, SPAN + AFTER_TIME):
+        reports = [report for step in steps for report in watch.feed(step.answers, step.until, step.heard)]
+        for report in reports + watch.finish(SPAN + AFTER_TIME):
             share = report.state.share
             turns += [fraction] * (report.kind == "shut")
             if report.kind == "share" and share.start >= SPAN - 0.01 and (share.time - SPAN) % WINDOW < 0.01:

@@ -37,6 +37,8 @@ _LOWEST, _WIDTH = 20.0, 4.0
 #: direction: in streams without tones at most .81 where modes have .2 % of damping or more, beside as steady a power,
 #: .94 with .1 %; with tones .99. After so many frames without any (a minute), no machine runs.
 _N_STEADY, _STEADY, _COHERENT, _N_SILENT = 8, 0.7, 0.96, 240
+#: In a recording with a machine from the begin on, lines go from the frame that begins so late on [s].
+HEARD_AFTER = (_N_STEADY - 1) * FRAME_TIME / 2
 #: Lines with less than this share of the power are not worth it.
 _SHARE = 0.05
 #: Samples are clipped at so many standard deviations, in so many rounds, of which the later ones are only for lines
@@ -68,6 +70,8 @@ class _Channel:
     spectra: deque[NDArray[np.complex64]] = field(default_factory=lambda: deque(maxlen=_N_STEADY))
     silent: float = np.inf  # frames since the last tone
     tone: float = 0.0  # the strongest when lines were first taken out [Hz]; nan once told
+    is_out: bool = False  # whether lines were taken out since the last silence
+    heard: float = np.nan  # begin of the first frame without them [s]; nan once told
     level: float = 0.0
     tail: Floats | None = None
     strongest: deque[float] = field(default_factory=lambda: deque(maxlen=_N_MOVING))
@@ -102,6 +106,7 @@ class _Channel:
             alike = 2 * np.abs(np.sum(change * np.sqrt(power[2:] * power[:-2]), axis=0))
             if (steady & (alike >= _COHERENT * (power[2:] + power[:-2]).sum(axis=0))).any():
                 self.silent = 0
+        self.is_out = self.is_out and self.silent <= _N_SILENT
         return self.silent <= _N_SILENT
 
     def moves(self, frequency: float) -> bool:
@@ -125,6 +130,7 @@ class Lines:
 
     def __init__(self, n_channels: int, sampling_rate: float, *, from_begin: bool = False) -> None:
         self._from_begin = from_begin  # a machine is known to run
+        self._sampling_rate, self._begin = sampling_rate, 0  # of the next frame
         # A length with small factors.
         step = 2 ** max(int(np.log2(FRAME_TIME * sampling_rate)) - 4, 2)
         self.length = max(int(FRAME_TIME * sampling_rate) // step * step, 16)
@@ -172,6 +178,13 @@ class Lines:
             self._channels[row].tone = np.nan
         return found
 
+    def heard(self) -> dict[int, float]:
+        """Return until when [s] channels had tones because no machine was heard yet, once for each that is heard."""
+        found = {row: one.heard for row, one in enumerate(self._channels) if one.heard > 0}
+        for row in found:
+            self._channels[row].heard = np.nan
+        return found
+
     def _next(self, frames: NDArray[Any]) -> NDArray[Any]:
         """Return the first half of frames (n_channels, length) without lines."""
         out = frames[:, : self._hop].copy()
@@ -196,6 +209,9 @@ class Lines:
             differs = np.vdot(apart, apart) > np.square(_DISAGREE * max(found.deviation, nothing)) * both
             _level(left, nothing)
             one.unsteady.append(not is_new and bool(one.moves(found.strongest) or differs))
+            if not (one.is_out or self._from_begin):
+                one.is_out, one.heard = True, self._begin / self._sampling_rate
+        self._begin += self._hop
         return out
 
     def _last(self, rest: NDArray[Any]) -> NDArray[Any]:

@@ -204,7 +204,7 @@ class Anchor:
 
     def _begin(self, time: float) -> None:
         self._cycle = time
-        self._impacts: list[tuple[float, tuple[float, ...] | None]] = []
+        self._impacts: list[tuple[float, float, tuple[float, ...] | None]] = []
         self.levels: list[float] = []  # of the coal, as in `Answer`
         self.summary: Floats | None = None  # by the networks, once the coal is complete
         self.is_foreign = False
@@ -225,8 +225,13 @@ class Anchor:
             self._begin(time)
         self._last = time
         if self.has(time):
-            self._impacts.append((probability, pulse))
+            self._impacts.append((time, probability, pulse))
             self.summary = None
+
+    def forget(self, start: float, end: float) -> None:
+        """Drop the impacts after a time and up to another [s], and what their windows said of its coal."""
+        self._impacts = [one for one in self._impacts if not start < one[0] <= end]
+        self.summary, self.is_foreign = None, False
 
     def has(self, time: float) -> bool:
         """Return whether an impact at a time [s] is of its coal."""
@@ -235,7 +240,7 @@ class Anchor:
     @property
     def impacts(self) -> Impacts:
         """Its impacts up to now."""
-        return impacts_of(self._impacts)
+        return impacts_of([one[1:] for one in self._impacts])
 
     def basis(self, time: float) -> Basis:
         """Return the basis of a window that ends at a time [s]."""

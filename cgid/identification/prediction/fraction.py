@@ -215,6 +215,12 @@ class ShareWindow:
         if self.anchor is not None:
             self.anchor.add(time, probability, pulse)
 
+    def forget(self, start: float, end: float) -> None:
+        """Drop the impacts after a time and up to another [s], of an anchor, too."""
+        self._impacts = deque(one for one in self._impacts if not start < one[0] <= end)
+        if self.anchor is not None:
+            self.anchor.forget(start, end)
+
     def restart(self, time: float) -> Share:
         """Drop all impacts up to a time [s], and return the fraction of the window without them."""
         self._impacts.clear()
@@ -423,6 +429,10 @@ class ShutDecision:
         self._said_shut, self._since = shut, share.time
         evidence = share.above if shut else 1.0 - share.above
         return Switch(time=share.time, shut=shut, cost=cost, evidence=evidence, share=share)
+
+    def release(self) -> None:
+        """End the hold, because what the last switch rested on is no evidence."""
+        self._since = -np.inf
 
     def withdraw(self) -> None:
         """Decide nothing, because the ground of the decision is gone."""

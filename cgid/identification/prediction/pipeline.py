@@ -123,7 +123,7 @@ class Pipeline:
             if not self.live:
                 self.diagnosis.add(step.answers, step.upside_down)
             if self.watch is not None:
-                reports = self.watch.feed(step.answers, step.until)
+                reports = self.watch.feed(step.answers, step.until, step.heard)
                 step = replace(step, reports=reports, changes=self.watch.take_changes())
             yield step
 

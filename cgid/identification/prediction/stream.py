@@ -9,7 +9,7 @@ import math
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import chain
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -72,6 +72,7 @@ class Step:
     warnings: tuple[str, ...] = ()  # at the end, or where a channel begins or ceases to be never quiet
     wrong_beams: tuple[str, ...] = ()  # channels of one beam that are not declared so, and the reverse
     notes: tuple[str, ...] = ()  # what was done, and is no fault
+    heard: Mapping[str, float] = field(default_factory=dict)  # channel -> until when a machine's tones were left in [s]
     upside_down: tuple[str, ...] | None = None  # at the end, the channels whose pulses seem to point downwards
     reports: Sequence[SupportReport] = ()  # of the supports, up to this time
     changes: Sequence[Change] = ()  # of the channels
@@ -170,9 +171,9 @@ def _impacts(
             heard = [f"{named(row)}: {_NEVER_QUIET}" for row in sorted(loud - warned)]
             heard += [f"{named(row)}: {_QUIET_AGAIN}" for row in sorted(warned - loud)]
             heard += [f"{named(row)}: {_UNSTEADY}" for row in (() if lines is None else lines.told())]
-            notes = {} if lines is None else lines.tones()
+            notes, deaf = ({}, {}) if lines is None else (lines.tones(), lines.heard())
             warned = loud
-            if not (ended or heard or notes or not waiting or len(waiting) >= settings.batch):
+            if not (ended or heard or deaf or not waiting or len(waiting) >= settings.batch):
                 continue
             until: float = detector.known_until
             said: Sequence[str] = ()
@@ -192,6 +193,11 @@ def _impacts(
                 warnings=(*heard, *said),
                 wrong_beams=tuple(f"{source}: {text}" for text in wrong_beams),
                 notes=tuple(f"{named(row)}: {_TONES.format(tone)}" for row, tone in notes.items()),
+                heard={
+                    name: max(deaf[row] for row in deaf.keys() & set(rows))
+                    for name, rows in zip(names, groups, strict=True)
+                    if deaf.keys() & set(rows)
+                },
                 upside_down=tuple(
                     name
                     for name, rows in zip(names, groups, strict=True)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from typing import Any, Literal, NamedTuple
@@ -61,6 +61,8 @@ class Ground(StrEnum):
 
 #: Grounds are looked at this often at least [s].
 _LONGEST_STEP = 1.0
+#: What came so long before the tones of a machine went is no evidence [s]: impacts of its tones look like gangue.
+_BEFORE_HEARD = 5.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -190,6 +192,11 @@ class CavingWatch:
         if is_stated and seams is None and isinstance(answers, NoConfusion):
             answers = tested_answers(model, gangue)
         self._sensors, self._channels = sensors, list(supports if channels is None else channels)
+        self._deaf_until = 0.0  # nobody knows yet whether a machine runs
+        if settings.lines is None and model.beam is not None:
+            from cgid.recordings.lines import HEARD_AFTER
+
+            self._deaf_until = HEARD_AFTER
 
         def anchor(own: Sequence[int]) -> Anchor | None:
             named = {self._channels[row] for row in own}
@@ -217,12 +224,17 @@ class CavingWatch:
         self._is_new = False  # whether predictions have come since the last gangue fraction
         self._changes: list[Change] = []
 
-    def feed(self, answers: Iterable[Answer], until: float) -> list[SupportReport]:
+    def feed(
+        self, answers: Iterable[Answer], until: float, heard: Mapping[str, float] | None = None
+    ) -> list[SupportReport]:
         """Add the next predictions, in order of time, and return the reports of completed windows.
 
-        All predictions before `until` [s] have arrived. Only the first of several empty windows is reported.
+        All predictions before `until` [s] have arrived. Only the first of several empty windows is reported. `heard`
+        are supports with a machine whose tones were left in until a time [s].
         """
         self._waiting.extend(answers)
+        for name, time in (heard or {}).items():
+            self._supports[name].forget(time - _BEFORE_HEARD, time)
         reports: list[SupportReport] = []
         while (end := (self._steps + 1) * self._step) <= until:
             self._steps += 1
@@ -240,7 +252,7 @@ class CavingWatch:
         return [
             report
             for one in self._supports.values()
-            for report in one.at(one.window.at(time), Ground.STOPPED, time, reason)
+            for report in one.at(one.window.at(time), Ground.STOPPED, time, reason, is_known=True)
             if report.kind == "state"
         ]
 
@@ -270,8 +282,9 @@ class CavingWatch:
             self.diagnosis.add((answer,))
             self._is_new = True
             support = self._supports[answer.channel]
-            support.window.add(answer.time, self._probability(answer), answer.pulse)
-            support.add_level(answer)
+            if not support.forgotten[0] < answer.time <= support.forgotten[1]:
+                support.window.add(answer.time, self._probability(answer), answer.pulse)
+                support.add_level(answer)
             if answer.label != UNKNOWN:
                 support.last_identified = answer.time
         if self._sensors is not None:
@@ -286,7 +299,8 @@ class CavingWatch:
             ground, since, reason = self._ground(name, support, end)
             support.foreign = str(foreign[name].part) if name in foreign else ""
             if not in_between or ground != (Ground.SEEN if support.state is None else support.state.ground):
-                yield from support.at(support.window.at(end), ground, since, reason)
+                is_known = end >= self._deaf_until
+                yield from support.at(support.window.at(end), ground, since, reason, is_known=is_known)
 
     def _ground(self, name: str, support: _Support, end: float) -> tuple[Ground, float, str]:
         """Return the ground of a support, its begin if it is new [s], and the reason."""
@@ -342,6 +356,7 @@ class _Support:
     is_silent: bool = False
     foreign: str = ""
     levels: deque[float] = field(default_factory=lambda: deque(maxlen=OF_ANCHOR))
+    forgotten: tuple[float, float] = (math.inf, math.inf)  # impacts after the first time and up to the second [s]
 
     def add_level(self, answer: Answer) -> None:
         """Keep the level of an impact that was added to the window, if it has one."""
@@ -350,15 +365,22 @@ class _Support:
             if self.window.anchor is not None and self.window.anchor.has(answer.time):
                 self.window.anchor.levels.append(answer.level)
 
-    def at(self, share: Share, ground: Ground, since: float, reason: str) -> Iterator[SupportReport]:
-        """Yield the reports of the window that ends now."""
+    def forget(self, start: float, end: float) -> None:
+        """Forget what came after `start` and up to `end` [s]: it is no evidence."""
+        self.forgotten = start, end
+        self.window.forget(start, end)
+        if self.rule is not None:
+            self.rule.release()
+
+    def at(self, share: Share, ground: Ground, since: float, reason: str, *, is_known: bool) -> Iterator[SupportReport]:
+        """Yield the reports of the window that ends now; without `is_known` nothing is decided yet."""
         before, switch = self.state, None
         if before is not None and before.ground != Ground.SEEN and ground == Ground.SEEN:
             # What came on another ground is no evidence.
             share = self.window.restart(share.time)
         if self.rule is not None and ground == Ground.SEEN:
             # Where coal is stated, nothing is decided.
-            switch = None if share.basis == Basis.PENDING else self.rule.watch(share)
+            switch = None if share.basis == Basis.PENDING or not is_known else self.rule.watch(share)
         elif self.rule is not None:
             self.rule.withdraw()
         shut = None if self.rule is None else self.rule.shut
