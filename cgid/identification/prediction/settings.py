@@ -50,8 +50,8 @@ RULES = {
 }
 
 
-class CoalSpan(NamedTuple):
-    """A time [s] in which only coal falls: on a channel, or on all without a name."""
+class LabelledSpan(NamedTuple):
+    """A time [s] in which only rocks of a label fall: on a channel, or on all without a name."""
 
     start: float
     end: float
@@ -70,7 +70,7 @@ class ShareSettings(NamedTuple):
     hold: float
     coal_until: float | None
     cycle_pause: float | None
-    coal: tuple[CoalSpan, ...]
+    coal: tuple[LabelledSpan, ...]
     trained_seam: bool
 
     @property
@@ -183,7 +183,7 @@ class PredictionSettings:
     hold: float | None = None
     coal_until: float | None = None
     cycle_pause: float | None = None
-    coal: tuple[CoalSpan, ...] = ()
+    coal: tuple[LabelledSpan, ...] = ()
     trained_seam: bool = False
     blind_after: float | None = None
     give_up: float | None = None
@@ -315,11 +315,11 @@ def require_costs(late: float, early: float) -> None:
         raise InvalidValue("cost_late and cost_early must not both be 0; give one of them above 0, such as 1")
 
 
-def require_spans(spans: Any) -> tuple[CoalSpan, ...]:
+def require_spans(spans: Any) -> tuple[LabelledSpan, ...]:
     """Return spans of coal; raises `InvalidValue` unless each rises from 0 s.
 
     >>> require_spans([(0, 30)])
-    (CoalSpan(start=0.0, end=30.0, channel=''),)
+    (LabelledSpan(start=0.0, end=30.0, channel=''),)
     """
     found = []
     for one in spans if isinstance(spans, list | tuple) else [spans]:
@@ -329,7 +329,7 @@ def require_spans(spans: Any) -> tuple[CoalSpan, ...]:
             validation.instance(f"the {name} of a span of coal [s]", value, int, float, np.number)
         if not 0 <= start < end:
             raise InvalidValue(f"a span of coal must rise from 0 s, got {start:g} s to {end:g} s; correct it")
-        found.append(CoalSpan(float(start), float(end), *map(str, listed[2:])))
+        found.append(LabelledSpan(float(start), float(end), *map(str, listed[2:])))
     return tuple(found)
 
 

@@ -24,7 +24,7 @@ from cgid._lib.files import parse_toml, read_regular
 from cgid._lib.terminal import counted, spreadsheet_cell, text_of_cell
 from cgid._lib.validation import shown
 from cgid.errors import BadData, CannotCreate, CgidError, InvalidValue, NoInput
-from cgid.identification.prediction.settings import CoalSpan, require_groups
+from cgid.identification.prediction.settings import LabelledSpan, require_groups
 from cgid.identification.training.stretches import Row, resolved
 from cgid.recordings.chain import Chain, Gain
 from cgid.recordings.formats import ENDINGS
@@ -498,7 +498,7 @@ def recordings_in(folder: Path) -> list[Path]:
 
 def coal_in(
     manifest: Manifest, recording: str, channels: Sequence[str], labels: Sequence[str], gangue: Sequence[str]
-) -> tuple[CoalSpan, ...]:
+) -> tuple[LabelledSpan, ...]:
     """Return the spans of a recording that a manifest gives a label of a model other than gangue.
 
     Raises `BadData` if there is none.
@@ -523,7 +523,7 @@ def coal_in(
             f"{manifest.source}: channel must be one of {recording} ({', '.join(channels)}), got {unknown[0]}"
         )
     return tuple(
-        CoalSpan(one.start, one.end, "" if channel == "" else by_name[str(channel)])
+        LabelledSpan(one.start, one.end, "" if channel == "" else by_name[str(channel)])
         for one in rows
         for channel in one.channels or ("",)
     )
