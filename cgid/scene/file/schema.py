@@ -426,7 +426,8 @@ def _each_key_once(problems: Sequence[str]) -> list[str]:
     places: dict[tuple[str, ...], list[str]] = {}
     for line in problems:
         path, colon, text = line.partition(": ")
-        section, index, key = (re.match(r"(\w+\.)(\d+)(\..+)", path) or re.match("(.*)()()", path, re.S)).groups()
+        entry = re.match(r"(\w+\.)(\d+)(\..+)", path)
+        section, index, key = entry.groups() if entry else (path, "", "")
         places.setdefault((section, key, colon, text), []).append(index)
     return [
         f"{section}{first}{key}{colon}{text}" + f" (also in {section}{', '.join(more[:8])})" * bool(more)
