@@ -12,6 +12,7 @@ from pathlib import Path
 import click
 import numpy as np
 import pytest
+from scipy.io import wavfile
 
 from cgid.cli.main import cli, run
 from cgid.cli.options import OutputName
@@ -155,9 +156,26 @@ def test_info_says_what_a_table_of_events_holds(tmp_path: Path, capsys: pytest.C
         2,
     ]
     assert f"cgid train {table} -o" in content["next"]
+    (tmp_path / "m.toml").write_text('[[recording]]\npath = "a.wav"\nlabel = "coal"\n')
+    assert run(["info", str(tmp_path / "m.toml"), "--json"]) == 0
+    content = json.loads(capsys.readouterr().out)
+    assert [content[name] for name in ("kind", "rows", "labels")] == ["manifest", 1, {"coal": 1}]
+    assert run(["info", str(ROOT / "datasets" / "caving.toml"), "--json"]) == 0
+    content = json.loads(capsys.readouterr().out)
+    assert (content["kind"], content["name"]) == ("scene", "caving")
     # Without these columns it is a recording, which has no numbers.
     table.write_text("file,text\na.wav,coal\n")
     assert run(["info", str(table)]) == 65
+
+
+@pytest.mark.parametrize("n_full", [1, 40])
+def test_info_counts_samples_at_full_scale(n_full: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    sound = np.linspace(-0.9, 0.9, 2000)
+    sound[100 : 100 + n_full] = 32767 / 32768
+    wavfile.write(tmp_path / "a.wav", 8000, np.round(sound * 32768).astype(np.int16))
+    assert run(["info", str(tmp_path / "a.wav"), "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)["warnings"]
+    assert told == "none" if n_full == 1 else f"{n_full} samples" in told[0]
 
 
 def test_drop_height_is_known_by_dataset_index_and_option(made: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -165,7 +183,7 @@ def test_drop_height_is_known_by_dataset_index_and_option(made: Path, capsys: py
     assert run(["train", str(made / "data"), "-o", model, "--drop-height"]) == 0
     capsys.readouterr()
     assert run(["info", model]) == 0
-    assert "known: ['drop_height']" in capsys.readouterr().out
+    assert "known: drop_height" in capsys.readouterr().out
     arguments = ["predict", str(made / "new.h5"), "--model", model, "--json"]
     assert run(arguments) == 0
     whole = [json.loads(line) for line in capsys.readouterr().out.splitlines()]

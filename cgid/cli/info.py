@@ -28,6 +28,8 @@ if TYPE_CHECKING:
 Groups = tuple[tuple[str, ...], ...]
 #: Maximum number of samples of all channels held in memory; longer recordings are read block by block.
 MAX_SAMPLES = 1 << 24
+#: A number of a sound file is at full scale from this on: the largest one of 16 bit.
+_FULL = 1 - 2**-15
 #: Length of the header of an archive's first entry [bytes], and the name that follows it in a model file.
 _LOCAL_HEAD, _HEADER = 30, b"header.npy"
 
@@ -40,7 +42,7 @@ _LOCAL_HEAD, _HEADER = 30, b"header.npy"
 @same_beam_option
 @json_option
 def info(file: str, as_json: bool, same_beam: tuple[str, ...], reading: ReadingOptions) -> int:
-    """Describe FILE: a dataset, a table, a model, a recording (every channel), or each recording of a folder."""
+    """Describe FILE: a dataset, table, model, manifest, scene or recording, or each recording of a folder."""
     from cgid import shipped
     from cgid.identification.prediction.settings import require_groups
     from cgid.identification.training.manifest import recordings_of
@@ -82,8 +84,16 @@ def _print(content: dict[str, Any], indent: str = "") -> None:
         if isinstance(value, dict):
             say(f"{indent}{name}:")
             _print(value, indent + "  ")
+        elif name == "warnings" and isinstance(value, list):
+            _print({name: dict(enumerate(value, 1))}, indent)
         else:
-            say(f"{indent}{name}: {f'{value:.8g}' if isinstance(value, float) else value}")
+            say(f"{indent}{name}: {_text(value)}")
+
+
+def _text(value: Any) -> str:
+    if isinstance(value, list | tuple):
+        return ", ".join(_text(one) for one in value) or "none"
+    return f"{value:.8g}" if isinstance(value, float) else str(value)
 
 
 def _dataset(file: str) -> dict[str, Any]:
@@ -153,19 +163,30 @@ def _model(file: str) -> dict[str, Any]:
 
 
 def _manifest(file: str) -> dict[str, Any]:
-    """Return the content of a manifest or table of `cgid events` in CSV; empty for any other file."""
+    """Return the content of a manifest, a table of `cgid events` or a scene; empty for any other file."""
     import shlex
     from collections import Counter
 
-    from cgid.identification.training.manifest import is_manifest, labels_in
+    from cgid.identification.training.manifest import is_manifest, labels_in, read_manifest
 
-    rows = labels_in(Path(file)) if file.lower().endswith(".csv") and is_manifest(file) else None
+    is_toml = file.lower().endswith(".toml") and Path(file).is_file()
+    if is_toml and not is_manifest(file):
+        from cgid.scene import load_scene
+
+        scene = load_scene(file)
+        about = {"kind": "scene", "file": file, "name": scene.name, "description": scene.description}
+        return {**about, "scene_sha256": scene.sha256, "next": shlex.join(["cgid", "check", file])}
+    if is_toml:
+        listed = [one for one in read_manifest(file).annotations if not one.reference]
+        rows = [(str(one.path), one.label) for one in listed]
+    else:
+        rows = (labels_in(Path(file)) if file.lower().endswith(".csv") and is_manifest(file) else None) or []
     if not rows:
         return {}
     labels = Counter(label for _, label in rows if label)
     train = shlex.join(["cgid", "train", file, "-o", "mine.npz"])
     return {
-        "kind": "table of events",
+        "kind": "manifest" if is_toml else "table of events",
         "file": file,
         "rows": len(rows),
         "recordings": len({path for path, _ in rows}),
@@ -233,7 +254,7 @@ def _channels(recording: Any, as_json: bool, beams: Groups) -> tuple[dict[str, A
     is_known = [channel.quantity not in (None, "level") for channel in names]
     detectors = [ImpactDetector(rate, kind=kind_for(channel.quantity), gaps=True) for channel in names]
     impacts: list[list[Detected]] = [[] for _ in names]
-    n_clipped = [0] * len(names)
+    n_clipped, n_full = [0] * len(names), np.zeros(len(names), int)
 
     def add(row: int, events: list[Event]) -> None:
         impacts[row] += (Detected(row, event.onset) for event in events)
@@ -246,6 +267,7 @@ def _channels(recording: Any, as_json: bool, beams: Groups) -> tuple[dict[str, A
                 add(row, detectors[row].feed(samples))
             there = samples[np.isfinite(samples)]
             n_read[row] += there.size
+            n_full[row] += np.sum(np.abs(there) >= _FULL) if names[row].quantity == "level" else 0
             if not there.size:
                 continue
             lowest[row], highest[row] = min(lowest[row], there.min()), max(highest[row], there.max())
@@ -287,6 +309,11 @@ def _channels(recording: Any, as_json: bool, beams: Groups) -> tuple[dict[str, A
         "are clipped; record with a larger range"
         for row, channel in enumerate(names)
         if n_clipped[row]
+    ] + [
+        f"{channel_name(recording.source, channel.name)}: {counted(int(n_full[row]), 'sample')} at full scale; it may "
+        "be clipped, record with a larger range"
+        for row, channel in enumerate(names)
+        if n_full[row] > 1  # one is the peak of a recording that was normalised
     ]
     for rows in grouped([channel.name for channel in names], beams):
         if len(rows) > 1:
