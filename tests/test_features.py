@@ -357,3 +357,59 @@ def measured_or_refused(samples, pre_trigger, remove_baseline):
 def test_junk_is_measured_or_refused(n):
     junk = given(JUNK, st.one_of(st.none(), st.integers(0, 5)), st.booleans())
     settings(max_examples=n, deadline=None)(junk(measured_or_refused))()
+
+
+# -- an AC coupling of the recorder -----------------------------------------------------------------------
+
+
+def coupled_pulses(edge, noise=0.0, n=12):
+    """Pulses of several restitutions and durations, and the same behind a high-pass of first order by scipy."""
+    rate, rng = 2e5, np.random.default_rng(5)
+    plain = np.stack(
+        [family_pulse(0.25 + 0.06 * k, (0.2 + 0.06 * k) * 1e-3, rate, 2048, 200.3 + 0.05 * k) for k in range(n)]
+    )
+    coupled = signal.lfilter(*signal.butter(1, edge, "high", fs=rate), plain, axis=1)
+    added = noise * 1000 * rng.standard_normal(plain.shape)
+    return plain + added, coupled + added, rate
+
+
+@pytest.mark.parametrize(("edge", "noise"), [(20.0, 1e-4), (80.0, 1e-4), (80.0, 0.01)])
+def test_an_ac_coupling_is_undone(edge, noise):
+    plain, coupled, rate = coupled_pulses(edge, noise)
+    names = choose(("fitted_peak", "fitted_width", "fitted_restitution", "unexplained"))
+    wanted, found = (extract_array(one, rate, names, pre_trigger=200) for one in (plain, coupled))
+    off = np.abs(found[:, :3] / wanted[:, :3] - 1)
+    assert (np.median(off, axis=0) < [0.01, 0.01, 0.05]).all()
+    assert (found[:, 3] < MAX_UNEXPLAINED).all()
+    # Left as they are, they look like other rock: so this is what undoes it.
+    left = PulseBatch(coupled, rate, 200)
+    assert np.median(np.abs(left.fit.restitution / wanted[:, 2] - 1)) > 3 * np.median(off[:, 2])
+
+
+def test_what_is_no_ac_coupling_is_left_alone():
+    plain, coupled, rate = coupled_pulses(80.0, 0.01, n=10)
+    time = np.arange(2048) / rate
+    rng = np.random.default_rng(3)
+    for changed in (
+        plain,
+        np.minimum(coupled, 700.0),  # clipped: what was above the limit is unknown
+        plain - 3e4 * time,  # drifts
+    ):
+        pulses = PulseBatch(changed, rate, 200)
+        assert pulses.uncoupled() is pulses
+    # A level that wanders may look like it.
+    walk = np.tile(plain, (40, 1)) + 0.4 * rng.standard_normal((400, 2048)).cumsum(axis=1)
+    pulses = PulseBatch(walk, rate, 200)
+    assert (pulses.uncoupled().samples != walk).any(axis=1).mean() < 0.15
+    # Without samples before onset, or with the level that the user states, nothing says what 0 is.
+    assert (kept := PulseBatch(coupled, rate)).uncoupled() is kept
+    assert (kept := PulseBatch(coupled, rate, 200, False)).uncoupled() is kept
+
+
+def test_undoing_a_coupling_does_not_depend_on_the_other_rows():
+    plain, coupled, rate = coupled_pulses(50.0, 0.003)
+    mixed = np.concatenate([plain[:4], coupled[4:8], np.zeros((1, 2048)), coupled[8:]])
+    together = extract_array(mixed, rate, choose(("fitted_peak", "fitted_width")), pre_trigger=200, invalid="nan")
+    for row in (0, 5, 9, 12):
+        alone = extract_array(mixed[row : row + 1], rate, choose(("fitted_peak", "fitted_width")), pre_trigger=200)
+        np.testing.assert_array_equal(alone[0], together[row])

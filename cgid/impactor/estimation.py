@@ -205,7 +205,7 @@ def estimate(
     parts, overloads = [], []
     for first in range(0, n, _ROWS):
         block = slice(first, first + _ROWS)
-        pulses = PulseBatch(frames[block], rate, pre_trigger, remove_baseline)
+        pulses = PulseBatch(frames[block], rate, pre_trigger, remove_baseline).uncoupled()
         level = pulses.clip_level if limit is None else limit[block] - pulses.offset
         parts.append(
             fit_pulses(
@@ -282,7 +282,7 @@ def posterior(
     parts = []
     for first in range(0, len(frames), _ROWS):
         block = slice(first, first + _ROWS)
-        pulses = PulseBatch(frames[block], rate, pre_trigger)
+        pulses = PulseBatch(frames[block], rate, pre_trigger).uncoupled()
         level = pulses.noise if given is None else given[block]
         if not (level > 0).all():
             raise InvalidValue(

@@ -166,7 +166,7 @@ def forces(
     """Return the pulses of frames of force [N], as `through_beam`; a frame without an impact is not usable."""
     part = np.asarray(frames, np.float64)
     batch = PulseBatch(part, require_rate(sampling_rate), pre_trigger, detection_limit=detection_limit)
-    return MeasuredPulses.of_frames(batch)
+    return MeasuredPulses.of_frames(batch.uncoupled())
 
 
 # -- spheres of a known material --------------------------------------------------------------------------

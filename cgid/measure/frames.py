@@ -116,15 +116,10 @@ class Frames:
             return np.zeros(len(self.samples)), np.zeros(len(self.samples))
         return quiet.mean(axis=1, dtype=np.float64), quiet.std(axis=1, ddof=1, dtype=np.float64)
 
-    @property
-    def baseline(self) -> Floats:
-        """Mean before onset, 0 if there are fewer than two samples before onset."""
-        return self._quiet[0]
-
     @cached_property
     def offset(self) -> Floats:
-        """The amount subtracted from the samples: the baseline, or 0."""
-        return self.baseline if self.remove_baseline else np.zeros(len(self.samples))
+        """The amount subtracted from the samples: their mean before onset, of two or more; or 0."""
+        return self._quiet[0] if self.remove_baseline else np.zeros(len(self.samples))
 
     @property
     def noise(self) -> Floats:

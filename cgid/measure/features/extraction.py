@@ -34,8 +34,8 @@ BLOCK_SAMPLES, _ROWS = 1 << 21, 1024
 #: Maximum number of samples of windows measured at once: their overlapping frames fit in the processor's cache.
 _WINDOWED_SAMPLES = 1 << 17
 #: Extent of windows after onset, in contact durations and in samples: for quantities read off the samples (the
-#: run above 10 %, once more after its end), and for the fit (its bins and windows).
-_READ, _FITTED = (2.0, 6), (2.25, 54)
+#: level after contact, behind the run above 10 %), and for the fit (its bins and windows).
+_READ, _FITTED = (3.25, 9), (3.25, 54)
 #: The detection limit of features inverted through a beam is lower by this many standard deviations of the noise before
 #: the vibration: the modes detect an impact that the samples alone do not show, such as one during the ring-down of
 #: another.
@@ -386,7 +386,7 @@ def _batches(
         if kind == "window":  # has no onset
             batches[kind] = WindowBatch(frames, sampling_rate, remove_baseline)
         else:
-            batches[kind] = PulseBatch(*how) if kind == "pulse" else VibrationBatch(*how)
+            batches[kind] = PulseBatch(*how).uncoupled() if kind == "pulse" else VibrationBatch(*how)
             if isinstance(batch := batches[kind], VibrationBatch):
                 batch.beam = beam
     return batches
@@ -429,11 +429,11 @@ def extract_truncated(
     # Certain: no missing sample (at most `highest_after`, (n_signals,)) can exceed the peak, and no window extends past
     # the end. These equal those of the complete frame to the last bit.
     table, certain = np.full((len(samples), len(names)), np.nan), np.zeros(len(samples), bool)
-    pulses = PulseBatch(samples, sampling_rate, pre_trigger)
+    pulses = PulseBatch(samples, sampling_rate, pre_trigger).uncoupled()
     features = [FEATURES[name] for name in names]
     sound = np.setdiff1d(np.arange(len(samples)), list(_problems({"pulse": pulses}, features)))
     if sound.size < len(samples):
-        pulses = PulseBatch(samples[sound], sampling_rate, pre_trigger)
+        pulses = PulseBatch(samples[sound], sampling_rate, pre_trigger).uncoupled()
     table[sound] = _values({"pulse": pulses}, features, sound.size)
     if sound.size:
         certain[sound] = _certain(pulses, names, highest_after[sound])
@@ -442,7 +442,9 @@ def extract_truncated(
 
 def _certain(pulses: PulseBatch, names: tuple[str, ...], highest_after: Floats) -> NDArray[np.bool_]:
     n_samples = pulses.samples.shape[1]
-    certain = (pulses.peak + pulses.offset > highest_after) & (pulses.window_reach < n_samples)
+    certain = (pulses.peak + pulses.offset > highest_after) & (
+        np.maximum(pulses.window_reach, pulses.after[1]) < n_samples
+    )
     if any(FEATURES[name].fitted for name in names):
         # The search for a faint pulse covers the complete frame.
         certain &= (pulses.peak >= FAINT * pulses.noise) & (pulses.fit.reach < n_samples)

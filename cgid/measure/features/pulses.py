@@ -6,12 +6,14 @@ only a window around contact is used.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cgid._lib.validation import Floats
+from cgid.measure.ac_coupling import LEAST_FALL, QUIET_BLOCKS, coupling_rates
 from cgid.measure.features.table import Bank, Feature, bank, described
 from cgid.measure.fit.fit import MODEL_ERROR, PulseFit, PulseStart, fit_pulses, without_impact
 from cgid.measure.fit.fit_samples import strongest_run
@@ -45,12 +47,51 @@ MAX_UNEXPLAINED, MAX_OVERLOAD = 4.5, 1.2
 _RING_LAG, _RING_FROM, _RING_TO, MAX_RINGING = 1.5, 1.2, 11.2, 0.03
 #: Samples per contact duration that are compared, and the minimum number of differences that show ring-down.
 _RING_STEPS, _MIN_RINGING = 8, 8
+#: The level after a contact is seen from so far behind it and over so long, in its own time at 10 % of the peak.
+_AFTER, _AFTER_TIME = 0.5, 2.0
+#: Samples that look for a fall of that level, fewest of them, and standard deviations of their mean that count.
+_LOOKS, _FEWEST_LOOKS, _LOOKED = 32, 16, 1.5
 
 
 class PulseBatch(Frames):
     """Single positive pulses in frames; each quantity is computed on first use."""
 
     # Without `pre_trigger`, each row is quiet up to shortly before its last sample below 1 % of its rise.
+
+    # -- the recorder ---------------------------------------------------------------------------------
+
+    @cached_property
+    def after(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+        """Columns between which the level after contact is seen, in the frame or beyond it."""
+        first, last = self._edges
+        contact = last - first + 1
+        start = last + 3 + np.ceil(_AFTER * contact).astype(np.intp)
+        return start, start + np.ceil(_AFTER_TIME * contact).astype(np.intp)
+
+    def uncoupled(self) -> PulseBatch:
+        """Return the pulses as they were before an AC coupling of the recorder, if there are any behind one."""
+        # Without samples before onset nothing says what 0 is.
+        if self.pre_trigger is None or self.pre_trigger < QUIET_BLOCKS or not self.remove_baseline:
+            return self
+        (start, stop), n_samples = self.after, self.samples.shape[1]
+        looks = start[:, None] + ((stop - start)[:, None] * np.arange(_LOOKS)) // _LOOKS
+        seen = np.take_along_axis(self.samples, np.minimum(looks, n_samples - 1), axis=1)
+        count = np.maximum(np.sum(looks < n_samples, axis=1), 1)
+        level = np.sum(seen, axis=1, where=looks < n_samples, dtype=np.float64) / count - self.offset
+        low = level < -np.maximum(0.5 * LEAST_FALL * self.peak, _LOOKED * self.noise / np.sqrt(count))
+        if self.clip_level is not None:
+            low &= self.clip_level == np.inf  # what the sensor's limit took of the impulse is unknown
+        rows = np.flatnonzero(low & (np.minimum(stop, n_samples) - start >= _FEWEST_LOOKS))
+        if not rows.size:
+            return self
+        force = self.samples[rows] - self.offset[rows, None]
+        after = start[rows], np.minimum(stop, n_samples)[rows]
+        rate = coupling_rates(force, self.peak[rows], self.noise[rows], self.pre_trigger, after)
+        if not rate.any():
+            return self
+        samples = self.samples.copy()
+        samples[rows] += (rate[:, None] * np.cumsum(force, axis=1)).astype(samples.dtype)
+        return replace(self, samples=samples)
 
     # -- before onset ---------------------------------------------------------------------------------
 
