@@ -73,6 +73,8 @@ class PulseBatch(Frames):
         # Without samples before onset nothing says what 0 is.
         if self.pre_trigger is None or self.pre_trigger < QUIET_BLOCKS or not self.remove_baseline:
             return self
+        if not len(self.samples):
+            return self
         (start, stop), n_samples = self.after, self.samples.shape[1]
         looks = start[:, None] + ((stop - start)[:, None] * np.arange(_LOOKS)) // _LOOKS
         seen = np.take_along_axis(self.samples, np.minimum(looks, n_samples - 1), axis=1)
