@@ -152,7 +152,9 @@ class Dataset:
         """Return one signal; a negative index counts from the end."""
         if isinstance(index, slice):
             raise InvalidValue(f"{self.path}: index must be one number, got a slice; batches() yields several signals")
-        return self.signal(index + len(self) if -len(self) <= index < 0 else index)
+        n_signals = len(self)
+        index = validation.whole(f"{self.path}: index", index, -n_signals, n_signals - 1)
+        return self.signal(index + n_signals if index < 0 else index)
 
     def _repr_html_(self) -> str:
         header = self.header
@@ -287,8 +289,7 @@ class Dataset:
         InvalidValue
             The index is negative, or not below the number of signals.
         """
-        if not 0 <= index < len(self):
-            raise InvalidValue(f"{self.path}: index must be in [0, {len(self) - 1}], got {index}")
+        index = validation.whole(f"{self.path}: index", index, 0, len(self) - 1)
         number = bisect_right(list(accumulate(self._counts)), index)
         row = index - sum(self._counts[:number])
         (batch,) = self._read(number, row, row + 1, 1)

@@ -26,6 +26,8 @@ from cgid.signals import Batch, Signal
 if TYPE_CHECKING:
     import pandas
 
+    from cgid.store.reading import Dataset
+
 __all__ = ["FEATURES", "choose", "extract"]
 
 #: Maximum number of samples and rows measured at once: enough to share the overhead of the fit, few enough to bound the
@@ -167,7 +169,7 @@ def _lack(feature: Feature, sampling_rate: float, n_samples: int) -> str:
 
 
 def extract(
-    samples: ArrayLike | Signal | Batch,
+    samples: ArrayLike | Signal | Batch | Dataset,
     sampling_rate: float | None = None,
     features: Iterable[Named] | None = None,
     *,
@@ -179,9 +181,9 @@ def extract(
 
     Parameters
     ----------
-    samples : array_like, (n_samples,) or (n_signals, n_samples), Signal or Batch
-        One positive pulse per row, or one vibration for the features of vibrations. A signal or batch states its rate
-        and its samples before onset.
+    samples : array_like, (n_samples,) or (n_signals, n_samples), Signal, Batch or Dataset
+        One positive pulse per row, or one vibration for the features of vibrations. A signal, batch or dataset states
+        its rate and its samples before onset.
     sampling_rate : float, optional
         [Hz]; required for an array.
     features : iterable of str, function or Feature, optional
@@ -219,13 +221,17 @@ def extract(
     """
     import pandas
 
+    names = choose(features)
+    if hasattr(samples, "batches"):
+        how: dict[str, Any] = {"pre_trigger": pre_trigger, "remove_baseline": remove_baseline, "invalid": invalid}
+        parts = [extract(batch, sampling_rate, names, **how) for batch in samples.batches()]
+        return pandas.concat(parts, ignore_index=True)
     if isinstance(samples, Signal | Batch):
         own, samples = samples, samples.signals if isinstance(samples, Batch) else samples.samples
         sampling_rate = own.sampling_rate if sampling_rate is None else sampling_rate
         pre_trigger = own.pre_trigger if pre_trigger is None else pre_trigger
     if sampling_rate is None:
         raise MissingOption("samples: an array has no sampling rate; give sampling_rate in Hz")
-    names = choose(features)
     values = extract_array(
         samples, sampling_rate, names, pre_trigger=pre_trigger, remove_baseline=remove_baseline, invalid=invalid
     )
