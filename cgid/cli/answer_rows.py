@@ -453,6 +453,8 @@ class RecordingRows:
 
         if share.basis == self._bases.get(share.channel) or not (share.n_impacts or share.basis == Basis.TOO_FEW):
             return
+        if share.basis == Basis.ANY_SEAM and (share.n_impacts < _ENOUGH or share.time < self.settings.shares.window):
+            return  # nobody can say what fell at the begin of so short a recording
         self._bases[share.channel] = share.basis
         stated = self.settings.coal_until
         coal = "the labelled coal" if stated is None else f"the coal of {stated:.6g} s"
@@ -467,8 +469,9 @@ class RecordingRows:
             self._warn(f"{name}: {message}", channel=share.channel, basis=str(share.basis))
         elif share.basis == Basis.ANY_SEAM and not self.lines.as_json and len(self._bases) == 1:
             say(
-                f"{self.source}: the interval of the gangue fraction is for any seam; a stated begin of coal alone "
-                "(--coal-until 30s) makes it a third narrower, --trained-seam is for the seam of the training",
+                f"{self.source}: the interval of the gangue fraction is for any seam; it is a third narrower if you "
+                "can say how long coal alone fell at the begin (--coal-until 30s), or that the seam is that of the "
+                "training (--trained-seam)",
                 err=True,
             )
 
