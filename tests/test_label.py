@@ -395,6 +395,41 @@ def test_ten_minutes_of_a_new_user(site: Any, tmp_path: Path) -> None:
         assert np.allclose(array, second.arrays[name], rtol=1e-9, atol=1e-12), name
 
 
+@pytest.mark.long
+def test_two_sensors_of_a_beam_are_one_row(site: Any, tmp_path: Path) -> None:
+    folder, labels, onsets = site
+    one, random = np.load(folder / "a.npy")[0], np.random.default_rng(4)
+    noise = random.normal(0, 0.01 * np.std(one), (2, len(one)))
+    np.save(tmp_path / "a.npy", np.stack([one, 0.6 * one + noise[0], np.roll(one, 900) + noise[1]], axis=1))
+    page = Page(tmp_path, "--same-beam", "1+2")
+    state = page.wait(ended)
+    assert [part["name"] for part in state["recordings"]] == ["a.npy channel 1+2", "a.npy channel 3"]
+    assert [len(part["channels"]) for part in state["recordings"]] == [2, 1]
+    assert [one[1] for one in page.get("impacts?r=0")["impacts"]] == pytest.approx(onsets.tolist(), abs=4e-3)
+    for k in range(len(labels)):
+        assert page.post("label", r=0, k=k, label=labels[k], chosen="random")[0] == 200
+    state = page.wait(lambda state: "new" in state["learning"]["results"] and state["n_labels"] == len(labels))
+    assert state["learning"]["results"]["new"]["n"] == len(labels)
+    # The impact of the other channel is another one, at another time.
+    assert all(not impact[5] for impact in page.get("impacts?r=1")["impacts"])
+    assert page.post("save", which="new")[0] == 200
+    page.end()
+    rows = [row for row in rows_of(tmp_path / "labels.csv") if row["label"]]
+    assert {(row["channel"], row["same_beam"]) for row in rows} == {("1+2", "1+2")} and len(rows) == len(labels)
+    assert main(["train", str(tmp_path / "labels.csv"), "-o", str(tmp_path / "again.npz")]) == 0
+    from cgid.identification.model.model import StoredModel
+
+    first, second = (StoredModel.load(tmp_path / name) for name in ("labels.npz", "again.npz"))
+    assert list(first.training["same_beam"]) == ["1+2"] == list(second.training["same_beam"])
+    assert first.training["n_train"] == second.training["n_train"] == len(labels)
+    for name, array in first.arrays.items():
+        assert np.allclose(array, second.arrays[name], rtol=1e-9, atol=1e-12), name
+    again = Page(tmp_path, "--same-beam", "1+2")  # goes on with its table
+    again.wait(ended)
+    assert [impact[5] for impact in again.get("impacts?r=0")["impacts"]] == labels
+    again.end()
+
+
 REFUSED = [
     ("another host", 421, "/api/state", {"Host": "evil.example"}),
     ("a host that begins alike", 421, "/api/state", {"Host": "127.0.0.1.evil.example"}),

@@ -20,11 +20,13 @@ from cgid.cli.options import (
     given_options,
     reading_options,
     require_no_input_written,
+    same_beam_option,
 )
 from cgid.cli.output import say, warn
 from cgid.errors import CannotCreate, CgidError, InvalidValue
 
 if TYPE_CHECKING:
+    from cgid.cli.events import Groups
     from cgid.identification.model.model import StoredModel
     from cgid.labelling.recording import LabelledRecording
 
@@ -52,6 +54,7 @@ _PORT = 8062
 @click.option("--save", "saved_as", type=OUTPUT, metavar="FILE.npz", help="Name of the model that the page saves.")
 @click.option("--port", type=click.IntRange(1, 65535), help="Serve the page on this port of this machine.")
 @reading_options
+@same_beam_option
 def label(
     files: tuple[str, ...],
     written: str,
@@ -59,16 +62,19 @@ def label(
     labels: str,
     saved_as: str | None,
     port: int | None,
+    same_beam: tuple[str, ...],
     reading: ReadingOptions,
 ) -> int:
     """Label the impacts of RECORDINGs, or of those in a folder, on a page in the browser of this machine.
 
     Open the address that is printed. The page shows the recordings and their impacts, draws impacts at random to be
     labelled by keys, labels stretches, trains and corrects models while you label, and says how often they are right.
-    Each label is on the disk at once; the table is one for cgid train. Ctrl-C ends the page.
+    With --same-beam, each beam and each other channel of a file is a recording of its own, and a model learns one row
+    of an impact. Each label is on the disk at once; the table is one for cgid train. Ctrl-C ends the page.
     """
     from cgid._lib import validation
     from cgid._lib.files import check_new
+    from cgid.identification.prediction.settings import require_groups
     from cgid.identification.training.manifest import recordings_of
     from cgid.labelling.page import Workbench, serve
     from cgid.labelling.table import LabelTable
@@ -84,15 +90,17 @@ def label(
         raise InvalidValue("stdin: a table of labels must name files, a stream has no name; save it first")
     require_no_input_written(every)
     reading.require_files(every)
-    rates = require_trainable(every, reading, ())
-    flags = [*given_options()[0]]
+    beams = require_groups(same_beam)
+    rates = require_trainable(every, reading, beams)
+    flags = [*given_options()[0], *(part for one in same_beam for part in ("--same-beam", one))]
     base = _base(model, every[0], reading)
-    recordings = [_opened(file, path.parent, reading, base, rates) for file in every]
+    parts = [(file, *part) for file in every for part in _beams_of(file, reading, beams)]
+    recordings = [_opened(file, path.parent, of, beam, base, rates) for file, of, beam in parts]
     table = LabelTable(path)
     try:
 
         def report(number: int, name: str) -> list[str]:
-            return ["predict", every[number], *flags, *(["--model", name] if name else [])]
+            return ["predict", parts[number][0], *flags, *(["--model", name] if name else [])]
 
         bench = Workbench(table, recordings, base, labels=names, saved_as=model_path, report=report)
         try:
@@ -140,8 +148,20 @@ def _base(model: str | None, file: str, reading: ReadingOptions) -> StoredModel 
     return loaded
 
 
+def _beams_of(file: str, reading: ReadingOptions, beams: Groups) -> list[tuple[ReadingOptions, str]]:
+    """Return how to read each beam and each other channel of a file, and the channels of a beam; else all together."""
+    from cgid.identification.prediction.same_beam import grouped
+
+    if not beams:
+        return [(reading, "")]
+    recording = reading.recording(file)
+    names = [channel.name for channel in recording.channels]
+    groups = [tuple(names[row] for row in rows) for rows in grouped(names, recording.named(beams, "--same-beam"))]
+    return [(replace(reading, channel=group), "+".join(group) if len(group) > 1 else "") for group in groups]
+
+
 def _opened(
-    file: str, folder: Path, reading: ReadingOptions, base: StoredModel | None, rates: set[float]
+    file: str, folder: Path, reading: ReadingOptions, beam: str, base: StoredModel | None, rates: set[float]
 ) -> LabelledRecording:
     """Return an open recording, to be measured for a new model and for the one that is corrected."""
     from cgid.identification.model.reference import equalisations_of
@@ -154,7 +174,7 @@ def _opened(
     from cgid.measure.features.extraction import choose, kind_for, require_supported
     from cgid.units import quantity_of
 
-    cells = cells_of(file, folder, reading)
+    cells = {**cells_of(file, folder, reading), "same_beam": beam}
     annotation = annotation_of({**{name: cell for name, cell in cells.items() if cell}, "label": "x"}, folder, None)
     opened_file = opened((replace(annotation, label=""),), Stated(**reading.common), hashed=False)
     kind, slicing = kind_for(quantity_of(opened_file.unit)), Slicing(by="impact", dead_time=reading.dead_time)

@@ -133,11 +133,10 @@ class Workbench:
         """Return the row of the table of each impact, its own where the table has none."""
         recording, rows = self.recordings[number], self._rows.setdefault(number, {})
         if len(rows) < len(recording.impacts):
-            path = recording.cells["path"]
             mine = [
                 (at, row)
                 for row in self.table.rows.values()
-                if row["path"] == path and (at := number_of(row.get("time_s", ""))) is not None
+                if recording.has(row) and (at := number_of(row.get("time_s", ""))) is not None
             ]
             mine.sort(key=lambda one: one[0])
             times = np.array([at for at, _ in mine])
@@ -154,10 +153,9 @@ class Workbench:
         return number, k, self.recordings[number].impacts[k]
 
     def _stretches(self, number: int) -> list[list[Any]]:
-        path = self.recordings[number].cells["path"]
         found = []
         for row in self.table.rows.values():
-            if row["path"] == path and number_of(row.get("time_s", "")) is None:
+            if self.recordings[number].has(row) and number_of(row.get("time_s", "")) is None:
                 start, end = number_of(row.get("start_s", "")) or 0.0, number_of(row.get("end_s", ""))
                 found.append([start, self.recordings[number].duration if end is None else end, row.get("label", "")])
         return found
@@ -207,7 +205,7 @@ class Workbench:
             {
                 "recordings": [
                     {
-                        "name": Path(one.file.recording.source).name,
+                        "name": one.name,
                         "duration": one.duration,
                         "read": one.n_read / one.rate,
                         "ended": one.ended,

@@ -17,6 +17,7 @@ from cgid.identification.detection.events import Event
 from cgid.identification.training.rows import SAME_IMPACT, Rows
 from cgid.labelling.table import Cells
 from cgid.measure.features.table import ImpactKind
+from cgid.signals import channel_name
 
 if TYPE_CHECKING:
     from cgid.identification.training.recordings import AnnotatedFile, AnnotatedRows, Cutting
@@ -60,13 +61,26 @@ class LabelledRecording:
     measured: set[str] = field(default_factory=set)  # sets of features of which all impacts were measured
 
     def __post_init__(self) -> None:
+        from cgid.identification.training.recordings import ImpactRows
+
         recording = self.file.recording
         n = -(-(recording.n_samples or 0) // BIN)
         self.lowest = np.zeros((len(recording.channels), n), np.float32)
         self.highest = np.zeros_like(self.lowest)
         self._n_bins, self._last = 0, list[list[Event]]()
         self._pieces: dict[str, list[AnnotatedRows]] = {name: [] for name in self.cuttings}
+        self._measuring = {name: ImpactRows(self.file, cutting) for name, cutting in self.cuttings.items()}
         self._stat = self._state()
+
+    @property
+    def name(self) -> str:
+        """Name of the file, with the channels if these are not all."""
+        return channel_name(self.file.annotations[0].path.name, self.cells.get("channel", "1"))
+
+    def has(self, row: Cells) -> bool:
+        """Return whether a row of a table is of this recording."""
+        own = self.cells.get("channel", "")
+        return row["path"] == self.cells["path"] and own in ("", row.get("channel", ""))
 
     @property
     def rate(self) -> float:
@@ -141,7 +155,6 @@ class LabelledRecording:
     ) -> list[Event]:
         """Take the impacts that are whole, each of any channels at one time, and return the others."""
         from cgid.identification.training.impact_table import interval_rows
-        from cgid.identification.training.recordings import AnnotatedRows, measured_events
 
         events.sort(key=lambda one: one.onset)
         times = [one.time for one in events]
@@ -149,14 +162,12 @@ class LabelledRecording:
         while 0 < n < len(times) and times[n] - times[n - 1] <= SAME_IMPACT:
             n -= 1
         taken, left = events[:n], events[n:]
-        names, cutting = [channel.name for channel in self.file.recording.channels], self.cuttings[name]
-        for some in (taken[k : k + _AT_ONCE] for k in range(0, n, _AT_ONCE)):
+        for k in range(0, n, _AT_ONCE):
             if stopped():
                 raise Stopped("the page was closed")
-            for annotation, channel, at, features in measured_events(some, self.file, cutting):
-                self._pieces[name].append(
-                    AnnotatedRows(annotation, at, features, np.full(len(at), np.inf), names[channel])
-                )
+            # The last one of these is of another rock than what is left.
+            following = taken[k + _AT_ONCE].onset if k + _AT_ONCE < n else np.inf
+            self._pieces[name] += self._measuring[name].feed(taken[k : k + _AT_ONCE], following)
         if not shown:
             return left
         breaks = [k for k in range(1, n) if times[k] - times[k - 1] > SAME_IMPACT]

@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import chain, compress, groupby, product
+from itertools import compress, groupby, product
 from pathlib import Path
 from typing import Any, NamedTuple, NoReturn
 
@@ -655,34 +655,45 @@ def _windows(file: AnnotatedFile, cutting: Cutting) -> Iterator[AnnotatedRows]:
 
 def _impacts(file: AnnotatedFile, cutting: Cutting) -> Iterator[AnnotatedRows]:
     """Yield annotation, times and features of the impacts in annotated intervals; the detector gets all samples."""
-    # As in prediction, channels are separate sensors: an impact gives a row for each channel that measures it, or one
-    # for those of a beam.
-    recording = file.recording
-    names = [channel.name for channel in recording.channels]
-    rocks: RockAssigner[_Part] = RockAssigner(file.groups, recording.sampling_rate)
-    sign = file.upright
+    sign, measuring = file.upright, ImpactRows(file, cutting)
     detector = ImpactDetector(
-        recording.sampling_rate,
-        len(recording.channels),
+        file.recording.sampling_rate,
+        len(file.recording.channels),
         kind="vibration" if kind_of(cutting.names) == "vibration" else "pulse",
         dead_time=cutting.slicing.dead_time,
         gaps=True,
     )
-    for block in chain(file.blocks(), [None]):
-        pieces = measured_events(detector.finish() if block is None else detector.feed(sign * block), file, cutting)
-        if not file.is_grouped:
+    for block in file.blocks():
+        yield from measuring.feed(detector.feed(sign * block), detector.known_until)
+    yield from measuring.feed(detector.finish(), np.inf)
+
+
+class ImpactRows:
+    """Rows of the impacts of a file as they are found: one for each channel that measures it, or for those of a beam.
+
+    As in prediction, other channels are separate sensors.
+    """
+
+    def __init__(self, file: AnnotatedFile, cutting: Cutting) -> None:
+        self._file, self._cutting = file, cutting
+        self._names = [channel.name for channel in file.recording.channels]
+        self._rocks: RockAssigner[_Part] = RockAssigner(file.groups, file.recording.sampling_rate)
+
+    def feed(self, events: list[Event], known_until: float) -> Iterator[AnnotatedRows]:
+        """Yield the rows of further impacts, all of which before a sample are known."""
+        pieces = _measured_events(events, self._file, self._cutting)
+        if not self._file.is_grouped:
             for annotation, channel, times, features in pieces:
-                yield AnnotatedRows(annotation, times, features, np.full(len(times), np.inf), names[channel])
-            continue
+                yield AnnotatedRows(annotation, times, features, np.full(len(times), np.inf), self._names[channel])
+            return
         parts = [
-            _Part(channel, round(time * recording.sampling_rate), annotation, time, row)
+            _Part(channel, round(time * self._file.recording.sampling_rate), annotation, time, row)
             for annotation, channel, times, features in pieces
             for time, row in zip(times.tolist(), features, strict=True)
         ]
-        known_until = np.inf if block is None else detector.known_until
-        for rock in rocks.feed(sorted(parts, key=lambda part: part.onset), known_until):
-            rows = next(rows for rows in file.groups if rock[0].channel in rows)
-            features, name = _of_rock(rock, cutting.names)[None], "+".join(names[row] for row in rows)
+        for rock in self._rocks.feed(sorted(parts, key=lambda part: part.onset), known_until):
+            rows = next(rows for rows in self._file.groups if rock[0].channel in rows)
+            features, name = _of_rock(rock, self._cutting.names)[None], "+".join(self._names[row] for row in rows)
             yield AnnotatedRows(rock[0].annotation, np.array([rock[0].time]), features, np.array([np.inf]), name)
 
 
@@ -709,7 +720,7 @@ def _of_rock(rock: Sequence[_Part], names: tuple[str, ...]) -> Floats:
     return joined(values, names)
 
 
-def measured_events(
+def _measured_events(
     events: list[Event], file: AnnotatedFile, cutting: Cutting
 ) -> Iterator[tuple[Annotation, int, Floats, Floats]]:
     """Yield annotation, channel, times and features of the impacts in annotated intervals."""
