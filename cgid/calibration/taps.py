@@ -52,7 +52,7 @@ DOUBLE = 0.1
 #: Minimum length of a decay [s], and relative to the median one.
 SHORTEST, _MIN_PART = 30e-3, 0.5
 #: Maximum length of a decay [samples].
-_LONGEST = 1 << 18
+LONGEST = 1 << 18
 #: A clipped response stays at its extreme for three samples, at least at this fraction of the largest deviation.
 _CLIPPED_SHARE = 0.5
 #: Time within which a recording must show taps [s].
@@ -64,7 +64,7 @@ _PERIODS, _HIGHEST = 5.0, 0.4
 #: Minimum participation, so that masses are finite.
 _LEAST = 1e-12
 #: An earlier tap is heard for this many times the slowest mode's time constant.
-_RINGS = 30.0
+RINGS = 30.0
 #: A second force within a tap test is a tap above this fraction of the largest; below it the hammer's channel vibrates.
 _FLOOR = 0.05
 #: A windowed decay is used for this many time constants of the window: later it is rounding, not noise.
@@ -74,7 +74,7 @@ _SAME_DELAY, _MIN_PHASES = 1.5e-3, 3
 #: No delay is taken if it leaves less than this fraction of the energy that the delay of the phases leaves.
 _CLEARLY = 0.25
 #: Maximum standard deviation of a row of the response over what is unexplained, and its least.
-_AS_A_WHOLE, _EXACT = 2.0, 0.01
+_AS_A_WHOLE, EXACT = 2.0, 0.01
 #: Largest table of taps [bytes].
 _MAX_FILE_SIZE = 1 << 20
 
@@ -197,15 +197,16 @@ class TapTest:
         note += "in 1/kg" if every.scaled else "without a hammer over the largest: masses have no scale"
         if every.scaled:
             note += f"; rows with a damping ratio of {LINE_DAMPING:g} are modes outside of the band"
-        return _save(path, text_of_table(columns, "1/kg" if every.scaled else "1"), note, overwrite)
+        return save_table(path, text_of_table(columns, "1/kg" if every.scaled else "1"), note, overwrite)
 
 
 def save_learned(modes: Modes, path: str | Path, *, overwrite: bool = False) -> Path:
     """Write the modes of a scene, corrected by taps, as a table for `tail_beam.learned`."""
-    return _save(path, text_of_table(modes.columns), "a line for each mode of the scene, in its order", overwrite)
+    return save_table(path, text_of_table(modes.columns), "a line for each mode of the scene, in its order", overwrite)
 
 
-def _save(path: str | Path, table: str, note: str, overwrite: bool) -> Path:
+def save_table(path: str | Path, table: str, note: str, overwrite: bool) -> Path:
+    """Write a table of modes, and what it is in a comment before it."""
     path = check_new(Path(path), "a table of modes", (".csv",), overwrite=overwrite)
     text = f"# Written by cgid tap: {note}; deviations are standard deviations of logarithms\n{table}"
     write_whole(path, text.encode(), overwrite=overwrite)
@@ -271,17 +272,17 @@ def tap_test(  # noqa: PLR0913
     force, hits, delay = None, None, 0.0
     if hammer is not None:
         force, hits = hammer_force(hammer, sampling_rate, source)
-        force, hits, delay = _aligned(response, force, hits, sampling_rate, source)
+        force, hits, delay = aligned(response, force, hits, sampling_rate, source)
     events = hits if hits is not None else events_in(response, sampling_rate, source, apart=times is None)
-    taps = _judged(response, sampling_rate, events, contact, times, source)
+    taps = judged(response, sampling_rate, events, contact, times, source)
     while True:
-        used = _used(taps, source)
-        length = min(min(tap.stop - tap.start for tap in used), _LONGEST)
+        used = usable(taps, source)
+        length = min(min(tap.stop - tap.start for tap in used), LONGEST)
         if window_tau is not None:
             length = min(length, round(_WINDOWS * window_tau * sampling_rate))
-        low, high = _band(band, length / sampling_rate, sampling_rate, source)
+        low, high = band_of(band, length / sampling_rate, sampling_rate, source)
         if force is not None and hits is not None:
-            blows = _blows(response[0], force, hits, used, sampling_rate, 0.0)
+            blows = blows_of(response[0], force, hits, used, sampling_rate, 0.0)
             if bad := disagreeing_at_first(blows, sampling_rate, (low, high)):
                 taps = _without(taps, {used[k].time: one for k, one in bad.items()})
                 continue
@@ -302,12 +303,12 @@ def tap_test(  # noqa: PLR0913
             response_modes, unexplained, measured = modes, None, None
             break
         pole = np.concatenate([poles.pole, lines_of((low, high))])
-        reach = _RINGS / np.abs(pole.real).min() if window_tau is None else 0.0
-        blows = _blows(response[0], force, hits, used, sampling_rate, reach)
+        reach = RINGS / np.abs(pole.real).min() if window_tau is None else 0.0
+        blows = blows_of(response[0], force, hits, used, sampling_rate, reach)
         if window_tau is not None:
             lead = max(round(_AFTER * sampling_rate), 2)
             blows = [blow.without_window(window_tau * sampling_rate, lead) for blow in blows]
-        rest, alike = _remaining_delay(poles, blows, used, sampling_rate, DERIVATIVES[quantity])
+        rest, alike = remaining_delay(poles, blows, used, sampling_rate, DERIVATIVES[quantity])
         gram = gram_of(blows, pole, sampling_rate, DERIVATIVES[quantity], (low, high), rest)
         if abs(rest) > 1 / sampling_rate:  # phases may be those of damping in places
             none = gram_of(blows, pole, sampling_rate, DERIVATIVES[quantity], (low, high))
@@ -335,7 +336,7 @@ def tap_test(  # noqa: PLR0913
                 fit, pole, deviation = wider, more, np.zeros((3, more.size))
                 deviation[2] = 1.0
         # Rows may be large and cancel: then they are as wrong as the response is as a whole.
-        deviation[2] = np.minimum(deviation[2], max(_AS_A_WHOLE * float(np.median(fit.unexplained)), _EXACT))
+        deviation[2] = np.minimum(deviation[2], max(_AS_A_WHOLE * float(np.median(fit.unexplained)), EXACT))
         response_modes = _modes(pole[fit.kept], fit.value, deviation[:, fit.kept], scaled=True)
         response_modes = response_modes.taken(np.argsort(response_modes.frequency))
         poles, unexplained = poles.taken(kept_modes), fit.unexplained
@@ -424,7 +425,7 @@ def _jump(response: Floats, onset: int, sampling_rate: float) -> float:
     return float(np.max(np.sqrt(np.mean(after**2, axis=1) / np.maximum(np.mean(before**2, axis=1), 1e-300))))
 
 
-def _aligned(
+def aligned(
     response: Floats, force: Floats, hits: list[Event], sampling_rate: float, source: str
 ) -> tuple[Floats, list[Event], float]:
     """Return the force and its impacts as the sensors' clock has them, to a millisecond, and how late they were [s]."""
@@ -446,7 +447,7 @@ def _aligned(
     return shifted(force, count), moved, -count / sampling_rate
 
 
-def _remaining_delay(
+def remaining_delay(
     poles: Poles, blows: Sequence[Blow], taps: Sequence[Tap], sampling_rate: float, derivatives: int
 ) -> tuple[float, NDArray[np.bool_]]:
     """Return by how much the forces are late [s], from the phases of the modes, and which taps say so."""
@@ -492,7 +493,7 @@ def hammer_force(hammer: Floats, sampling_rate: float, source: str) -> tuple[Flo
     return force, hits
 
 
-def _judged(
+def judged(
     response: Floats,
     sampling_rate: float,
     events: list[Event],
@@ -571,7 +572,7 @@ def _long_enough(taps: list[Tap], sampling_rate: float, n: int) -> list[Tap]:
     return out
 
 
-def _used(taps: Sequence[Tap], source: str) -> list[Tap]:
+def usable(taps: Sequence[Tap], source: str) -> list[Tap]:
     """Return the taps without a flaw; raises `BadData` if there is none."""
     used = [tap for tap in taps if not tap.flaw]
     if not used:
@@ -590,7 +591,9 @@ def _cures(taps: Sequence[Tap]) -> str:
     return "; ".join(_CURES[flaw] for flaw in dict.fromkeys(tap.flaw for tap in taps) if flaw is not None)
 
 
-def _band(band: tuple[float, float] | None, duration: float, sampling_rate: float, source: str) -> tuple[float, float]:
+def band_of(
+    band: tuple[float, float] | None, duration: float, sampling_rate: float, source: str
+) -> tuple[float, float]:
     """Return the range of natural frequencies [Hz]."""
     least, max_frequency = _PERIODS / duration, 0.49 * sampling_rate
     if band is None:
@@ -619,7 +622,7 @@ def _relative_participation(poles: Poles, n_taps: int, derivatives: int) -> tupl
     return _averaged(amplitude / strength, np.broadcast_to(strength, amplitude.shape), noise, shared)
 
 
-def _blows(
+def blows_of(
     response: Floats,
     force: Floats,
     hits: Sequence[Event],
@@ -631,7 +634,7 @@ def _blows(
     lead = max(round(_AFTER * sampling_rate), 2)
     parts = {round(hit.onset): slice(max(hit.onset - lead, 0), min(hit.end + lead, force.size)) for hit in hits}
     own = [parts[round(tap.time * sampling_rate)] for tap in taps]
-    length = min(min(tap.stop - part.start for tap, part in zip(taps, own, strict=True)), _LONGEST)
+    length = min(min(tap.stop - part.start for tap, part in zip(taps, own, strict=True)), LONGEST)
     return [
         Blow(
             response=response[part.start : part.start + length],
