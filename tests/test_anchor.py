@@ -30,6 +30,7 @@ from cgid.identification.model.anchor import (
 from cgid.identification.model.families import Network
 from cgid.identification.model.model import StoredModel
 from cgid.identification.prediction.settings import PredictionSettings
+from cgid.identification.prediction.support import CavingWatch
 from cgid.shipped import DEFAULT_MODEL, path_of
 from tests.streams_of_pulses import stream
 
@@ -60,6 +61,8 @@ def networks(seed: int = 1, n_cells: int = 5) -> SeamNetworks:
         anchored=network(3 * n, N_CLASSES),
         alone=network(n, N_CLASSES),
         foreign=network(3 * n, 2),
+        sharpened=network(4 * n, N_CLASSES),
+        lumps_limit=0.0,  # any lumps are gangue
     )
 
 
@@ -87,14 +90,21 @@ def test_networks_return_from_a_model_file() -> None:
     model, own = StoredModel.load(path_of("models", DEFAULT_MODEL)), networks()
     with_networks = StoredModel.from_bytes(with_arrays(model, {**without_networks(model), **own.arrays}).to_bytes())
     assert with_networks.seams is not None
-    window, anchor = own.summary(drawn(30, 1)), own.summary(drawn(50, 2))
+    window, anchor, lumps = (own.summary(drawn(n, seed)) for n, seed in ((30, 1), (50, 2), (10, 3)))
     for again, one in (
         (with_networks.seams.density(window, anchor), own.density(window, anchor)),
         (with_networks.seams.density(window), own.density(window)),
+        (with_networks.seams.density(window, anchor, lumps), own.density(window, anchor, lumps)),
+        (with_networks.seams.gangue_of(lumps, anchor), own.gangue_of(lumps, anchor)),
         (with_networks.seams.foreignness(window, anchor), own.foreignness(window, anchor)),
     ):
         assert again.tolist() == one.tolist()
+    assert with_networks.seams.lumps_limit == own.lumps_limit
     assert own.density(window, anchor).sum() == pytest.approx(1)
+    # Lumps are standardised as a window is, and of a window that is lumps alone half the classes are above one half.
+    inputs = inputs_of(window, anchor, own.mean, own.scale, lumps)
+    assert inputs[-lumps.size :].tolist() == inputs_of(lumps, anchor, own.mean, own.scale)[: lumps.size].tolist()
+    assert own.gangue_of(lumps, anchor) == pytest.approx(own.density(lumps, anchor)[:, class_edges()[:-1] > 0.49].sum())
     assert (
         own.foreignness(window, anchor)
         == own.foreign.scores(inputs_of(window, anchor, own.mean, own.scale)[None]) - 1.5
@@ -118,6 +128,8 @@ def with_arrays(model: StoredModel, arrays: dict[str, np.ndarray]) -> StoredMode
         ("mean", np.zeros(7), "seams.mean must have shape"),
         ("alone.weights_1", np.zeros((7, 6)), "weights_1 must have shape"),
         ("anchored.biases_3", None, "biases_3 is missing"),
+        ("lumps_limit", None, "must be given together"),
+        ("sharpened.weights_1", np.zeros((7, 6)), "weights_1 must have shape"),
         ("cells", np.full((5, 3), np.nan), "finite"),
         ("more", np.zeros(3), "seams.more"),
     ],
@@ -233,8 +245,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     np.save(out / "stream.npy", samples.astype("f4"))
     samples.astype("<f4").tofile(out / "stream.raw")
     model, own = StoredModel.load(path_of("models", DEFAULT_MODEL)), networks()
-    for name, limit in (("any", 1e3), ("none", -1e3)):
-        arrays = {**model.arrays, **replace(own, limit=limit).arrays}
+    for name, limit, lumps_limit in (("any", 1e3, 0.0), ("none", -1e3, 0.0), ("no lumps", 1e3, 1.1)):
+        arrays = {**model.arrays, **replace(own, limit=limit, lumps_limit=lumps_limit).arrays}
         (out / f"{name}.npz").write_bytes(with_arrays(model, arrays).to_bytes())
     return out
 
@@ -330,7 +342,7 @@ def test_a_table_labels_the_coal_of_a_recording(
         return [line | {"wall_time": ""} for line in lines if line["kind"] == "share"], err
 
     table = tmp_path / "events.csv"
-    head = f"path,start_s,end_s,label,channel\nanother.wav,0,3,coal,\n{file},2,2.1,gangue,\n"
+    head = "path,start_s,end_s,label,channel\nanother.wav,0,3,coal,\n"
     table.write_text(f"{head}{file},0,1,coal,1\n")
     by_table, until = (shares(*how)[0] for how in (("--labelled", str(table)), ("--coal-until", "1")))
     assert by_table == until and {line["basis"] for line in by_table} == {"anchor_pending", "anchor"}
@@ -338,6 +350,51 @@ def test_a_table_labels_the_coal_of_a_recording(
     assert "1 row begin after it" in shares("--labelled", str(table))[1]
     table.write_text(f"{head}{file},0,0.05,coal,\n")
     assert "the labelled coal must give at least 10" in shares("--labelled", str(table))[1]
+
+
+@pytest.mark.parametrize("command", ["predict", "monitor"])
+def test_labelled_lumps_of_gangue_are_used_beside_the_coal(
+    command: str, folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file, table = folder / {"predict": "stream.npy", "monitor": "stream.raw"}[command], tmp_path / "events.csv"
+
+    def shares(lumps: str, *options: str, model: str = "any") -> tuple[list[dict], str]:
+        table.write_text(
+            f"path,start_s,end_s,label\n{file},1.6,{lumps},gangue\n{'' if options else f'{file},0,1,coal'}\n"
+        )
+        lines, err = lines_of(folder, capsys, command, "--labelled", str(table), *options, model=model)
+        return [line for line in lines if line["kind"] == "share"], err
+
+    found, err = shares("2.2")
+    assert "gangue" not in err
+    for line in found:
+        expected = "anchor_and_gangue" if line["to_s"] >= 2.2 else "anchor"
+        assert line["basis"] == (expected if line["to_s"] >= 1 else "anchor_pending")
+    assert [line["low"] for line in shares("2.2", "--coal-until", "1")[0]] == [line["low"] for line in found]
+    for lumps, model, basis, words in (
+        ("1.7", "any", "gangue_too_few", "the labelled gangue must give at least 6 identified impacts"),
+        ("2.2", "no lumps", "gangue_foreign", "the labelled gangue is hardly gangue beside the labelled coal"),
+    ):
+        told, err = shares(lumps, model=model)
+        assert err.count(words) == 1
+        assert {line["basis"] for line in told if line["to_s"] > 2.3} == {basis}
+        # The fraction is as without them.
+        alone = shares("1.61", model=model)[0]
+        assert [line["low"] for line in told] == [line["low"] for line in alone]
+    assert "labelled gangue must be within the recording" in shares("2.2\n" + f"{file},9,10,gangue\n{file},9,9.1")[1]
+
+
+def test_lumps_need_stated_coal_and_a_model_that_knows_them(folder: Path) -> None:
+    with pytest.raises(InvalidValue, match="labelled gangue must come with stated coal"):
+        PredictionSettings(lumps=((1.0, 2.0),))
+    with pytest.raises(InvalidValue, match="a span of gangue must rise"):
+        PredictionSettings(lumps=((2.0, 1.0),), coal_until=1.0)
+    model = StoredModel.load(folder / "any.npz")
+    older = {name: one for name, one in model.arrays.items() if "sharpened" not in name and "lumps" not in name}
+    settings = PredictionSettings(lumps=((1.0, 2.0),), coal_until=1.0)
+    CavingWatch(model, ["1"], settings)
+    with pytest.raises(InvalidValue, match="lumps must be left out, this model"):
+        CavingWatch(with_arrays(model, older), ["1"], settings)
 
 
 def test_a_table_without_coal_of_the_recording_is_refused(

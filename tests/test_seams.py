@@ -105,6 +105,7 @@ def test_a_model_learns_fractions_of_seams_and_answers_impacts_as_before(model: 
     assert told["anchored"]["rms"] < told["alone"]["rms"]
     assert told["anchored"]["width"] < told["alone"]["width"]
     assert told["anchored"]["holds"] > 0.85 and told["foreign_told"] > 0.2
+    assert told["sharpened"]["rms"] < 0.2 and told["sharpened"]["holds"] > 0.85 and 0 < made.seams.lumps_limit < 0.5
     rows = pool.measured[np.isfinite(pool.measured).all(axis=1)][:50]
     inputs, guards = rows[:, : len(model.features)], rows[:, len(model.features) :]
     assert made.probabilities(inputs).tolist() == model.probabilities(inputs).tolist()

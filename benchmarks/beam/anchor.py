@@ -5,7 +5,8 @@
 Rocks of each seam fall on the beam of finite elements of `independent_beam`, roll down it, bounce, overlap, and end on
 a recorder with noise. `cgid` looks through the modes that it computes from the scene's dimensions. A seam is one stream
 of coal and one of as much gangue; windows of 10 s with 8 rocks a second are drawn from their rocks, each with all its
-predictions, and so are anchors, from other rocks of coal. Nothing was settled with these seeds.
+predictions, and so are anchors, from other rocks of coal, and labelled lumps of gangue. Nothing was settled with these
+seeds.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from numpy.typing import NDArray
 
 from benchmarks.beam.independent_beam import NOISE, RATE, Rocks, digitised, generate
 from cgid import load_model
-from cgid.identification.model.anchor import Anchor, Basis
+from cgid.identification.model.anchor import MIN_LUMPS, Anchor, Basis
 from cgid.identification.model.model import Model
 from cgid.identification.prediction.fraction import Share, ShareWindow, ShutDecision, answers_of
 from cgid.identification.prediction.settings import PredictionSettings
@@ -33,6 +34,8 @@ SEED = 591
 #: Noise over that of `independent_beam`, rocks a second, and length of the streams of coal and of both [s].
 QUIET, ARRIVALS, COAL, BOTH = 0.3, 8.0, 110.0, 90.0
 SPAN = 25.0
+#: Labelled lumps fall for so long after the coal [s].
+LUMPS = 5.0
 WINDOW, FRACTIONS = 10.0, (0.0, 0.1, 0.2, 0.35, 0.5, 0.65, 0.8)
 _STEEL = 210e9 / (1 - 0.3**2)
 _SLOPE, _GRAVITY = np.radians(20.0), 9.80665
@@ -228,14 +231,29 @@ class Site:
         rows = np.concatenate([np.empty((0, 4)), *chosen])
         return rows[rng.permutation(len(rows))]
 
+    def lumps(self, window: Floats, rng: np.random.Generator, *, gangue: bool) -> Floats:
+        """Return the impacts of ten lumps that are not in a window."""
+        some = self.gangue if gangue else self.coal
+        free = [one for one in some if len(one) and not np.isin(one[:, 1], window[:, 1]).any()]
+        return np.concatenate([free[k] for k in rng.permutation(len(free))[:10]])
 
-def shares_of(model: Model, anchor: Floats | None, windows: Sequence[Floats], *, networks: bool = True) -> list[Share]:
-    """Return the share of each of some windows that follow a coal of `SPAN` s."""
+
+def shares_of(
+    model: Model,
+    anchor: Floats | None,
+    windows: Sequence[Floats],
+    *,
+    lumps: Floats | None = None,
+    networks: bool = True,
+) -> list[Share]:
+    """Return the share of each of some windows that follow a coal of `SPAN` s, and lumps."""
+    begin = SPAN if lumps is None else SPAN + LUMPS
     watch = ShareWindow(
         WINDOW,
         answers=answers_of(model, ("gangue",)),
         seams=model.seams if networks else None,
         anchor=None if anchor is None else Anchor(SPAN),
+        lumps=None if lumps is None else Anchor(0.0, spans=[(SPAN, begin)], least=MIN_LUMPS),
     )
 
     def add(rows: Floats, start: float, stop: float) -> None:
@@ -245,10 +263,12 @@ def shares_of(model: Model, anchor: Floats | None, windows: Sequence[Floats], *,
 
     if anchor is not None:
         add(anchor, 0.0, SPAN)
+    if lumps is not None:
+        add(lumps, SPAN, begin)
     found = []
-    for begin, rows in zip(SPAN + WINDOW * np.arange(len(windows)), windows, strict=True):
-        add(rows, begin, begin + WINDOW)
-        found.append(watch.at(begin + WINDOW))
+    for start, rows in zip(begin + WINDOW * np.arange(len(windows)), windows, strict=True):
+        add(rows, start, start + WINDOW)
+        found.append(watch.at(start + WINDOW))
     return found
 
 
@@ -263,7 +283,7 @@ def figures(pairs: Sequence[tuple[Share, float]]) -> str:
     cost = ShutDecision().cost
     false = sum(cost(share) > 0 for share, truth in pairs if truth < 0.5)
     right = np.mean([cost(share) > 0 for share, truth in pairs if truth > 0.6])
-    told = sum(share.basis == Basis.FOREIGN for share, _ in pairs)
+    told = sum(share.basis in (Basis.FOREIGN, Basis.WRONG_LUMPS) for share, _ in pairs)
     return (
         f"{np.sqrt(np.mean(error**2)):.3f} | {error.mean():+.3f} | {holds:.2f} | {width:.2f} | "
         f"{false} of {sum(truth < 0.5 for _, truth in pairs)} | {right:.2f} | {told} of {len(pairs)}"
@@ -274,8 +294,14 @@ def single_windows(model: Model, sites: dict[str, Site], n_windows: int) -> None
     """Print the table of single windows, each with an anchor of its own."""
     rows: dict[tuple[str, str], list[tuple[Share, float]]] = {}
     names = list(sites)
+
+    def keep(name: str, what: str, share: Share, truth: float) -> None:
+        kind = "random seams" if name.startswith("random") else "named seams"
+        for group in (name, kind, "all seams"):
+            rows.setdefault((group, what), []).append((share, truth))
+
     for number, (name, site) in enumerate(sites.items()):
-        rng = np.random.default_rng([SEED, number])
+        rng, of_lumps = (np.random.default_rng([SEED, number, *more]) for more in ((), (2,)))
         for k in range(n_windows):
             truth = FRACTIONS[k % len(FRACTIONS)]
             window = site.drawn(WINDOW, truth, rng)
@@ -286,12 +312,15 @@ def single_windows(model: Model, sites: dict[str, Site], n_windows: int) -> None
                 anchors |= {"25 s of another site": other.drawn(25, 0.0, rng, anchor=True)}
             for what, anchor in {"trained seam": None, "any seam": None, **anchors}.items():
                 (share,) = shares_of(model, anchor, [window], networks=what != "trained seam")
-                kind = "random seams" if name.startswith("random") else "named seams"
-                for group in (name, kind, "all seams"):
-                    rows.setdefault((group, what), []).append((share, truth))
+                keep(name, what, share, truth)
+            coal = anchors["25 s of coal"]
+            for what, gangue in (("25 s of coal, ten lumps", True), ("25 s of coal, ten lumps of coal", False)):
+                lumps = site.lumps(window, of_lumps, gangue=gangue)
+                (share,) = shares_of(model, coal, [window], lumps=lumps)
+                keep(name, what, share, truth)
     print(f"| seam | fraction by | {TITLES} |\n|---|---|---|---|---|---|---|---|---|")
     for (group, what), pairs in sorted(rows.items(), key=lambda row: row[0][0].endswith("seams")):
-        if group.endswith("seams") or what in ("trained seam", "any seam", "25 s of coal"):
+        if group.endswith("seams") or what in ("trained seam", "any seam", "25 s of coal", "25 s of coal, ten lumps"):
             print(f"| {group} | {what} | {figures(pairs)} |", flush=True)
 
 

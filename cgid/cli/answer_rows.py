@@ -98,11 +98,9 @@ class AnswerLines:
 
     def share(self, source: str, name: str, state: SupportState) -> None:
         """Print the gangue fraction of a window of a source, or of its channel as `name`."""
-        from cgid.identification.model.anchor import Basis
-
         share = state.share
         unknown = f", {share.n_unknown} more unknown" if share.n_unknown else ""
-        any_seam = ", any seam" if share.basis not in (Basis.TRAINED, Basis.ANCHOR) else ""
+        any_seam = ", any seam" if share.basis.is_any_seam else ""
         fraction = (
             f"{share.share:.2f} ({share.low:.2f} to {share.high:.2f}{any_seam})" if share.n_impacts else "not known"
         )
@@ -326,11 +324,12 @@ class RecordingRows:
             self._warn(
                 f"{self.source}: --coal-until must be within the recording of {last.until:.6g} s, got {stated:.6g} s"
             )
-        if late := sum(one.start > last.until for one in self.settings.coal):
-            self._warn(
-                f"{self.source}: labelled coal must be within the recording of {last.until:.6g} s, "
-                f"{counted(late, 'row')} begin after it"
-            )
+        for label, spans in (("coal", self.settings.coal), ("gangue", self.settings.lumps)):
+            if late := sum(one.start > last.until for one in spans):
+                self._warn(
+                    f"{self.source}: labelled {label} must be within the recording of {last.until:.6g} s, "
+                    f"{counted(late, 'row')} begin after it"
+                )
         if self.tally.total > 1 or self._live:
             self.lines.summary(self.source, self.tally, last.until, start_time)
         if not self._live:
@@ -449,7 +448,7 @@ class RecordingRows:
 
     def _print_basis(self, name: str, share: Share) -> None:
         """Print why the gangue fraction of a support is not that of its own seam, when that begins."""
-        from cgid.identification.model.anchor import MIN_ANCHOR, Basis
+        from cgid.identification.model.anchor import MIN_ANCHOR, MIN_LUMPS, Basis
 
         if share.basis == self._bases.get(share.channel) or not (share.n_impacts or share.basis == Basis.TOO_FEW):
             return
@@ -459,11 +458,15 @@ class RecordingRows:
         stated = self.settings.coal_until
         coal = "the labelled coal" if stated is None else f"the coal of {stated:.6g} s"
         so = "so the interval of the gangue fraction is for any seam"
+        alone = "so the gangue fraction rests on the coal alone"
         message = {
             Basis.TOO_FEW: f"{coal} must give at least {MIN_ANCHOR} identified impacts, it gave fewer, {so}; state a "
             "longer time",
             Basis.FOREIGN: f"the impacts until {share.time:.6g} s are hardly a mixture with {coal}, {so}; check that "
             "it was coal alone, of this channel and cycle",
+            Basis.FEW_LUMPS: f"the labelled gangue must give at least {MIN_LUMPS} identified impacts, it gave fewer, "
+            f"{alone}; label more lumps",
+            Basis.WRONG_LUMPS: f"the labelled gangue is hardly gangue beside {coal}, {alone}; check both labels",
         }.get(share.basis)
         if message is not None:
             self._warn(f"{name}: {message}", channel=share.channel, basis=str(share.basis))

@@ -545,7 +545,8 @@ answering_options = _options(
         "--labelled",
         type=PATH,
         metavar="TABLE",
-        help="Take what this manifest or table of events labels coal in the recording, in place of --coal-until.",
+        help="Take what this manifest or table of events labels coal in the recording, in place of --coal-until; some "
+        "lumps labelled gangue make the fraction sharper, beside either.",
     ),
     click.option(
         "--trained-seam",
@@ -566,11 +567,14 @@ answering_options = _options(
 def settings_with_coal(
     settings: PredictionSettings, labelled: Manifest, recording: str, channels: Sequence[Channel], model: StoredModel
 ) -> PredictionSettings:
-    """Return settings with the spans of a recording that a manifest labels coal."""
-    from cgid.identification.training.manifest import coal_in
+    """Return settings with the spans of a recording that a manifest labels coal, and gangue if the model uses it."""
+    from cgid.identification.training.manifest import labelled_in
 
-    names = [channel.name for channel in channels]
-    return replace(settings, coal=coal_in(labelled, recording, names, model.labels, settings.shares.gangue))
+    names, needs_coal = [channel.name for channel in channels], settings.coal_until is None
+    given = labelled, recording, names, model.labels, settings.shares.gangue
+    coal, lumps = labelled_in(*given, needs_coal=needs_coal)
+    uses_lumps = model.seams is not None and model.seams.sharpened is not None
+    return replace(settings, coal=coal, lumps=lumps if uses_lumps else ())
 
 
 def settings_of(

@@ -284,6 +284,8 @@ _USUAL = (100, 200), (40, 130)
 _IMPURE, _POLLUTED = 0.1, (0.2, 0.45)
 #: Windows without any gangue.
 _PURE = 0.06
+#: Labelled lumps of gangue at least and at most.
+_LUMPS = (6, 40)
 #: Layers, weight decay, epochs with rates of learning, and cells of the summary.
 _LAYERS, _DECAY, _EPOCHS, _N_CELLS = (64, 32), 0.3, ((24, 1e-3), (8, 2e-4)), 24
 #: Fraction of sound windows that pass the test of the anchor.
@@ -302,6 +304,7 @@ class _Draws:
     window: Floats
     anchor: Floats
     other: Floats  # an anchor of another seam, or a polluted one
+    lumps: Floats  # gangue of this seam
     fraction: Floats
 
 
@@ -352,6 +355,7 @@ def with_seams(
         alone=alone,
         foreign=foreign,
     )
+    networks = _sharpened(networks, own, judges, seed)
     usual = judges.window[:, -1] >= np.log(_USUAL[1][0])
     told = {
         "n_seams": n_seams,
@@ -361,8 +365,24 @@ def with_seams(
         "foreign_told": float(np.mean(networks.foreignness(judges.window, judges.other)[usual] > 0)),
         "anchored": _figures(networks.density(judges.window, judges.anchor)[usual], judges.fraction[usual]),
         "alone": _figures(networks.density(judges.window)[usual], judges.fraction[usual]),
+        "sharpened": _figures(
+            networks.density(judges.window, judges.anchor, judges.lumps)[usual], judges.fraction[usual]
+        ),
     }
     return replace(model, arrays={**model.arrays, **networks.arrays}, training={**model.training, "seams": told})
+
+
+def _sharpened(networks: SeamNetworks, own: _Draws, judges: _Draws, seed: int) -> SeamNetworks:
+    """Return networks with one that sees labelled lumps of gangue, too."""
+
+    def inputs(drawn: _Draws) -> Floats:
+        return inputs_of(drawn.window, drawn.anchor, networks.mean, networks.scale, drawn.lumps)
+
+    with threadpool_limits(1):
+        sharpened = _fitted(inputs(own), _class_of(own.fraction), seed)
+        sharpened = _cooled(sharpened, inputs(judges), _class_of(judges.fraction))
+    limit = float(np.quantile(networks.gangue_of(judges.lumps, judges.anchor), 1 - _SOUND))
+    return replace(networks, sharpened=sharpened, lumps_limit=limit)
 
 
 def taught(
@@ -388,6 +408,7 @@ def _draws(seams: Seams, cells: Floats, scale: Floats, rng: np.random.Generator)
     """Return windows of each seam beside anchors of it and of others."""
     n_rocks = _COAL + _GANGUE
     n_seams = (len(seams.first) - 1) // n_rocks
+    (of_lumps,) = rng.spawn(1)
     rows = []
     for seam in np.repeat(np.arange(n_seams), _DRAWS).tolist():
         coal, gangue = rng.permutation(_COAL), _COAL + rng.permutation(_GANGUE)
@@ -408,12 +429,14 @@ def _draws(seams: Seams, cells: Floats, scale: Floats, rng: np.random.Generator)
             another + rest[:n_anchor]
             if is_another
             else first + np.append(rest[: n_anchor - polluted], gangue[_GANGUE - polluted :]),
+            first + gangue[n_gangue:][: int(np.exp(of_lumps.uniform(*np.log(_LUMPS))))],
         )
         impacts = [_of_rocks(seams, rocks) for rocks in chosen]
-        if len(impacts[0].logits) and all(len(one.logits) >= MIN_ANCHOR for one in impacts[1:]):
+        least = 1, MIN_ANCHOR, MIN_ANCHOR, 1
+        if all(len(one.logits) >= n for one, n in zip(impacts, least, strict=True)):
             rows.append((*(summary(one, cells, scale) for one in impacts), fraction))
-    window, anchor, other, fractions = zip(*rows, strict=True)
-    return _Draws(window=np.array(window), anchor=np.array(anchor), other=np.array(other), fraction=np.array(fractions))
+    columns = map(np.array, zip(*rows, strict=True))
+    return _Draws(**dict(zip((one.name for one in fields(_Draws)), columns, strict=True)))
 
 
 def _of_rocks(seams: Seams, rocks: NDArray[np.intp]) -> Impacts:

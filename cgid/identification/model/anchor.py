@@ -4,7 +4,8 @@ No single impact tells its seam: a hard coal looks like a soft gangue. But a win
 for this coal, the anchor, and those of the present window are summarised, and a network gives the density of the
 fraction. It was trained on thousands of simulated seams (`cgid.learning.seams`), so it has seen which coals and gangues
 look like this beside such an anchor. A second network sees the window alone: its density is as wide as the seams of the
-training allow. A third one tells whether the window can be a mixture with the coal of the anchor.
+training allow. A third one tells whether the window can be a mixture with the coal of the anchor. A fourth one sees
+labelled lumps of gangue beside both. Whether these can be gangue beside this coal, the network of the anchor tells.
 """
 
 from __future__ import annotations
@@ -28,8 +29,8 @@ PULSES = (
     ("beam_peak_force", "beam_pulse_width", "beam_restitution"),
     ("fitted_peak", "fitted_width", "shrunken_restitution"),
 )
-#: Minimum number of identified impacts of an anchor.
-MIN_ANCHOR = 10
+#: Minimum number of identified impacts of an anchor, and of labelled lumps of gangue.
+MIN_ANCHOR, MIN_LUMPS = 10, 6
 #: While a span of coal of this length goes on, nothing is decided [s].
 _STRETCH = 0.5
 #: Classes of the fraction, evenly spaced in the angle of fraction = sin^2(angle): finer towards 0 and 1.
@@ -102,11 +103,13 @@ class SeamNetworks:
     anchored: Network
     alone: Network
     foreign: Network
+    sharpened: Network | None = None  # None: of an earlier version
+    lumps_limit: float = 0.0  # least probability of more than half gangue of lumps of gangue, beside its coal
 
     PREFIX: ClassVar = "seams."
     NUMBERS: ClassVar = ("cells", "cell_scale", "mean", "scale")
-    NETWORKS: ClassVar = ("anchored", "alone", "foreign")
-    ARRAYS: ClassVar = (*NUMBERS, "limit", *map(".".join, product(NETWORKS, Network.AXES)))
+    NETWORKS: ClassVar = ("anchored", "alone", "foreign", "sharpened")
+    ARRAYS: ClassVar = (*NUMBERS, "limit", "lumps_limit", *map(".".join, product(NETWORKS, Network.AXES)))
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> Self | None:
@@ -119,9 +122,12 @@ class SeamNetworks:
         cells, cell_scale, mean, scale = (stored[name] for name in cls.NUMBERS)
         if cells.ndim != 2 or cells.shape[1] != 3 or len(cells) > _MAX_CELLS:
             raise BadData(f"array {cls.PREFIX}cells must be rows of 3 numbers, at most {_MAX_CELLS}")
-        n = N_SUMMARY + len(cells)
-        for name, shape in {"cell_scale": (3,), "mean": (3 * n,), "scale": (3 * n,), "limit": (1,)}.items():
-            if stored[name].shape != shape:
+        n, is_sharp = N_SUMMARY + len(cells), any(name.startswith("sharpened.") for name in stored)
+        if is_sharp != ("lumps_limit" in stored):
+            raise BadData(f"arrays {cls.PREFIX}sharpened and {cls.PREFIX}lumps_limit must be given together")
+        shapes = {"cell_scale": (3,), "mean": (3 * n,), "scale": (3 * n,), "limit": (1,), "lumps_limit": (1,)}
+        for name, shape in shapes.items():
+            if name in stored and stored[name].shape != shape:
                 raise BadData(f"array {cls.PREFIX}{name} must have shape {shape}, got {stored[name].shape}")
         if min(cell_scale.min(), scale.min()) < MIN_DIVISOR:
             raise BadData(f"arrays {cls.PREFIX}scale and {cls.PREFIX}cell_scale must be at least {MIN_DIVISOR:g}")
@@ -139,26 +145,37 @@ class SeamNetworks:
             anchored=network("anchored", 3 * n, N_CLASSES),
             alone=network("alone", n, N_CLASSES),
             foreign=network("foreign", 3 * n, 2),
+            sharpened=network("sharpened", 4 * n, N_CLASSES) if is_sharp else None,
+            lumps_limit=float(stored.get("lumps_limit", [0.0])[0]),
         )
 
     @property
     def arrays(self) -> dict[str, NDArray[Any]]:
         """The arrays in a model file."""
         stored = {name: getattr(self, name) for name in self.NUMBERS} | {"limit": np.array([self.limit])}
+        if self.sharpened is not None:
+            stored["lumps_limit"] = np.array([self.lumps_limit])
         for name in self.NETWORKS:
-            stored |= {f"{name}.{part}": array for part, array in getattr(self, name).arrays.items()}
+            if (network := getattr(self, name)) is not None:
+                stored |= {f"{name}.{part}": array for part, array in network.arrays.items()}
         return {self.PREFIX + name: np.ascontiguousarray(array) for name, array in stored.items()}
 
     def summary(self, impacts: Impacts) -> Floats:
         """Return the summary of at least one impact, (n_summary,)."""
         return summary(impacts, self.cells, self.cell_scale)
 
-    def density(self, window: Floats, anchor: Floats | None = None) -> Floats:
+    def density(self, window: Floats, anchor: Floats | None = None, lumps: Floats | None = None) -> Floats:
         """Return the probability of each class of the fraction, (n, N_CLASSES), of one or more summaries."""
         if anchor is None:
             n = window.shape[-1]
             return softmax(self.alone.scores(np.atleast_2d(_clipped(window, self.mean[:n], self.scale[:n]))))
-        return softmax(self.anchored.scores(np.atleast_2d(inputs_of(window, anchor, self.mean, self.scale))))
+        network = self.anchored if lumps is None else self.sharpened
+        assert network is not None
+        return softmax(network.scores(np.atleast_2d(inputs_of(window, anchor, self.mean, self.scale, lumps))))
+
+    def gangue_of(self, lumps: Floats, anchor: Floats) -> Floats:
+        """Return the probability that lumps beside the coal of an anchor are more than half gangue, (n,)."""
+        return np.asarray(self.density(lumps, anchor)[:, N_CLASSES // 2 :].sum(axis=1))
 
     def foreignness(self, window: Floats, anchor: Floats) -> Floats:
         """Return a score that is above 0 where a window is hardly a mixture with the coal of the anchor."""
@@ -166,9 +183,14 @@ class SeamNetworks:
         return np.asarray(self.foreign.scores(np.atleast_2d(inputs)) - self.limit)
 
 
-def inputs_of(window: Floats, anchor: Floats, mean: Floats, scale: Floats) -> Floats:
-    """Return the standardised inputs of summaries, (..., 3 n_summary)."""
-    return _clipped(np.concatenate([window, anchor, window - anchor], axis=-1), mean, scale)
+def inputs_of(window: Floats, anchor: Floats, mean: Floats, scale: Floats, lumps: Floats | None = None) -> Floats:
+    """Return the standardised inputs of summaries, (..., 3 n_summary), 4 with lumps of gangue."""
+    inputs = _clipped(np.concatenate([window, anchor, window - anchor], axis=-1), mean, scale)
+    if lumps is None:
+        return inputs
+    n = window.shape[-1]
+    # Lumps are as a window that is all gangue.
+    return np.concatenate([inputs, _clipped(lumps, mean[:n], scale[:n])], axis=-1)
 
 
 class Basis(StrEnum):
@@ -180,6 +202,14 @@ class Basis(StrEnum):
     PENDING = "anchor_pending"  # its coal is still coming
     TOO_FEW = "anchor_too_few"  # its coal gave fewer than `MIN_ANCHOR` identified impacts
     FOREIGN = "anchor_foreign"  # the windows are hardly mixtures with its coal
+    LUMPS = "anchor_and_gangue"  # this coal and labelled lumps of gangue
+    FEW_LUMPS = "gangue_too_few"  # the coal alone: the lumps gave fewer than `MIN_LUMPS` identified impacts
+    WRONG_LUMPS = "gangue_foreign"  # the coal alone: the lumps are hardly gangue beside it
+
+    @property
+    def is_any_seam(self) -> bool:
+        """Whether the interval is for any seam."""
+        return self in (Basis.ANY_SEAM, Basis.PENDING, Basis.TOO_FEW, Basis.FOREIGN)
 
 
 class Anchor:
@@ -192,13 +222,19 @@ class Anchor:
     cycle_pause : float, optional [s]
         The first impact after such a pause begins another cycle; None: the recording is one cycle.
     spans : sequence of (float, float) [s]
-        Begin and end of spans of coal, such as of labelled impacts.
+        Begin and end of spans of coal, such as of labelled impacts; or of lumps of gangue.
+    least : int
+        Minimum number of identified impacts.
     """
 
     def __init__(
-        self, coal_until: float, cycle_pause: float | None = None, spans: Sequence[tuple[float, float]] = ()
+        self,
+        coal_until: float,
+        cycle_pause: float | None = None,
+        spans: Sequence[tuple[float, float]] = (),
+        least: int = MIN_ANCHOR,
     ) -> None:
-        self._spans = [(0.0, coal_until)] if coal_until else list(spans)
+        self._spans, self._least = [(0.0, coal_until)] if coal_until else list(spans), least
         self._pause, self._last, self._next = cycle_pause, np.inf, np.inf
         self._begin(0.0)
 
@@ -246,7 +282,7 @@ class Anchor:
         """Return the basis of a window that ends at a time [s]."""
         self._begin_if_due(time)
         ends = [(start, end) for start, end in self._spans if time < self._cycle + end]
-        is_enough = len(self.impacts.logits) >= MIN_ANCHOR
+        is_enough = len(self.impacts.logits) >= self._least
         # A span of one labelled impact is over before a window ends.
         if any(self._cycle + start <= time and end - start >= _STRETCH for start, end in ends):
             return Basis.PENDING

@@ -193,6 +193,7 @@ class ShareWindow:
         threshold: float = 0.5,
         seams: SeamNetworks | None = None,
         anchor: Anchor | None = None,
+        lumps: Anchor | None = None,
     ) -> None:
         # The weight of one answer is below 1 where windows overlap: 1 end to end, .5 for half overlap; the threshold is
         # for `Share.above`.
@@ -203,7 +204,7 @@ class ShareWindow:
         self._answers, self._threshold = answers or NoConfusion(), threshold
         self._weight = weight / self._answers.overdispersion
         self._blur = _blur(self._answers.scatter)
-        self._seams, self.anchor = seams, anchor
+        self._seams, self.anchor, self._lumps = seams, anchor, lumps
         self._impacts: deque[tuple[float, float, tuple[float, ...] | None]] = deque()
 
     def add(self, time: float, probability: float, pulse: tuple[float, ...] | None = None) -> None:
@@ -212,14 +213,14 @@ class ShareWindow:
         Calls must be in order of time.
         """
         self._impacts.append((time, probability, pulse))
-        if self.anchor is not None:
-            self.anchor.add(time, probability, pulse)
+        for labelled in filter(None, (self.anchor, self._lumps)):
+            labelled.add(time, probability, pulse)
 
     def forget(self, start: float, end: float) -> None:
         """Drop the impacts after a time and up to another [s], of an anchor, too."""
         self._impacts = deque(one for one in self._impacts if not start < one[0] <= end)
-        if self.anchor is not None:
-            self.anchor.forget(start, end)
+        for labelled in filter(None, (self.anchor, self._lumps)):
+            labelled.forget(start, end)
 
     def restart(self, time: float) -> Share:
         """Drop all impacts up to a time [s], and return the fraction of the window without them."""
@@ -238,7 +239,7 @@ class ShareWindow:
             if self._seams is None:
                 estimate = self._estimate(inside.logits, self._confusion(basis))
             else:
-                estimate, basis = self._by_seams(inside, basis)
+                estimate, basis = self._by_seams(inside, basis, time)
         return Share(
             time=time,
             start=max(start, 0.0),
@@ -254,10 +255,10 @@ class ShareWindow:
             return self.anchor.basis(time)
         return Basis.TRAINED if self._seams is None else Basis.ANY_SEAM
 
-    def _by_seams(self, inside: Impacts, basis: Basis) -> tuple[dict[str, float], Basis]:
+    def _by_seams(self, inside: Impacts, basis: Basis, time: float) -> tuple[dict[str, float], Basis]:
         """Return the fields of a `Share` for the impacts of a window by the networks, and its basis."""
         assert self._seams is not None
-        window, anchor = self._seams.summary(inside), None
+        window, anchor, lumps = self._seams.summary(inside), None, None
         is_enough = inside.logits.size >= MIN_WINDOW
         if basis == Basis.ANCHOR and is_enough:
             assert self.anchor is not None
@@ -266,8 +267,21 @@ class ShareWindow:
             anchor = self.anchor.summary
             if self._seams.foreignness(window, anchor)[0] > 0:
                 self.anchor.is_foreign, anchor, basis = True, None, Basis.FOREIGN
-        density = self._seams.density(window, anchor)[0] if is_enough else np.diff(class_edges())
+            elif self._lumps is not None:
+                basis, lumps = self._lumps_beside(anchor, self._lumps.basis(time))
+        density = self._seams.density(window, anchor, lumps)[0] if is_enough else np.diff(class_edges())
         return estimate_of(density, self._threshold), basis
+
+    def _lumps_beside(self, anchor: Floats, basis: Basis) -> tuple[Basis, Floats | None]:
+        """Return the basis beside an anchor and the summary of the lumps, if they are gangue."""
+        assert self._seams is not None and self._lumps is not None
+        if basis != Basis.ANCHOR:
+            return Basis.FEW_LUMPS if basis == Basis.TOO_FEW else Basis.ANCHOR, None
+        if self._lumps.summary is None:
+            self._lumps.summary = self._seams.summary(self._lumps.impacts)
+        if self._seams.gangue_of(self._lumps.summary, anchor)[0] < self._seams.lumps_limit:
+            return Basis.WRONG_LUMPS, None
+        return Basis.LUMPS, self._lumps.summary
 
     def _confusion(self, basis: Basis) -> Confusion | NoConfusion:
         """Return the confusion, with the predictions for the coal of the anchor in place of those of the training."""

@@ -71,6 +71,7 @@ class ShareSettings(NamedTuple):
     coal_until: float | None
     cycle_pause: float | None
     coal: tuple[LabelledSpan, ...]
+    lumps: tuple[LabelledSpan, ...]
     trained_seam: bool
 
     @property
@@ -150,6 +151,8 @@ class PredictionSettings:
     coal : tuple of (float, float) or (float, float, str), optional [s]
         Begin and end of spans of coal alone, such as of labelled impacts, and the channel if it is of one; in place of
         `coal_until`.
+    lumps : tuple of (float, float) or (float, float, str), optional [s]
+        Likewise of gangue alone, such as of ten labelled lumps: beside stated coal they sharpen the gangue fraction.
     trained_seam : bool
         The seam is that of the training, so that the gangue fraction takes its rates of errors.
     blind_after : float, optional [s]
@@ -184,6 +187,7 @@ class PredictionSettings:
     coal_until: float | None = None
     cycle_pause: float | None = None
     coal: tuple[LabelledSpan, ...] = ()
+    lumps: tuple[LabelledSpan, ...] = ()
     trained_seam: bool = False
     blind_after: float | None = None
     give_up: float | None = None
@@ -199,8 +203,9 @@ class PredictionSettings:
         if not (isinstance(self.sensors, tuple | list) and all(isinstance(one, str) for one in self.sensors)):
             raise InvalidValue(f"sensors must be a tuple of names, as in ('left', 'right'), got {shown(self.sensors)}")
         object.__setattr__(self, "same_beam", require_groups(self.same_beam))
-        if self.coal:
-            object.__setattr__(self, "coal", require_spans(self.coal))
+        for name, label in (("coal", "coal"), ("lumps", "gangue")):
+            if getattr(self, name):
+                object.__setattr__(self, name, require_spans(getattr(self, name), label))
         for name, rule in RULES.items():
             if (value := getattr(self, name)) is not None:
                 validation.number(name, value, rule=rule)
@@ -217,6 +222,10 @@ class PredictionSettings:
         }
         if len(stated := [name for name, given in coal.items() if given]) > 1:
             raise InvalidValue(f"{' and '.join(stated)} must not be given together; leave one out")
+        if self.lumps and not (self.coal or self.coal_until is not None):
+            raise InvalidValue(
+                "labelled gangue must come with stated coal, which tells the seam; label coal, or give --coal-until"
+            )
         if self.class_conditional and self.coverage is None:
             raise InvalidValue("class_conditional must come with a coverage; give --coverage, such as --coverage 0.9")
 
@@ -293,6 +302,7 @@ class PredictionSettings:
             coal_until=self.coal_until,
             cycle_pause=self.cycle_pause,
             coal=self.coal,
+            lumps=self.lumps,
             trained_seam=self.trained_seam,
         )
 
@@ -315,10 +325,10 @@ def require_costs(late: float, early: float) -> None:
         raise InvalidValue("cost_late and cost_early must not both be 0; give one of them above 0, such as 1")
 
 
-def require_spans(spans: Any) -> tuple[LabelledSpan, ...]:
-    """Return spans of coal; raises `InvalidValue` unless each rises from 0 s.
+def require_spans(spans: Any, label: str) -> tuple[LabelledSpan, ...]:
+    """Return spans of coal or gangue; raises `InvalidValue` unless each rises from 0 s.
 
-    >>> require_spans([(0, 30)])
+    >>> require_spans([(0, 30)], "coal")
     (LabelledSpan(start=0.0, end=30.0, channel=''),)
     """
     found = []
@@ -326,9 +336,9 @@ def require_spans(spans: Any) -> tuple[LabelledSpan, ...]:
         listed = one if isinstance(one, list | tuple) else ()
         start, end = listed[:2] if len(listed) in (2, 3) else (None, None)
         for name, value in (("begin", start), ("end", end)):
-            validation.instance(f"the {name} of a span of coal [s]", value, int, float, np.number)
+            validation.instance(f"the {name} of a span of {label} [s]", value, int, float, np.number)
         if not 0 <= start < end:
-            raise InvalidValue(f"a span of coal must rise from 0 s, got {start:g} s to {end:g} s; correct it")
+            raise InvalidValue(f"a span of {label} must rise from 0 s, got {start:g} s to {end:g} s; correct it")
         found.append(LabelledSpan(float(start), float(end), *map(str, listed[2:])))
     return tuple(found)
 

@@ -18,7 +18,7 @@ import numpy as np
 from cgid._lib import validation
 from cgid._lib.validation import UNKNOWN
 from cgid.errors import InvalidValue
-from cgid.identification.model.anchor import Anchor, Basis
+from cgid.identification.model.anchor import MIN_LUMPS, Anchor, Basis
 from cgid.identification.model.model import StoredModel
 from cgid.identification.prediction.answers import Answer
 from cgid.identification.prediction.diagnosis import OF_ANCHOR, Change, Condition, Diagnosis, fits_coal
@@ -34,7 +34,7 @@ from cgid.identification.prediction.fraction import (
     tested_answers,
     unproven,
 )
-from cgid.identification.prediction.settings import PredictionSettings
+from cgid.identification.prediction.settings import LabelledSpan, PredictionSettings
 from cgid.recordings.soundness import SensorWatch
 
 __all__ = ["CavingWatch", "Decision", "Ground", "SupportState"]
@@ -189,6 +189,11 @@ class CavingWatch:
         # The seams of the simulation have coal and gangue; other labels may be anything.
         seams = self._seams = None if shares.trained_seam or gangue != ("gangue",) else model.seams
         is_stated = shares.coal_until is not None or shares.coal
+        if shares.lumps and (seams is None or seams.sharpened is None):
+            raise InvalidValue(
+                "lumps must be left out, this model was not trained on simulated seams with labelled gangue; use a "
+                "shipped model, or train one again on streams of a scene"
+            )
         if is_stated and seams is None and isinstance(answers, NoConfusion):
             answers = tested_answers(model, gangue)
         self._sensors, self._channels = sensors, list(supports if channels is None else channels)
@@ -198,10 +203,17 @@ class CavingWatch:
 
             self._deaf_until = HEARD_AFTER
 
-        def anchor(own: Sequence[int]) -> Anchor | None:
+        def within(labelled: Sequence[LabelledSpan], own: Sequence[int]) -> list[tuple[float, float]]:
             named = {self._channels[row] for row in own}
-            spans = [(one.start, one.end) for one in shares.coal if not one.channel or one.channel in named]
+            return [(one.start, one.end) for one in labelled if not one.channel or one.channel in named]
+
+        def anchor(own: Sequence[int]) -> Anchor | None:
+            spans = within(shares.coal, own)
             return Anchor(shares.coal_until or 0.0, shares.cycle_pause, spans) if shares.coal_until or spans else None
+
+        def lumps(own: Sequence[int]) -> Anchor | None:
+            spans = within(shares.lumps, own)
+            return Anchor(0.0, spans=spans, least=MIN_LUMPS) if spans else None
 
         self._supports = {
             name: _Support(
@@ -213,6 +225,7 @@ class CavingWatch:
                     threshold=0.5 if self.threshold is None else self.threshold,
                     seams=seams,
                     anchor=anchor(own),
+                    lumps=lumps(own),
                 ),
                 rule=rule,
                 rows=list(own),  # a tuple would index several axes

@@ -496,22 +496,28 @@ def recordings_in(folder: Path) -> list[Path]:
     return files
 
 
-def coal_in(
-    manifest: Manifest, recording: str, channels: Sequence[str], labels: Sequence[str], gangue: Sequence[str]
-) -> tuple[LabelledSpan, ...]:
-    """Return the spans of a recording that a manifest gives a label of a model other than gangue.
+def labelled_in(
+    manifest: Manifest,
+    recording: str,
+    channels: Sequence[str],
+    labels: Sequence[str],
+    gangue: Sequence[str],
+    *,
+    needs_coal: bool,
+) -> tuple[tuple[LabelledSpan, ...], tuple[LabelledSpan, ...]]:
+    """Return the spans of a recording that a manifest gives a label of a model other than gangue, and gangue.
 
-    Raises `BadData` if there is none.
+    Raises `BadData` if there is none, or none but gangue where it needs coal.
     """
-    path, no_coal = Path(recording).resolve(), {one.casefold() for one in gangue}
-    known = {one.casefold() for one in labels} - no_coal
+    path, of_gangue = Path(recording).resolve(), {one.casefold() for one in gangue}
+    known = {one.casefold() for one in labels} - of_gangue
     rows = [
         one
         for one in manifest.annotations
         if (one.path.resolve() == path or (recording == "stdin" and one.written == "-"))
-        and one.label.casefold() in known
+        and one.label.casefold() in known | of_gangue
     ]
-    if not rows:
+    if not any(one.label.casefold() in known or not needs_coal for one in rows):
         raise BadData(
             f"{manifest.source}: some row of {recording} must be labelled {' or '.join(sorted(known))}, none is; label "
             "what was coal alone, or leave out --labelled"
@@ -522,11 +528,16 @@ def coal_in(
         raise BadData(
             f"{manifest.source}: channel must be one of {recording} ({', '.join(channels)}), got {unknown[0]}"
         )
-    return tuple(
-        LabelledSpan(one.start, one.end, "" if channel == "" else by_name[str(channel)])
-        for one in rows
-        for channel in one.channels or ("",)
+    coal, lumps = (
+        tuple(
+            LabelledSpan(one.start, one.end, "" if channel == "" else by_name[str(channel)])
+            for one in rows
+            if (one.label.casefold() in of_gangue) == is_gangue
+            for channel in one.channels or ("",)
+        )
+        for is_gangue in (False, True)
     )
+    return coal, lumps
 
 
 def recordings_of(files: Sequence[str]) -> list[str]:
