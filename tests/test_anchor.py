@@ -315,6 +315,20 @@ def test_a_line_on_stdin_begins_another_cycle(folder: Path, tmp_path: Path) -> N
         assert line["basis"] == ("anchor" if is_anchored else "anchor_pending")
 
 
+def test_cycles_without_a_pause_are_told_once(
+    folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    words = "no pause of 1 s came from 0 to 3 s, so this is one caving cycle"
+    for command in ("predict", "monitor"):
+        assert lines_of(folder, capsys, command, "--coal-until", "1", "--cycle-pause", "1s")[1].count(words) == 1
+        # A recording that is no longer than its coal and a pause may end with its first cycle.
+        assert "no pause" not in lines_of(folder, capsys, command, "--coal-until", "1", "--cycle-pause", "2s")[1]
+    monkeypatch.setattr("cgid.cli.answer_rows._LONGEST_CYCLE", 1.2)
+    err = lines_of(folder, capsys, "monitor", "--coal-until", "1", "--cycle-pause", "1s")[1]
+    (told,) = re.findall(r"no pause of 1 s came from 0 to (\S+) s", err)
+    assert 1.2 <= float(told) < 2
+
+
 def test_an_anchor_that_does_not_fit_or_is_too_small_or_late_is_told(
     folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

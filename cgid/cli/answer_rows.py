@@ -221,6 +221,8 @@ _MAX_PENDING = 1000
 _ENOUGH = 10
 #: Maximum number of silent channels that are named one by one.
 _MAX_SILENT_LISTED = 3
+#: A caving cycle without a pause is told after this time [s]: it is some minutes long.
+_LONGEST_CYCLE = 1800.0
 #: What goes on with a channel of a live stream is told again after this time [s].
 _REPEATED_AFTER = 3600.0
 #: Grounds of a support and ends of conditions in words.
@@ -267,6 +269,7 @@ class RecordingRows:
         assert pipeline.watch is not None
         self._watch = pipeline.watch
         self._grounds: dict[str, tuple[str, bool]] = {}  # last ground and whether something was decided
+        self._endless: set[str] = set()  # supports whose caving cycle goes on without a pause
         self._bases: dict[str, Basis] = {}  # last basis of the gangue fraction of each support
         self._conditions: dict[tuple[str, str], float] = {}  # what a channel has, and when it was told [s]
         self._later: list[Change] = []
@@ -324,6 +327,8 @@ class RecordingRows:
             self._warn(
                 f"{self.source}: --coal-until must be within the recording of {last.until:.6g} s, got {stated:.6g} s"
             )
+        if (pause := self.settings.cycle_pause) is not None and last.until > (stated or 0.0) + pause:
+            self._print_endless(last.until, {name: one for name, one in self._watch.cycles().items() if not one})
         for label, spans in (("coal", self.settings.coal), ("gangue", self.settings.lumps)):
             if late := sum(one.start > last.until for one in spans):
                 self._warn(
@@ -436,6 +441,9 @@ class RecordingRows:
                 message = self._state_message(state)
                 self.warnings += [f"{name}: {message}"] * (self._keep and message is not None)
                 self.lines.state(self.source, name, state, message)
+            begun = self._watch.cycles().get(share.channel, share.time) if self.settings.cycle_pause else share.time
+            if share.time - begun > _LONGEST_CYCLE:
+                self._print_endless(share.time, {share.channel: begun})
             if one.kind != "share":
                 self._grounds[share.channel] = state.ground, state.decision != "none"
         self._pending_reports = []
@@ -445,6 +453,17 @@ class RecordingRows:
         if self._live or not (share.n_impacts or share.n_unknown):
             return False
         return self.lines.only_summary or (share.n_impacts < _ENOUGH and not self.lines.as_json)
+
+    def _print_endless(self, time: float, begun: Mapping[str, float]) -> None:
+        """Print which supports had no pause since their caving cycles have begun [s], once for each."""
+        for name in begun.keys() - self._endless:
+            self._endless.add(name)
+            self._warn(
+                f"{self.name(name)}: no pause of {self.settings.cycle_pause:.6g} s came from {begun[name]:.6g} to "
+                f"{time:.6g} s, so this is one caving cycle with one coal; give a shorter --cycle-pause, or let "
+                "cgid monitor begin cycles with --cycle-by",
+                channel=name,
+            )
 
     def _print_basis(self, name: str, share: Share) -> None:
         """Print why the gangue fraction of a support is not that of its own seam, when that begins."""

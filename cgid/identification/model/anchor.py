@@ -239,7 +239,7 @@ class Anchor:
         self._begin(0.0)
 
     def _begin(self, time: float) -> None:
-        self._cycle = time
+        self.cycle = time  # its begin [s]
         self._impacts: list[tuple[float, float, tuple[float, ...] | None]] = []
         self.levels: list[float] = []  # of the coal, as in `Answer`
         self.summary: Floats | None = None  # by the networks, once the coal is complete
@@ -271,7 +271,7 @@ class Anchor:
 
     def has(self, time: float) -> bool:
         """Return whether an impact at a time [s] is of its coal."""
-        return any(self._cycle + start <= time <= self._cycle + end for start, end in self._spans)
+        return any(self.cycle + start <= time <= self.cycle + end for start, end in self._spans)
 
     @property
     def impacts(self) -> Impacts:
@@ -281,10 +281,10 @@ class Anchor:
     def basis(self, time: float) -> Basis:
         """Return the basis of a window that ends at a time [s]."""
         self._begin_if_due(time)
-        ends = [(start, end) for start, end in self._spans if time < self._cycle + end]
+        ends = [(start, end) for start, end in self._spans if time < self.cycle + end]
         is_enough = len(self.impacts.logits) >= self._least
         # A span of one labelled impact is over before a window ends.
-        if any(self._cycle + start <= time and end - start >= _STRETCH for start, end in ends):
+        if any(self.cycle + start <= time and end - start >= _STRETCH for start, end in ends):
             return Basis.PENDING
         if not is_enough:
             return Basis.PENDING if ends else Basis.TOO_FEW

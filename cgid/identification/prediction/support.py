@@ -280,6 +280,11 @@ class CavingWatch:
             if support.window.anchor is not None:
                 support.window.anchor.begin_at(time)
 
+    def cycles(self) -> dict[str, float]:
+        """Return when the caving cycle of each support with stated coal has begun [s]."""
+        anchors = {name: one.window.anchor for name, one in self._supports.items()}
+        return {name: anchor.cycle for name, anchor in anchors.items() if anchor is not None}
+
     def take_changes(self) -> list[Change]:
         """Return what has begun or ended with the predictions of the channels since the last call."""
         changes, self._changes = self._changes, []
