@@ -188,7 +188,11 @@ def pool(model: StoredModel, n: int, seed: int) -> Pool:
 
 def seams_section(told: dict[str, Any]) -> list[str]:
     """Return the lines about the fraction of gangue in simulated seams."""
-    named = {"beside the coal of its seam": told["anchored"], "the window alone": told["alone"]}
+    named = {
+        "beside the coal of its seam": told["anchored"],
+        "beside coal and labelled lumps of gangue": told["sharpened"],
+        "the window alone": told["alone"],
+    }
     rows = [(name, *(f"{own[key]:.3f}" for key in ("rms", "holds", "width"))) for name, own in named.items()]
     return [
         f"{told['n_seams']} simulated seams taught it the fraction of gangue in a seam that nobody described, by the "
