@@ -1,6 +1,7 @@
-"""Tones of machines beside a window: answers and fraction of gangue with `--no-lines`, neither, and `--lines`.
+"""Tones of machines beside a window: answers and fraction of gangue with `--no-lines` and without.
 
     python benchmarks/beam/lines.py [--streams 4] [--first 0] [--rows none "3 g" ...]
+    python benchmarks/beam/lines.py --from-begin         # with --no-lines and with --lines
     python benchmarks/beam/lines.py --seams wet hard     # beside 25 s of coal, with tones taken out
     python benchmarks/beam/lines.py --narrow 0.02 0.002  # beams of these dampings, without any tone
 
@@ -272,29 +273,29 @@ class Row:
         """Return the figures of a line of the table."""
         errors = np.array(self.errors)
         known = errors[np.isfinite(errors)]
-        return [
+        figures = [
             f"{self.heard / self.impacts:.3f}",
             f"{self.answered / max(self.heard, 1):.3f}",
             f"{self.right / max(self.answered, 1):.3f}",
             f"{known.mean():+.3f}",
             f"{np.sqrt(np.mean(known**2)):.3f}",
-            f"{np.mean(self.held):.2f} of {len(self.held)}",
+            f"{np.mean(self.held):.2f}",
             f"{np.mean(self.widths):.2f}",
             f"{len(self.shut)}" + (f" ({min(self.shut):.0f} s)" if self.shut else ""),
             f"{self.told}",
             f"{self.cost:.2f}",
         ]
+        return [figure.replace("0.", ".", 1) if figure.lstrip("+-").startswith("0.") else figure for figure in figures]
 
 
 TITLES = (
     "noise",
-    "lines",
     "heard",
     "answered",
     "right of answered",
     "bias",
     "RMS",
-    "holds",
+    "intervals that hold",
     "width",
     "false SHUT",
     "told",
@@ -363,6 +364,7 @@ def main() -> None:
     parser.add_argument("--streams", type=int, default=4)
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--rows", nargs="+", default=list(ROWS), choices=ROWS)
+    parser.add_argument("--from-begin", action="store_true", help="with --lines in place of the default")
     parser.add_argument("--seams", nargs="+", choices=SEAMS, metavar="SEAM", help="in these seams, beside their coal")
     parser.add_argument("--narrow", nargs="+", type=float, metavar="RATIO", help="damping of beams without any tone")
     given = parser.parse_args()
@@ -381,14 +383,14 @@ def main() -> None:
     streams = [Stream.of(given.first + k) for k in range(given.streams)]
     print("| " + " | ".join(TITLES) + " |\n" + "|---" * len(TITLES) + "|")
     for name in given.rows:
-        for how, fields in (("kept", {"lines": False}), ("once heard", {}), ("out", {"lines": True})):
-            row = Row()
-            for one in streams:
-                stream = one.with_another() if name.startswith("16 rocks") else one
-                row.add(
-                    Found.of(stream.clean + noise_for(name, stream.seed, len(stream.clean)), model, **fields), stream
-                )
-            print(f"| {name} | {how} | " + " | ".join(row.cells()) + " |", flush=True)
+        kept, out = Row(), Row()
+        for one in streams:
+            stream = one.with_another() if name.startswith("16 rocks") else one
+            samples = stream.clean + noise_for(name, stream.seed, len(stream.clean))
+            for row, lines in ((kept, False), (out, given.from_begin or None)):
+                row.add(Found.of(samples, model, lines=lines), stream)
+        cells = (f"{first} -> {second}" for first, second in zip(kept.cells(), out.cells(), strict=True))
+        print(f"| {name} | " + " | ".join(cells) + " |", flush=True)
 
 
 if __name__ == "__main__":
