@@ -27,7 +27,7 @@ from scipy.interpolate import RectBivariateSpline
 from threadpoolctl import threadpool_limits
 
 from cgid.calibration import calibrate
-from cgid.calibration.learning import learn
+from cgid.calibration.learning import Heard, Learned
 from cgid.calibration.modes import mean_evidence, prepare_impacts, uncertain
 from cgid.errors import BadData
 from cgid.identification.inversion.through_beam import ThroughBeam
@@ -193,7 +193,9 @@ def from_its_modes(
     begun, blows = corrected(told, off), prepare_impacts(*recorded)
     clock = time.process_time()
     with threadpool_limits(1):
-        found = learn(begun, blows, np.broadcast_to(deviation[:, None], (3, n)).copy())
+        found = Learned([Heard(begun, blows)], np.broadcast_to(deviation[:, None], (3, n)).copy())
+        found.approach()
+        found.settle()
     clock = time.process_time() - clock
     own = corrected(begun, found.correction)
     heard = np.abs(exact.poles) < 2 * np.pi * HEARD

@@ -96,7 +96,8 @@ def learn_chain(scene: Scene, beam: Beam, impacts: ImpactFrames, exact: Collecti
     if not free.any():
         return None
     impacts = impacts.taken(slice(_IMPACTS))
-    if outside(beam, impacts) < SOUND:
+    stated_beam = Inversion(beam)
+    if outside(stated_beam, stated_beam.invert(impacts.observations(), impacts.start)) < SOUND:
         return None
     inversion = Inversion(_with_every_filter(scene, beam))
     estimate = inversion.invert(impacts.observations(), impacts.start)
@@ -127,10 +128,9 @@ def learn_chain(scene: Scene, beam: Beam, impacts: ImpactFrames, exact: Collecti
     return best.chain if after <= _FALLS_TO * before else None
 
 
-def outside(beam: Beam, impacts: ImpactFrames) -> float:
-    """Return the median share of the recovered forces of some impacts outside of the pulse family; 0 of long pulses."""
-    inversion, impacts = Inversion(beam), impacts.taken(slice(_COMPARED))
-    return _median(ContactFit(inversion).fit(inversion.invert(impacts.observations(), impacts.start)))
+def outside(inversion: Inversion, estimate: ForceEstimate) -> float:
+    """Return the median share of some recovered forces outside of the pulse family; 0 of long pulses."""
+    return _median(ContactFit(inversion).fit(estimate.rows(slice(_COMPARED))))
 
 
 def _median(contact: Contact) -> float:

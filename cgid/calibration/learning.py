@@ -8,14 +8,14 @@ with Gaussian priors. A mode in a wrong local minimum is then searched for by it
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cgid._lib.validation import Floats
-from cgid.identification.inversion.inversion import Inversion, Observations
+from cgid.identification.inversion.inversion import ForceEstimate, Inversion, Observations
 from cgid.measure.fit.ar_noise import ARNoise
 from cgid.measure.modal.beam import Beam, Singles, corrected, respond
 from cgid.measure.modal.modes import CORRECTED
@@ -81,30 +81,14 @@ class ImpactFrames:
         return weight
 
 
-def evidence_of(inversion: Inversion, impacts: ImpactFrames) -> Floats:
-    """Return the log evidence of each impact per sample, (n,)."""
+def evidence_of(inversion: Inversion, impacts: ImpactFrames) -> tuple[Floats, ForceEstimate]:
+    """Return the log evidence of each impact per sample, (n,), and their locations and forces."""
     # White noise alone has -0.5. A beam that explains the impacts has a few tenths less, since locations and forces are
     # unknown; a wrong beam has much less.
     force = inversion.invert(impacts.observations(), impacts.start)
     samples = _cut(impacts.frames, force.start, inversion.n_samples) / impacts.noise[:, None]
     power = np.sum(np.square(inversion.transformed(samples), dtype=np.float64) * impacts.weight(inversion), axis=1)
-    return np.asarray(force.evidence - 0.5 * power / inversion.n_samples)
-
-
-def learn(
-    beam: Beam,
-    impacts: ImpactFrames,
-    deviation: Floats,
-    *,
-    progress: Callable[[int], object] | None = None,
-) -> Learned:
-    """Learn the modes of a beam from impacts, starting from this beam."""
-    # `deviation` (3, n_modes): prior standard deviation of ln frequency, ln damping ratio and ln participation; rows of
-    # zeros are not learned. `progress` receives the number of rounds since the last call.
-    learned = Learned(beam, impacts, deviation, progress)
-    learned.approach()
-    learned.settle()
-    return learned
+    return np.asarray(force.evidence - 0.5 * power / inversion.n_samples), force
 
 
 @dataclass(frozen=True)
@@ -115,42 +99,56 @@ class MovedSensor:
     deviation: Floats
 
 
+@dataclass(frozen=True, eq=False)
+class Heard:
+    """The impacts on a beam as one of its sensors measures them, whose location is perhaps uncertain."""
+
+    beam: Beam
+    impacts: ImpactFrames
+    sensor: MovedSensor | None = None
+
+    def at(self, place: Floats) -> Beam:
+        """Return the beam with its sensor moved."""
+        return self.beam if self.sensor is None else self.sensor.beam(place)
+
+    def corrected(self, place: Floats, correction: Floats) -> Beam:
+        """Return the same with corrections of its modes, of which a sensor may hear the first alone."""
+        beam = self.at(place)
+        return corrected(beam, correction[:, : len(beam.poles)])
+
+
 class Learned:
-    """Corrections of the modes of a beam, and the steps that improve them."""
+    """Corrections of the modes of a beam that all its sensors share, and the steps that improve them."""
 
     # `correction`, `deviation` (3, n_modes): of ln frequency, ln damping ratio and ln participation; `has_converged`:
-    # whether the last step was small compared with the standard deviations. With `sensor`, the location of the sensor
-    # is learned as well, since modes that are off shift it, and the reverse.
+    # whether the last step was small compared with the standard deviations. `places` (n_sensors, 2): where the location
+    # of the sensors is learned as well, since modes that are off shift it, and the reverse. Each sensor has its own
+    # filters, and sees locations and forces by itself.
 
-    def __init__(
-        self,
-        beam: Beam,
-        impacts: ImpactFrames,
-        prior: Floats,
-        progress: Callable[[int], object] | None = None,
-        sensor: MovedSensor | None = None,
-    ) -> None:
-        self.sensor, self.place = sensor, np.zeros(0 if sensor is None else 2)
-        self._beam, self._impacts, self._progress, self._prior = beam, impacts, progress, prior
+    def __init__(self, heard: Sequence[Heard], prior: Floats, progress: Callable[[int], object] | None = None) -> None:
+        self._heard, self._progress, self._prior = heard, progress, prior
+        self._n_impacts, self._placed = len(heard[0].impacts), heard[0].sensor is not None
+        self.places = np.zeros((len(heard), 2))
         self.correction: Floats = np.zeros(prior.shape)
         self.deviation, self.has_converged = prior.copy(), False
-        self._quantities, self._raised = np.flatnonzero(prior.any(axis=1)), np.ones(len(impacts))
+        self._quantities, self._raised = np.flatnonzero(prior.any(axis=1)), np.ones((len(heard), self._n_impacts))
 
-    def on(self, beam: Beam, prior: Floats) -> Learned:
-        """Return the same of the beam behind another recorder, which may hear other modes beyond the band."""
-        other = Learned(beam, self._impacts, prior, self._progress)
+    def on(self, heard: Sequence[Heard], prior: Floats) -> Learned:
+        """Return the same of the beam behind other recorders, which may hear other modes beyond the band."""
+        other = Learned(heard, prior, self._progress)
         n = min(prior.shape[1], self.correction.shape[1])
         other.correction[:, :n] = self.correction[:, :n]
         return other
 
     def approach(self) -> None:
         """Come near to the modes with some of the impacts."""
-        few, inversion = min(_FEW, len(self._impacts)), Inversion(self._beam)
-        top = inversion.bins.stop / inversion.n_samples * self._beam.sampling_rate
-        ratio = float(np.median(self._beam.modes.damping_ratio))
+        first = self._heard[0].beam
+        few, inversion = min(_FEW, self._n_impacts), Inversion(first)
+        top = inversion.bins.stop / inversion.n_samples * first.sampling_rate
+        ratio = float(np.median(first.modes.damping_ratio))
         # Low modes first: they determine the locations, and these the higher modes. Errors well below the width of a
         # resonance need no such order.
-        narrow = _BANDS[-1:] if self.sensor is None else _BANDS_OF_SENSOR
+        narrow = _BANDS_OF_SENSOR if self._placed else _BANDS[-1:]
         for fraction in _BANDS if float(self._prior[0].max()) > _NARROW * ratio else narrow:
             limit = None if fraction == 1 else fraction * top
             for search in range(_MAX_SEARCHES + 1):
@@ -163,41 +161,38 @@ class Learned:
     def settle(self) -> None:
         """Make the last steps, with all impacts."""
         for _ in range(_LAST):
-            if self.step(len(self._impacts)):
+            if self.step(self._n_impacts):
                 break
 
-    def _system(self, n_impacts: int, limit: float | None) -> System:
-        rows = slice(n_impacts)
-        return System(self._at(self.place), self._impacts.taken(rows), self._raised[rows], limit)
+    def _system(self, number: int, n_impacts: int, limit: float | None) -> System:
+        """Return the impacts of a sensor, inverted with the corrected beam."""
+        one, rows = self._heard[number], slice(n_impacts)
+        beam = one.corrected(self.places[number], self.correction)
+        return System(beam, one.impacts.taken(rows), self._raised[number, rows], limit)
 
-    def _at(self, place: Floats) -> Beam:
-        """Return the corrected beam with its sensor elsewhere."""
-        beam = self._beam if self.sensor is None else self.sensor.beam(place)
-        return corrected(beam, self.correction)
-
-    def _sides(self, number: int) -> tuple[Beam, Beam]:
-        step = _PLACE_STEP * np.eye(2)[number]
-        return self._at(self.place + step), self._at(self.place - step)
+    def _sides(self, number: int, axis: int) -> tuple[Beam, Beam]:
+        """Return the corrected beam with a sensor on either side of its place."""
+        one, here, step = self._heard[number], self.places[number], _PLACE_STEP * np.eye(2)[axis]
+        return one.corrected(here + step, self.correction), one.corrected(here - step, self.correction)
 
     def step(self, n_impacts: int, limit: float | None = None) -> bool:
         """Make a Gauss-Newton step with the first impacts, up to a frequency; return `has_converged`."""
-        system, quantities = self._system(n_impacts, limit), self._quantities
+        quantities = self._quantities
         prior = np.maximum(self._prior[quantities], 1e-9)
-        indices = np.add.outer(np.arange(quantities.size) * prior.shape[1], system.active).ravel()
-        slopes, every, now = system.by_modes(quantities), prior.ravel(), self.correction[quantities].ravel()
-        if self.sensor is not None:
-            indices = np.concatenate([indices, prior.size + np.arange(2)])
-            of_modes, of_place = slopes, system.by_beams(self._sides, 2, _PLACE_STEP)
-            every, now = np.concatenate([every, self.sensor.deviation]), np.concatenate([now, self.place])
-
-            def slopes(row: int) -> Singles:
-                return np.concatenate([of_modes(row), of_place(row).astype(np.float32)])
-
+        every, now = prior.ravel(), self.correction[quantities].ravel()
+        if self._placed:
+            of_sensors = [one.sensor.deviation for one in self._heard if one.sensor is not None]
+            every, now = np.concatenate([every, *of_sensors]), np.concatenate([now, self.places.ravel()])
         pulls, curvature = np.zeros((n_impacts, every.size)), np.zeros((every.size,) * 2)
-        pulls[:, indices], curvature[np.ix_(indices, indices)] = system.equations(slopes)
-        self._raised[:n_impacts] = np.sqrt(np.maximum(system.power, 1.0))
+        for number in range(len(self._heard)):
+            system = self._system(number, n_impacts, limit)
+            indices, slopes = self._slopes(system, number)
+            own, curved = system.equations(slopes)
+            pulls[:, indices] += own
+            curvature[np.ix_(indices, indices)] += curved
+            self._raised[number, :n_impacts] = np.sqrt(np.maximum(system.power, 1.0))
         now, step, deviation = newton(curvature, pulls, every, now)
-        self.place = now[prior.size :]
+        self.places = now[prior.size :].reshape(-1, 2) if self._placed else self.places
         now, step, deviation = now[: prior.size], step[: prior.size], deviation[: prior.size]
         self.correction[quantities] = now.reshape(prior.shape)
         self.deviation[quantities] = np.minimum(_BEYOND_LINEAR * deviation.reshape(prior.shape), prior)
@@ -206,11 +201,28 @@ class Learned:
         self.has_converged = bool(np.quantile(np.abs(step) / deviation, _QUANTILE) < _CONVERGED)
         return self.has_converged
 
+    def _slopes(self, system: System, number: int) -> tuple[NDArray[np.intp], Callable[[int], Singles]]:
+        """Return which parameters the impacts of a sensor tell, and the slopes of an impact in them."""
+        n_modes, quantities = self._prior.shape[1], self._quantities
+        indices = np.add.outer(np.arange(quantities.size) * n_modes, system.active).ravel()
+        of_modes = system.by_modes(quantities)
+        if not self._placed:
+            return indices, of_modes
+        of_place = system.by_beams(lambda axis: self._sides(number, axis), 2, _PLACE_STEP)
+
+        def both(row: int) -> Singles:
+            return np.concatenate([of_modes(row), of_place(row).astype(np.float32)])
+
+        return np.concatenate([indices, quantities.size * n_modes + 2 * number + np.arange(2)]), both
+
     def search(self, n_impacts: int, limit: float | None) -> bool:
         """Move single modes to other minima; return whether any of them improved."""
-        system = self._system(min(n_impacts, _N_SEARCHED), limit)
-        beam = self._beam if self.sensor is None else self.sensor.beam(self.place)
-        moved = search_valleys(beam, self.correction, self._prior, system)
+        n_impacts = min(n_impacts, _N_SEARCHED)
+        parts = [
+            (one.at(place), self._system(number, n_impacts, limit))
+            for number, (one, place) in enumerate(zip(self._heard, self.places, strict=True))
+        ]
+        moved = search_valleys(parts, self.correction, self._prior)
         self.correction = self.correction if moved is None else moved
         return moved is not None
 
@@ -334,34 +346,36 @@ class System:
         return every, np.asarray(weight * (exact @ exact.T) + prior), left, weight
 
 
-def search_valleys(beam: Beam, now: Floats, deviation: Floats, system: System) -> Floats | None:
+def search_valleys(parts: Sequence[tuple[Beam, System]], now: Floats, deviation: Floats) -> Floats | None:
     """Return corrections in which some modes have moved to another local minimum; None if none improves."""
     # Each mode is tried by itself at frequencies over its prior; other modes are fixed, locations and forces adjust.
-    active = system.active
+    # `parts` are the sensors: the beam without corrections, and its impacts inverted with these.
+    beam, active = parts[0][0], parts[0][1].active
     ratio = beam.modes.damping_ratio[active]
     widest = min(_WIDEST * float(deviation[0].max()), _WIDEST_SHARE)
     finest = max(_FINEST * float(np.median(ratio)), widest / 60)
     shifts = np.arange(-np.ceil(widest / finest), np.ceil(widest / finest) + 1) * finest
-    rows = range(min(len(system.power), _N_SEARCHED))
-    parts = []
-    for row in rows:
-        every, precision, left, weight = system.nuisance(row)
-        half = np.linalg.solve(np.linalg.cholesky(precision), np.sqrt(weight) * every).astype(np.float32)
-        single = system.inverted.coefficients[row].astype(np.float32)
-        at = system.at[0][row][active]
-        root = system.root[row]
-        present = (single @ system.table[active]) * at[:, None] * root
-        parts.append((single, np.exp(-now[2, active]).astype(np.float32) * at, present, left, half, weight, root))
+    heard = []
+    for number, (_, system) in enumerate(parts):
+        for row in range(min(len(system.power), _N_SEARCHED)):
+            every, precision, left, weight = system.nuisance(row)
+            half = np.linalg.solve(np.linalg.cholesky(precision), np.sqrt(weight) * every).astype(np.float32)
+            single = system.inverted.coefficients[row].astype(np.float32)
+            at = system.at[0][row][active]
+            root = system.root[row]
+            present = (single @ system.table[active]) * at[:, None] * root
+            own = np.exp(-now[2, active]).astype(np.float32) * at
+            heard.append((number, single, own, present, left, half, weight, root))
     prior = np.maximum(deviation[:, active], 1e-9)
     at_now = -0.5 * np.sum((now[:, active] / prior) ** 2, axis=0)
     gains = np.empty((shifts.size, len(ratio)))
     for number, shift in enumerate(shifts):
         other = np.zeros_like(now)
         other[0] = shift
-        table = system.of(corrected(beam, other))
+        tables = [system.of(corrected(own, other)) for own, system in parts]
         gain = -0.5 * (shift / prior[0]) ** 2 - at_now
-        for single, at, present, left, half, weight, root in parts:
-            change = present - (single @ table) * at[:, None] * root
+        for sensor, single, at, present, left, half, weight, root in heard:
+            change = present - (single @ tables[sensor]) * at[:, None] * root
             through, along = half @ change.T, half @ left
             gain -= 0.5 * weight * (2 * change @ left + np.einsum("ms,ms->m", change, change))
             gain += 0.5 * weight * (2 * along @ through + np.einsum("km,km->m", through, through))

@@ -22,8 +22,9 @@ from cgid.calibration.dimensions import (
     dimension_errors,
     dimensions_of,
     learn_dimensions,
+    with_dimensions,
 )
-from cgid.calibration.learning import ImpactFrames, Learned, MovedSensor, evidence_of
+from cgid.calibration.learning import Heard, ImpactFrames, Learned, MovedSensor, evidence_of
 from cgid.errors import BadData, InvalidValue
 from cgid.identification.detection.detector import ImpactDetector
 from cgid.identification.inversion.contact import MISSHAPEN
@@ -38,7 +39,7 @@ from cgid.scene.file.sections import rows_of
 from cgid.scene.synthesis.impacts import beam_modes
 from cgid.scene.synthesis.stream import parts_of_recording
 from cgid.scene.synthesis.synthesis import synthesise
-from cgid.scene.synthesis.through_beam import beam_of, spread_over, through_modes
+from cgid.scene.synthesis.through_beam import beam_of, moved, spread_over, through_modes
 
 if TYPE_CHECKING:
     from cgid.identification.detection.events import Event
@@ -62,6 +63,11 @@ _WORST_OF_STREAM = 0.5
 #: A mode is silent at a sensor if its shape is below this fraction of its root mean square; a sensor at nodes of more
 #: than this fraction of the modes is unusable. On a line of symmetry it is half.
 _SILENT, _MAX_SILENT = 0.02, 0.6
+#: Fewest impacts before or after a change of beam or sensor, the part that is learned by itself to see one, and how
+#: many times as far as permitted the evidence of the others is below.
+_FEWEST_OF_PART, _PART, _FOREIGN = 12, 0.4, 3.0
+#: Sensors of one beam do not place impacts so far apart [m].
+_APART = 0.05
 #: The location of a sensor is off by about this [m], and as stated within the second length.
 _SENSOR_ERROR, _SAME_PLACE = 0.02, 2e-3
 #: Forces outside of the pulse family may be so many times those of simulated impacts.
@@ -98,6 +104,8 @@ class SiteCalibration:
         ones were kept.
     outside : float
         Median share of the recovered forces that no contact has.
+    others : tuple of SiteCalibration
+        The same for each further sensor of the beam, with the same modes: its location, chain and scene.
     """
 
     scene: Scene
@@ -112,20 +120,33 @@ class SiteCalibration:
     has_converged: bool
     chain: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     outside: float = 0.0
+    others: tuple[SiteCalibration, ...] = ()
 
     def save(self, path: str | Path, *, overwrite: bool = False) -> tuple[Path, Path]:
-        """Write the scene as a .toml file, and its modes as a table next to it; return both paths."""
-        path = check_new(Path(path), "a site", (".toml",), overwrite=overwrite)
-        table = check_new(table_beside(path), "a table of modes", (".csv",), overwrite=overwrite)
-        content = json.loads(self.scene.text)
-        content["tail_beam"]["learned"] = table.name
-        for part in content.get("background", {}).values():  # paths are relative to the file that names them
-            if isinstance(part, dict) and "path" in part:
-                part["path"] = str((self.scene.folder / part["path"]).resolve())
-        head = f"# Written by cgid calibrate: the modes of {table.name} are learned from {self.n_impacts} impacts.\n"
-        texts = {table: text_of_table(self.learned.columns), path: head + "\n".join(_toml(content)) + "\n"}
-        write_together({file: text.encode() for file, text in texts.items()}, overwrite=overwrite)
-        return path, table
+        """Write the scene as a .toml file, and its modes as a table next to it; return both paths.
+
+        Further sensors have a scene and a table each: site-2.toml beside site.toml, and so on.
+        """
+        texts: dict[Path, bytes] = {}
+        for one, file in zip((self, *self.others), scenes_beside(Path(path), 1 + len(self.others)), strict=True):
+            file = check_new(file, "a site", (".toml",), overwrite=overwrite)
+            table = check_new(table_beside(file), "a table of modes", (".csv",), overwrite=overwrite)
+            content = json.loads(one.scene.text)
+            content["tail_beam"]["learned"] = table.name
+            for part in content.get("background", {}).values():  # paths are relative to the file that names them
+                if isinstance(part, dict) and "path" in part:
+                    part["path"] = str((one.scene.folder / part["path"]).resolve())
+            head = f"# Written by cgid calibrate: the modes of {table.name} are learned from {one.n_impacts} impacts.\n"
+            texts[table] = text_of_table(one.learned.columns).encode()
+            texts[file] = (head + "\n".join(_toml(content)) + "\n").encode()
+        write_together(texts, overwrite=overwrite)
+        table, file = list(texts)[:2]
+        return file, table
+
+
+def scenes_beside(path: Path, n_sensors: int) -> list[Path]:
+    """Return the paths of the calibrated scenes of some sensors."""
+    return [path, *(path.with_name(f"{path.stem}-{number}{path.suffix}") for number in range(2, n_sensors + 1))]
 
 
 def table_beside(path: Path) -> Path:
@@ -167,6 +188,7 @@ def calibrate(  # noqa: PLR0913
     participation_error: float = 0.0,
     dimension_error: float | Mapping[str, float] = 0.0,
     exact: Collection[str] = (),
+    sensors: Sequence[tuple[float, float]] = (),
     max_impacts: int = 300,
     progress: Callable[[int], object] | None = None,
 ) -> SiteCalibration:
@@ -176,9 +198,9 @@ def calibrate(  # noqa: PLR0913
     ----------
     scene : Scene, str or Path
         With a beam of known size or a table of modes, and one accelerometer on it.
-    frames : ndarray, (n_impacts, n_samples)
-        Impacts at unknown locations, in the SI unit of the sensor; clipped ones are excluded, and at most
-        `max_impacts`, evenly spaced in the recording, are used.
+    frames : ndarray, (n_impacts, n_samples) or (n_impacts, n_sensors, n_samples)
+        Impacts at unknown locations, in the order of the recording and in the SI unit of the sensor; clipped ones are
+        excluded, and at most `max_impacts`, evenly spaced, are used.
     sampling_rate : float [Hz]
         That of the scene.
     pre_trigger : int
@@ -197,6 +219,9 @@ def calibrate(  # noqa: PLR0913
     exact : collection of str
         What of the scene is not to be corrected: "sensor" (its location), "filter" (its edge and order), "mounting".
         In a scene that was calibrated before, none of them.
+    sensors : sequence of (float, float) [m]
+        Points of the sensors that recorded each impact together, in place of the one of the scene. They share the
+        modes; each has its own location, filter and mounting, and a scene in `SiteCalibration.others`.
     max_impacts : int
         Maximum number of impacts, 20 or more.
     progress : callable, optional
@@ -216,107 +241,238 @@ def calibrate(  # noqa: PLR0913
     """
     scene = load_scene(scene)
     check_numbers(start_error, drift, participation_error, max_impacts)
-    for part in exact:
-        validation.choice("exact", part, PARTS)
+    for name in exact:
+        validation.choice("exact", name, PARTS)
     if scene.tail_beam is not None and scene.tail_beam.learned is not None:
         exact = PARTS  # calibrated before
-    check_scene(scene, sampling_rate)
+    scenes = [moved(scene, point) for point in sensors] or [scene]
+    for one in scenes:
+        check_scene(one, sampling_rate)
     uncertain_dimensions = dimension_errors(scene, dimension_error)
-    # The two highest samples of an unclipped impact may be equal by chance if a recorder has few steps.
-    clipped = clipped_samples(np.asarray(frames, np.float64), shared=3) if len(frames) else None
-    if clipped is not None:
-        frames = frames[~clipped.any(axis=1)]
-    if len(frames) < FEWEST:
-        left_out = "" if clipped is None else f" and {clipped.any(axis=1).sum()} clipped ones"
-        raise BadData(
-            f"impacts must be at least {FEWEST} to learn from, got {len(frames)}{left_out}; record longer"
-            + (", and below the sensor's range" if left_out else "")
+    if sensors:  # the location of each sensor is learned with the modes
+        uncertain_dimensions = {name: one for name, one in uncertain_dimensions.items() if name not in SENSOR}
+    if participation_error and len(scenes) > 1:
+        raise InvalidValue(
+            f"participation_error must be 0 for several sensors, got {participation_error:g}: participations are of "
+            "one point; calibrate each sensor by itself"
         )
+    frames = _unclipped(np.asarray(frames), len(scenes), grouped=bool(sensors))
     rows = np.unique(np.linspace(0, len(frames) - 1, min(len(frames), max_impacts)).round().astype(np.intp))
     if scene.stream is not None and next(_simulated_events(scene), None) is None:
         raise BadData(
             f"scene {scene.name}: stream must contain isolated impacts to compare with, there is none in "
             f"{_RECORDINGS} simulated recordings; correct its arrivals, noise and duration"
         )
-    region, worst = None, _WORST
+    region = None
     if scene.stream is not None:  # its rocks bounce all over the beam
-        region, worst = json.loads(scene.text)["tail_beam"].get("impact_point"), _WORST_OF_STREAM
-        scene = _with_beam(scene, spread=True)
-    beam = beam_of(scene)
-    beam = replace(beam, modes=replace(beam.modes, deviation=None))  # standard deviations are learned
-    dimensions: tuple[Dimension, ...] = ()
+        region = json.loads(scene.text)["tail_beam"].get("impact_point")
+        scenes = [_with_beam(one, spread=True) for one in scenes]
+    errors = (start_error, drift, participation_error)
     with threadpool_limits(1):
-        impacts = prepare_impacts(frames[rows], sampling_rate, pre_trigger)
-        before = mean_evidence(beam, impacts, worst)
+        parts = [
+            _Sensor(
+                one,
+                prepare_impacts(frames[rows, number], sampling_rate, pre_trigger),
+                f", sensor {number + 1}" * (len(scenes) > 1),
+            )
+            for number, one in enumerate(scenes)
+        ]
         if uncertain_dimensions:
-            scene, dimensions = learn_dimensions(scene, beam, impacts, uncertain_dimensions, progress=progress)
-            beam = through_modes(scene, beam)
-        stated, sensor = scene, _uncertain_sensor(scene, beam, exact, uncertain_dimensions)
-        start = _start(scene)
-        errors = (start_error, drift, participation_error)
-        result = Learned(beam, impacts, _prior(scene, start, *errors), progress, sensor)
+            dimensions = parts[0].learn_dimensions(uncertain_dimensions, progress)
+            for part in parts[1:]:
+                part.take(dimensions)
+        placed = "sensor" not in exact and not set(SENSOR) <= set(uncertain_dimensions)
+        start = _start(parts[0].scene)
+        result = Learned(
+            [part.heard(placed=placed) for part in parts], _prior(parts[0].scene, start, *errors), progress
+        )
         result.approach()
-        if np.hypot.reduce(result.place, initial=0.0) > _SAME_PLACE:
-            scene = _with_sensor(scene, result.place)
-            dimensions, beam = dimensions + _moved(stated, scene), through_modes(scene, beam)
-        chain = learn_chain(scene, corrected(beam, result.correction), impacts, exact)
-        if chain is not None:
-            scene = chain.placed(scene)
-            beam = beam_of(scene)
-            beam, start = replace(beam, modes=replace(beam.modes, deviation=None)), _start(scene)
-        result = result.on(beam, _prior(scene, start, *errors))
+        for part, place in zip(parts, result.places, strict=True):
+            part.move(place)
+            part.learn_chain(result.correction, exact)
+        widest = max(parts, key=lambda part: len(part.beam.poles))
+        start = _start(widest.scene)
+        result = result.on([part.heard() for part in parts], _prior(widest.scene, start, *errors))
         result.settle()
-        corrected_beam = corrected(beam, result.correction)
-        learned = replace(start.corrected(result.correction), deviation=result.deviation)
+        for part in parts:
+            part.look(result.correction)
+            if _far_apart(parts[0], part):
+                raise BadData(
+                    f"the sensors of scene {scene.name} must hear the same impacts on one beam, they place most of "
+                    "them far from each other; give their points in the order of the channels, or calibrate each by "
+                    "itself"
+                )
+        found = [part.calibration(result, errors, region) for part in parts]
+    return replace(found[0], others=tuple(found[1:]))
+
+
+def _unclipped(frames: NDArray[np.floating], n_sensors: int, *, grouped: bool) -> NDArray[np.floating]:
+    """Return the impacts that no sensor clips, (n_impacts, n_sensors, n_samples)."""
+    if frames.ndim != 2 + grouped or (grouped and frames.shape[1] != n_sensors):
+        shape = f"(n_impacts, {n_sensors}, n_samples)" if grouped else "(n_impacts, n_samples)"
+        raise InvalidValue(
+            f"frames must be of shape {shape}, got {frames.shape}; give sensors, the point of each, in the order of "
+            "the frames"
+        )
+    frames = frames.reshape(len(frames), n_sensors, frames.shape[-1])
+    # The two highest samples of an unclipped impact may be equal by chance if a recorder has few steps.
+    rows = np.asarray(frames, np.float64).reshape(-1, frames.shape[-1])
+    clipped = clipped_samples(rows, shared=3) if len(frames) else None
+    lost = np.zeros(len(frames), bool) if clipped is None else clipped.reshape(frames.shape).any(axis=(1, 2))
+    frames = frames[~lost]
+    if len(frames) < FEWEST:
+        left_out = f" and {lost.sum()} clipped ones" if lost.any() else ""
+        raise BadData(
+            f"impacts must be at least {FEWEST} to learn from, got {len(frames)}{left_out}; record longer"
+            + (", and below the sensor's range" if left_out else "")
+        )
+    return frames
+
+
+class _Sensor:
+    """A sensor of the beam: its scene and beam as they become known, and the impacts that it measured."""
+
+    def __init__(self, scene: Scene, impacts: ImpactFrames, number: str) -> None:
+        self.scene, self.impacts, self.beam = scene, impacts, _exact_beam(scene)
+        self.name, self.together = f"scene {scene.name}{number}", bool(number)
+        self.worst = _WORST if scene.stream is None else _WORST_OF_STREAM
+        self.before = mean_evidence(self.beam, impacts, self.worst)
+        self.dimensions: tuple[Dimension, ...] = ()
+        self.chain: dict[str, tuple[float, float]] = {}
+
+    def learn_dimensions(
+        self, errors: Mapping[str, float], progress: Callable[[int], object] | None
+    ) -> tuple[Dimension, ...]:
+        """Learn the dimensions of the beam; return them."""
+        self.scene, self.dimensions = learn_dimensions(self.scene, self.beam, self.impacts, errors, progress=progress)
+        self.beam = through_modes(self.scene, self.beam)
+        return self.dimensions
+
+    def take(self, dimensions: tuple[Dimension, ...]) -> None:
+        """Take the dimensions that another sensor has learned."""
+        change = np.log([one.after / one.before for one in dimensions])
+        self.scene = with_dimensions(self.scene, [one.name for one in dimensions], change)
+        self.dimensions, self.beam = dimensions, through_modes(self.scene, self.beam)
+
+    def heard(self, *, placed: bool = False) -> Heard:
+        """Return the impacts of this sensor, with its location uncertain where the scene has a drawing."""
+        scene, beam = self.scene, self.beam
+        assert scene.tail_beam is not None
+        if not placed or scene.panel is None or scene.tail_beam.learned is not None:
+            return Heard(beam, self.impacts)
+
+        def elsewhere(place: Floats) -> Beam:
+            return through_modes(_with_sensor(scene, place), beam)
+
+        return Heard(beam, self.impacts, MovedSensor(elsewhere, np.full(2, _SENSOR_ERROR)))
+
+    def move(self, place: Floats) -> None:
+        """Move the sensor, if it is not where the scene has it."""
+        if np.hypot(*place) > _SAME_PLACE:
+            stated, self.scene = self.scene, _with_sensor(self.scene, place)
+            self.dimensions += _moved(stated, self.scene)
+            self.beam = through_modes(self.scene, self.beam)
+
+    def learn_chain(self, correction: Floats, exact: Collection[str]) -> None:
+        """Learn filter and mounting, if the stated ones make no contact forces."""
+        chain = learn_chain(self.scene, corrected(self.beam, correction), self.impacts, exact)
+        if chain is not None:
+            self.chain = _changes(self.scene, chain)
+            self.scene = chain.placed(self.scene)
+            self.beam = _exact_beam(self.scene)
+
+    def look(self, correction: Floats) -> None:
+        """Invert the impacts through the corrected beam."""
+        self.inversion = Inversion(corrected(self.beam, correction[:, : len(self.beam.poles)]))
+        self.evidence, self.forces = evidence_of(self.inversion, self.impacts)
+
+    def calibration(self, result: Learned, errors: tuple[float, float, float], region: Any) -> SiteCalibration:
+        """Return the calibrated scene; raises `BadData` where it does not explain the impacts."""
+        n, scene, start = len(self.beam.poles), self.scene, _start(self.scene)
+        prior = _prior(scene, start, *errors)
+        learned = replace(start.corrected(result.correction[:, :n]), deviation=result.deviation[:, :n])
         crossings = count_crossings(scene, learned)
         result_scene = _with_beam(scene, learned=rows_of(learned), impact_point=region)
-        after = mean_evidence(corrected_beam, impacts, worst)
-        simulated = _simulated(result_scene)
-        expected = mean_evidence(corrected_beam, simulated, worst)
-        misshapen, usual = (outside(corrected_beam, some) for some in (impacts, simulated))
-    if after < expected - max(_BELOW, _BELOW_SHARE * abs(expected)):
-        raise BadData(
-            f"the beam of scene {scene.name} must explain the impacts as well as simulated ones: their log-likelihood "
-            f"is {after:.3g} per sample ({before:.3g} before), expected {expected:.3g}; check the beam, the position "
-            "of the sensor and the region of the impacts, or use more impacts, a larger start error"
-            + (
-                ", or a dimension error of 3 % if the drawing may be inaccurate"
-                * (scene.panel is not None and not dimensions)
+        usual, simulated = evidence_of(self.inversion, _simulated(result_scene))
+        after, expected = (_mean(one, self.worst) for one in (self.evidence, usual))
+        margin = max(_BELOW, _BELOW_SHARE * abs(expected))
+        least, foreign = expected - margin, expected - _FOREIGN * margin
+        if self._changes_within(least, foreign) if after >= least else self._has_two_parts(prior, least, foreign):
+            raise BadData(
+                f"the impacts on the beam of {self.name} must be of one beam, and of a sensor that stays: a "
+                "part of them is explained by itself, and what came before or after it is not; calibrate each part "
+                "by itself"
             )
+        misshapen, usually = (outside(self.inversion, some) for some in (self.forces, simulated))
+        if after < least:
+            raise BadData(
+                f"the beam of {self.name} must explain the impacts as well as simulated ones: their "
+                f"log-likelihood is {after:.3g} per sample ({self.before:.3g} before), expected {expected:.3g}; check "
+                f"the beam, {'the order of the channels, ' * self.together}the position of the sensor and the region "
+                "of the impacts, or use more impacts, a larger start error"
+                + (
+                    ", or a dimension error of 3 % if the drawing may be inaccurate"
+                    * (scene.panel is not None and not self.dimensions)
+                )
+            )
+        if misshapen > max(MISSHAPEN, _LIKE_SIMULATED * usually):
+            raise BadData(
+                f"the forces of impacts on the beam of {self.name} must have the shape of contacts: "
+                f"{misshapen:.1%} of them (median) is outside of it, {usually:.1%} in simulated impacts; its filter, "
+                "mounting, sensor or modes differ in a way that cannot be learned: state the recorder's filter in "
+                "sensor.anti_alias, mount the sensor on a stud, measure its location, or label impacts and train on "
+                "them"
+            )
+        return SiteCalibration(
+            scene=result_scene,
+            dimensions=self.dimensions,
+            start=replace(start, deviation=prior),
+            learned=learned,
+            n_impacts=len(self.impacts),
+            before=self.before,
+            after=after,
+            expected=expected,
+            crossings=crossings,
+            has_converged=result.has_converged,
+            chain=self.chain,
+            outside=misshapen,
         )
-    if misshapen > max(MISSHAPEN, _LIKE_SIMULATED * usual):
-        raise BadData(
-            f"the forces of impacts on the beam of scene {scene.name} must have the shape of contacts: {misshapen:.1%} "
-            f"of them (median) is outside of it, {usual:.1%} in simulated impacts; its filter, mounting, sensor or "
-            "modes differ in a way that cannot be learned: state the recorder's filter in sensor.anti_alias, mount the "
-            "sensor on a stud, measure its location, or label impacts and train on them"
-        )
-    return SiteCalibration(
-        scene=result_scene,
-        dimensions=dimensions,
-        start=replace(start, deviation=_prior(scene, start, *errors)),
-        learned=learned,
-        n_impacts=len(impacts),
-        before=before,
-        after=after,
-        expected=expected,
-        crossings=crossings,
-        has_converged=result.has_converged,
-        chain={} if chain is None else _changes(stated, chain),
-        outside=misshapen,
-    )
+
+    def _changes_within(self, least: float, foreign: float) -> bool:
+        """Return whether the impacts before or after some point are explained, and the others are not."""
+        n = len(self.impacts)
+        for at in (n * np.arange(1, 10) // 10).tolist():
+            both = sorted(_mean(part, self.worst) for part in np.split(self.evidence, [at]))
+            if min(at, n - at) >= _FEWEST_OF_PART and both[0] < foreign and both[1] >= least:
+                return True
+        return False
+
+    def _has_two_parts(self, prior: Floats, least: float, foreign: float) -> bool:
+        """Return whether the first or the last impacts explain themselves alone, and not the others."""
+        few = int(_PART * len(self.impacts))
+        for own, rest in (slice(few), slice(few, None)), (slice(-few, None), slice(-few)):
+            heard = replace(self.heard(placed=True), impacts=self.impacts.taken(own))
+            alone = Learned([heard], prior)
+            alone.approach()
+            inversion = Inversion(heard.corrected(alone.places[0], alone.correction))
+            both = [_mean(evidence_of(inversion, self.impacts.taken(one))[0], self.worst) for one in (own, rest)]
+            if both[0] >= least and both[1] < foreign:
+                return True
+        return False
 
 
-def _uncertain_sensor(scene: Scene, beam: Beam, exact: Collection[str], known: Collection[str]) -> MovedSensor | None:
-    """Return the sensor, if its location is to be learned and is not yet."""
-    drawn = scene.panel is not None and scene.tail_beam is not None and scene.tail_beam.learned is None
-    if "sensor" in exact or not drawn or set(SENSOR) & set(known):
-        return None
+def _far_apart(first: _Sensor, other: _Sensor) -> bool:
+    """Return whether two sensors place the same impacts as far apart as different ones."""
+    x, y = (getattr(first.forces, axis) - getattr(other.forces, axis) for axis in "xy")
+    by_chance = [getattr(first.forces, axis) - np.roll(getattr(other.forces, axis), 1) for axis in "xy"]
+    apart = float(np.median(np.hypot(x, y)))
+    return apart > max(_APART, float(np.median(np.hypot(*by_chance))) / 2)
 
-    def moved(place: Floats) -> Beam:
-        return through_modes(_with_sensor(scene, place), beam)
 
-    return MovedSensor(moved, np.full(2, _SENSOR_ERROR))
+def _exact_beam(scene: Scene) -> Beam:
+    """Return the beam of a scene without the standard deviations of its modes, which are learned."""
+    beam = beam_of(scene)
+    return replace(beam, modes=replace(beam.modes, deviation=None))
 
 
 def _with_sensor(scene: Scene, place: Floats) -> Scene:
@@ -428,9 +584,11 @@ def prepare_impacts(frames: NDArray[np.floating], sampling_rate: float, pre_trig
 
 def mean_evidence(beam: Beam, impacts: ImpactFrames, worst: float) -> float:
     """Return the mean log-likelihood of some impacts, without this fraction, the worst."""
-    part = impacts.taken(slice(_COMPARED))
-    found = np.sort(evidence_of(Inversion(beam), part))
-    return float(found[int(worst * found.size) :].mean())
+    return _mean(evidence_of(Inversion(beam), impacts.taken(slice(_COMPARED)))[0], worst)
+
+
+def _mean(evidence: Floats, worst: float) -> float:
+    return float(np.sort(evidence)[int(worst * evidence.size) :].mean())
 
 
 def _simulated(scene: Scene) -> ImpactFrames:

@@ -18,6 +18,7 @@ from cgid.cli.options import (
     json_option,
     laws_option,
     overwrite_option,
+    point_of,
     reading_options,
     share_of,
 )
@@ -83,6 +84,13 @@ def _modes_beside(path: Path) -> list[Path]:
     metavar="PART,...",
     help="Take these as the scene states them: sensor (its location), filter, mounting.",
 )
+@click.option(
+    "--sensor",
+    "sensors",
+    multiple=True,
+    metavar="X,Y",
+    help="Calibrate sensors at these points [m] of the scene's beam together: the channels, in this order.",
+)
 @click.option("--impacts", type=int, default=300, show_default=True, help="Use at most this many impacts.")
 @click.option(
     "--plot", "picture", type=OUTPUT, help="Plot the modes before and after, with standard deviations, as PNG."
@@ -100,6 +108,7 @@ def calibrate(
     participation_error: str,
     dimension_error: str,
     exact: str,
+    sensors: tuple[str, ...],
     impacts: int,
     picture: str | None,
     overwrite: bool,
@@ -112,7 +121,8 @@ def calibrate(
     correct: its frequencies within a few per cent, its shapes and the region of the impacts. If these come from a
     drawing, give its uncertainty with --dimension-error. The location of the sensor (to some centimetres), its mounting
     and the recorder's filter are corrected where the impacts contradict the scene. Train with the learned beam by cgid
-    train site.toml. Nothing is written if the beam does not explain the impacts sufficiently.
+    train site.toml. Nothing is written if the beam does not explain the impacts sufficiently. Several sensors of one
+    beam share its modes; each has its own location, filter and mounting, and a scene: site.toml, site-2.toml.
     """
     from cgid._lib import validation
     from cgid._lib.files import check_new
@@ -120,11 +130,13 @@ def calibrate(
     from cgid.calibration import dimensions
     from cgid.calibration.chain import PARTS
     from cgid.calibration.learning import MAX_ROUNDS
-    from cgid.calibration.modes import FEWEST, check_numbers, check_scene, table_beside
+    from cgid.calibration.modes import FEWEST, check_numbers, check_scene, scenes_beside, table_beside
     from cgid.scene import load_scene
 
-    path = check_new(Path(output), "a site", (".toml",), overwrite=overwrite)
-    check_new(table_beside(path), "a table of modes", (".csv",), overwrite=overwrite)
+    for path in reversed(scenes_beside(Path(output), max(len(sensors), 1))):
+        path = check_new(path, "a site", (".toml",), overwrite=overwrite)
+        check_new(table_beside(path), "a table of modes", (".csv",), overwrite=overwrite)
+    points = [point_of(text) for text in sensors]
     drawing = None
     if picture is not None:
         from cgid.plots.figure import new_picture
@@ -144,11 +156,12 @@ def calibrate(
     check_numbers(**errors, max_impacts=impacts)
     check_scene(scene, scene.sampling.sampling_rate)
     of_dimensions = dimensions.dimension_errors(scene, _of_each(dimension_error))
-    frames, rate, before = _frames(recordings, scene, reading)
+    frames, rate, before = _frames(recordings, scene, reading, len(points))
     n_rounds = MAX_ROUNDS + dimensions.MAX_ROUNDS * bool(of_dimensions)
     with progress_bar(n_rounds, "rounds at most", "fitting beam") as progress:
         errors["dimension_error"] = of_dimensions
-        found = calibrated(scene, frames, rate, before, exact=parts, max_impacts=impacts, progress=progress, **errors)
+        errors |= {"exact": parts, "sensors": points, "max_impacts": impacts}
+        found = calibrated(scene, frames, rate, before, progress=progress, **errors)
     found.save(path, overwrite=overwrite)
     if drawing is not None:
         _draw(found, drawing, overwrite)
@@ -164,7 +177,7 @@ def _of_each(text: str) -> float | dict[str, float]:
 
 
 def _frames(
-    recordings: tuple[str, ...], scene: Scene, reading: ReadingOptions
+    recordings: tuple[str, ...], scene: Scene, reading: ReadingOptions, n_sensors: int
 ) -> tuple[NDArray[np.floating], float, int]:
     """Return frames of all usable impacts in the unit of the scene's sensor, their rate, and samples before onset."""
     import numpy as np
@@ -174,38 +187,63 @@ def _frames(
     if any(reading.wants_complete_dataset(path) for path in recordings):
         if len(recordings) > 1:
             raise InvalidValue(f"{recordings[0]}: a dataset must be the only input, got {len(recordings)} recordings")
+        if n_sensors:
+            raise InvalidValue(f"--sensor must be left out, {recordings[0]} is a dataset of one sensor")
         return _of_dataset(recordings[0], scene)
-    events: list[Event] = []
-    rate = 0.0
+    rocks: list[list[Event]] = []
+    n_found, rate, every = 0, 0.0, dict.fromkeys(("overlapping", "clipped", "cut"), 0)
     for path in recordings:
         recording = reading.recording(path)
         if rate and abs(recording.sampling_rate / rate - 1) > 1e-6:
             raise BadData(f"{path}: all recordings must have one sampling rate, got {recording.sampling_rate:g} Hz")
         rate = recording.sampling_rate
-        events += _found(recording, scene, reading)
-    usable, lost = usable_impacts(events)
-    if len(usable) < FEWEST:
-        reasons = ", ".join(f"{n} {name}" for name, n in lost.items() if n)
+        events = _found(recording, scene, reading, max(n_sensors, 1))
+        usable, lost = usable_impacts(events)
+        rocks += [[event] for event in usable] if n_sensors < 2 else _together(usable, n_sensors, rate, path)
+        n_found += len(events)
+        every = {name: n + lost[name] for name, n in every.items()}
+    if len(rocks) < FEWEST:
+        reasons = ", ".join(f"{n} {name}" for name, n in every.items() if n)
         raise BadData(
-            f"{recordings[0]}: usable impacts must be at least {FEWEST}, got {len(usable)} of {len(events)}"
+            f"{recordings[0]}: usable impacts must be at least {FEWEST}, got {len(rocks)} of {n_found}"
             + (f" ({reasons})" if reasons else "")
             + "; record longer, and below the sensor's range"
         )
-    frames, before = frames_of(usable)
-    return np.asarray(frames, np.float64), rate, before
+    frames, before = frames_of([event for rock in rocks for event in rock])
+    frames = np.asarray(frames, np.float64)
+    return frames.reshape(len(rocks), n_sensors, -1) if n_sensors else frames, rate, before
 
 
-def _found(recording: Any, scene: Scene, reading: ReadingOptions) -> list[Event]:
+def _together(usable: list[Event], n_sensors: int, rate: float, path: str) -> list[list[Event]]:
+    """Return the impacts that all sensors measure, each by channel."""
+    import math
+
+    from cgid.identification.prediction.same_beam import CROSSING, SAME, RockAssigner
+
+    usable = sorted(usable, key=lambda event: event.onset)
+    assigner: RockAssigner[Event] = RockAssigner([range(n_sensors)], rate)
+    rocks = assigner.feed(usable, math.inf)
+    found = [sorted(rock, key=lambda event: event.channel) for rock in rocks if len(rock) == n_sensors]
+    fewest = min(sum(event.channel == channel for event in usable) for channel in range(n_sensors))
+    if len(found) < SAME * fewest:
+        raise BadData(
+            f"{path}: the channels must be of one beam, got {len(found)} of {fewest} impacts within "
+            f"{1e3 * CROSSING:g} ms of each other; pick those of one beam with --channel"
+        )
+    return found
+
+
+def _found(recording: Any, scene: Scene, reading: ReadingOptions, n_sensors: int) -> list[Event]:
     """Return the impacts of a recording in the unit of a scene's sensor."""
     from cgid.calibration.modes import check_scene
     from cgid.identification.training.impact_table import found_impacts
     from cgid.identification.training.recordings import unit_of
     from cgid.units import UNITS, quantity_of
 
-    if len(recording.channels) != 1:
+    if len(recording.channels) != n_sensors:
         raise BadData(
-            f"{recording.source}: the recording must be of one sensor, got {len(recording.channels)} channels; pick "
-            "one with --channel"
+            f"{recording.source}: the recording must be of {counted(n_sensors, 'sensor')}, got "
+            f"{counted(len(recording.channels), 'channel')}; pick with --channel, and give each point by --sensor"
         )
     unit = unit_of(recording)
     quantity = quantity_of(unit)
@@ -244,13 +282,14 @@ def _draw(found: SiteCalibration, path: Path, overwrite: bool) -> None:
     write_whole(path, modes_picture(found.start, found.learned), overwrite=overwrite)
 
 
-def _say(found: SiteCalibration, path: Path, as_json: bool) -> None:
+def _content(found: SiteCalibration, path: Path) -> dict[str, Any]:
+    """Return what is told of a calibrated sensor."""
     import numpy as np
 
     modes, change = found.learned, np.log(found.learned.frequency / found.start.frequency)
     deviation = modes.columns["frequency_deviation"]
     known = deviation < 0.5 * found.start.columns["frequency_deviation"]
-    content = {
+    return {
         "scene": found.scene.name,
         "site": str(path),
         "n_impacts": found.n_impacts,
@@ -267,29 +306,34 @@ def _say(found: SiteCalibration, path: Path, as_json: bool) -> None:
         "crossings": found.crossings,
         "at_rest": found.has_converged,
     }
+
+
+def _say(found: SiteCalibration, path: Path, as_json: bool) -> None:
+    from cgid.calibration.modes import scenes_beside
+
+    sensors = (found, *found.others)
+    contents = [_content(*each) for each in zip(sensors, scenes_beside(path, len(sensors)), strict=True)]
     if as_json:
-        print_json(content)
-    else:
-        say(
-            f"{path}: {counted(found.n_impacts, 'impact')}, {content['n_learned']} of {content['n_modes']} modes "
-            "learned"
-        )
-        for one in found.dimensions:
-            unit, known_to = "" if one.name.endswith("ratio") else " m", f"{100 * one.deviation:.2g} %"
-            say(
-                f"{one.name}: {one.before:.5g}{unit} before, {one.after:.5g}{unit} after, standard deviation {known_to}"
-            )
-        for name, (before, after) in found.chain.items():
+        print_json(contents[0] | ({"others": contents[1:]} if found.others else {}))
+    for content in [] if as_json else contents:
+        learned = f"{content['n_learned']} of {content['n_modes']} modes learned"
+        say(f"{content['site']}: {counted(content['n_impacts'], 'impact')}, {learned}")
+        for name, one in content["dimensions"].items():
+            unit = "" if name.endswith("ratio") else " m"
+            known_to = f"standard deviation {100 * one['deviation']:.2g} %"
+            say(f"{name}: {one['before']:.5g}{unit} before, {one['after']:.5g}{unit} after, {known_to}")
+        for name, one in content["sensor"].items():
             unit = " Hz" if name.endswith("frequency") else ""
-            say(f"sensor.{name}: {before:.4g}{unit} before, {after:.4g}{unit} after")
-        if known.any():
+            say(f"sensor.{name}: {one['before']:.4g}{unit} before, {one['after']:.4g}{unit} after")
+        if content["n_learned"]:
             say(
                 f"natural frequencies changed by {content['frequency_change']:.3%} (median), standard deviation "
                 f"{content['frequency_deviation']:.3%}"
             )
+        evidence = content["evidence"]
         say(
-            f"log-likelihood per sample {found.before:.3g} before, {found.after:.3g} after, "
-            f"expected {found.expected:.3g}"
+            f"log-likelihood per sample {evidence['before']:.3g} before, {evidence['after']:.3g} after, "
+            f"expected {evidence['expected']:.3g}"
         )
     if found.crossings:
         warn(f"{counted(found.crossings, 'pair')} of neighbouring modes swapped")

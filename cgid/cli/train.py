@@ -26,6 +26,7 @@ from cgid.cli.options import (
     json_option,
     laws_option,
     overwrite_option,
+    point_of,
     reading_options_for,
     refuse,
     require_one_executor,
@@ -224,7 +225,7 @@ def train(
     names = options.pop("names")
     options["features"] = None if names is None else choose([name.strip() for name in names.split(",")])
     options["class_weights"] = _class_weights(options["class_weights"])
-    options["sensors"] = [_point(text) for text in options["sensors"]]
+    options["sensors"] = [point_of(text) for text in options["sensors"]]
     recorded = [item for item in data if _recorded(item)]
     others = [item for item in data if item not in recorded]
     if recorded:
@@ -503,15 +504,6 @@ def _class_weights(text: str | None) -> dict[str, float] | str | None:
                 f"--class-weights must be balanced, or such as coal=1,gangue=3 for labels, got {text!r}"
             ) from None
     return weights
-
-
-def _point(text: str) -> tuple[float, float]:
-    """Return the point [m] of a sensor."""
-    try:
-        x, y = (float(validation.not_negative("--sensor", float(part))) for part in text.split(","))
-    except ValueError:
-        raise InvalidValue(f"--sensor must be a point X,Y [m] of a beam, such as 0.5,0.45, got {text!r}") from None
-    return x, y
 
 
 def _beam(sources: list[Scene | Dataset], options: dict[str, Any]) -> Any:

@@ -36,10 +36,10 @@ _DISAGREE, _OF_BEAM = 4.0, 0.03
 _RECENT, _FEW, _MANY = 20, 2, 12
 #: Impacts of a channel from which it is known which of two that disagree is less like the training.
 _REMEMBERED = 200
-#: Channels hear the same rocks if they share more than `_SAME` of the impacts of the one with fewer, of at least
+#: Channels hear the same rocks if they share more than `SAME` of the impacts of the one with fewer, of at least
 #: `_ENOUGH`, by so many standard deviations more than chance gives; other ones if they share less than `_OTHER`. Counts
 #: begin anew when a channel has `_COUNTED`.
-_SAME, _OTHER, _ENOUGH, _SURELY, _COUNTED = 0.6, 0.2, 20, 4.0, 500
+SAME, _OTHER, _ENOUGH, _SURELY, _COUNTED = 0.6, 0.2, 20, 4.0, 500
 #: Reasons why a channel is left out.
 _REASONS = {
     "missing": "it measures no impact that the others measure; check sensor and cable",
@@ -477,7 +477,7 @@ class Together:
             return
         chance = -np.expm1(-2 * self._reach * more / max(elapsed, 1))
         surely = chance * fewer + _SURELY * np.sqrt(fewer * chance * (1 - chance))
-        if shared > max(_SAME * fewer, surely):
+        if shared > max(SAME * fewer, surely):
             self._told.add(pair)
             known = [self._suspected.get(row, frozenset(self._group[row])) for row in pair]
             if known[0] == known[1]:
