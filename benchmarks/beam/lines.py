@@ -310,7 +310,7 @@ AFTER, AFTER_TIME = (0.2, 0.65), 50.0
 
 
 def in_seam(name: str, row: str, model: Model, first: int) -> str:
-    """Return a row of the table: windows of 10 s beside 25 s of coal of a seam, under a noise from the begin on."""
+    """Return a row of the table: windows of 10 s beside 25 s of coal of a seam, under a noise from the start."""
     settings = PredictionSettings(share_time=WINDOW, share_step=1.0, coal_until=SPAN)
     errors, held, widths, turns, bases = [], [], [], [], Counter[str]()
     for number, fraction in enumerate(AFTER):

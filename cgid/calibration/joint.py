@@ -45,7 +45,7 @@ def lines_of(band: tuple[float, float]) -> Complex:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Blow:
-    """The force of a tap and the vibration from its begin on."""
+    """The force of a tap and the vibration from its start."""
 
     response: Floats  # (n_samples,), of one sensor
     force: Floats  # (n,) [N], at the first samples; 0 afterwards

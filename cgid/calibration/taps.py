@@ -630,7 +630,7 @@ def blows_of(
     sampling_rate: float,
     reach: float,
 ) -> list[Blow]:
-    """Return the force of each tap, those up to `reach` [s] before it, and the vibration from its begin on."""
+    """Return the force of each tap, those up to `reach` [s] before it, and the vibration from its start."""
     lead = max(round(_AFTER * sampling_rate), 2)
     parts = {round(hit.onset): slice(max(hit.onset - lead, 0), min(hit.end + lead, force.size)) for hit in hits}
     own = [parts[round(tap.time * sampling_rate)] for tap in taps]

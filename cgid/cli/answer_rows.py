@@ -472,7 +472,7 @@ class RecordingRows:
         if share.basis == self._bases.get(share.channel) or not (share.n_impacts or share.basis == Basis.TOO_FEW):
             return
         if share.basis == Basis.ANY_SEAM and (share.n_impacts < _ENOUGH or share.time < self.settings.shares.window):
-            return  # nobody can say what fell at the begin of so short a recording
+            return  # nobody can say what fell at the beginning of so short a recording
         self._bases[share.channel] = share.basis
         stated = self.settings.coal_until
         coal = "the labelled coal" if stated is None else f"the coal of {stated:.6g} s"
@@ -492,7 +492,7 @@ class RecordingRows:
         elif share.basis == Basis.ANY_SEAM and not self.lines.as_json and len(self._bases) == 1:
             say(
                 f"{self.source}: the interval of the gangue fraction is for any seam; it is a third narrower if you "
-                "can say how long coal alone fell at the begin (--coal-until 30s), or that the seam is that of the "
+                "can say how long coal alone fell at the beginning (--coal-until 30s), or that the seam is that of the "
                 "training (--trained-seam)",
                 err=True,
             )

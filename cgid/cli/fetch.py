@@ -12,7 +12,7 @@ from cgid.cli.output import progress_bar, say
 @click.command(cls=Command, short_help="Download public recordings of real impacts.", example="cgid fetch")
 @click.argument("name", required=False)
 @click.option("-o", "--output", type=PATH, default=".", show_default=True, help="Make the folder NAME in this one.")
-@click.option("--mirror", metavar="URL", help="Use this address instead: that of a copy.")
+@click.option("--mirror", metavar="URL", help="Download from this copy of the data instead.")
 def fetch(name: str | None, output: str, mirror: str | None) -> None:
     """Download the public dataset NAME, or list all of them without a NAME.
 

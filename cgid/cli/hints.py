@@ -78,7 +78,7 @@ class Hints(Diagnosis):
             case MisfitPart.BEAM if self._is_of_beam:
                 advice = "learn the modes of this beam with a scene of its size, or label impacts and train on them"
             case MisfitPart.SIZES | MisfitPart.SEAM if self.model.seams is not None and not stated:
-                advice = "state how long coal alone falls at the begin, and the gangue fraction is that of this seam"
+                advice = "say how long coal alone falls at first, and the gangue fraction is that of this seam"
                 steps = (self._predict("--coal-until", "30s"),)
             case MisfitPart.SIZES | MisfitPart.SEAM if self.model.seams is not None:
                 advice = "the gangue fraction is that of this seam; for single impacts, label some and train on them"

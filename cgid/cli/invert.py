@@ -39,7 +39,9 @@ _RINGS = 2.0
 )
 @click.option("-o", "--output", type=OUTPUT, help="Write force and standard deviation over time to this table (.csv).")
 @click.option("--hammer", metavar="CHANNEL", help="Compare with the force measured in this channel.")
-@click.option("--band", nargs=2, type=float, metavar="LOW HIGH", help="Use LOW to HIGH [Hz], not all modes' range.")
+@click.option(
+    "--band", nargs=2, type=float, metavar="LOW HIGH", help="Use LOW to HIGH [Hz], instead of the range of all modes."
+)
 @click.option(
     "--contact", type=float, default=6.0, show_default=True, help="Look for contacts of at most this time [ms]."
 )

@@ -70,7 +70,7 @@ def label(
     Open the address that is printed. The page shows the recordings and their impacts, draws impacts at random to be
     labelled by keys, labels stretches, trains and corrects models while you label, and says how often they are right.
     With --same-beam, each beam and each other channel of a file is a recording of its own, and a model learns one row
-    of an impact. Each label is on the disk at once; the table is one for cgid train. Ctrl-C ends the page.
+    of an impact. Each label is saved to disk at once; the table is one for cgid train. Ctrl-C ends the page.
     """
     from cgid._lib import validation
     from cgid._lib.files import check_new

@@ -178,8 +178,10 @@ _BEHIND = 1.0
 @click.argument("stream", type=PATH, default="-")
 @click.option("--rate", "sampling_rate", type=float, help="Set the sampling rate [Hz] of raw numbers.")
 @click.option("--channels", "n_channels", type=int, help="Set the number of channels of raw numbers.")
-@click.option("--sample-format", help="Set the format of raw numbers: u8, s16le, s24le, s32le, f32le, ..., or with be.")
-@click.option("--unit", help="Set the unit of the numbers: of floats unchanged, of integers scaled to -1 to 1.")
+@click.option(
+    "--sample-format", help="Set the format of raw numbers: u8, s16le, s24le, s32le, f32le, ...; be for big-endian."
+)
+@click.option("--unit", help="Set the unit of the numbers: floats as they are, integers after scaling to -1 to 1.")
 @reading_options_for("invert", "milliseconds", *CHAIN)
 @answering_options
 @json_option
@@ -187,7 +189,7 @@ _BEHIND = 1.0
 @click.option(
     "--cycle-by",
     type=click.Choice(["stdin", "mqtt"]),
-    help="Begin another caving cycle at each line on stdin, or message of TOPIC/cycle of --mqtt: the name of a "
+    help="Start a new caving cycle at each line on stdin, or message of TOPIC/cycle of --mqtt: the name of a "
     "support, or nothing for all; with --coal-until.",
 )
 @plant_options

@@ -411,7 +411,7 @@ _READING: dict[str, Callable[[Any], Any]] = {
         "--full-scale",
         multiple=True,
         metavar="[NAME=]VALUE",
-        help="Set full scale of a sound file or of integers: '10 V', '50 g', '10 V at 24 bit'.",
+        help="Set the full scale of a sound file or of integers: '10 V', '50 g', '10 V at 24 bit'.",
     ),
 }
 
@@ -427,7 +427,8 @@ same_beam_option = click.option(
     "--same-beam",
     multiple=True,
     metavar="CHANNELS",
-    help="Count an impact that several channels of one beam measure once: 1+2; repeat the option for other beams.",
+    help="Count an impact once even if several channels of one beam measure it: 1+2; repeat the option for "
+    "other beams.",
 )
 #: Plant outputs; the command receives the given ones as `outputs`, arguments of `PlantOutputs`.
 plant_options = _bundle(
@@ -502,8 +503,9 @@ answering_options = _options(
     click.option(
         "--lines/--no-lines",
         default=None,
-        help="Take tones of machines out of accelerations of a beam from the begin on, or keep them; by default they "
-        "are taken out once they are heard, after two seconds.",
+        help="Remove machine tones from accelerations of a beam from the first sample on, or keep them; by "
+        "default they "
+        "are removed once they are detected, after two seconds.",
     ),
     click.option(
         "--window", "share_time", type=float, help="Set the window of the gangue fraction [s], by default 10."
@@ -533,30 +535,33 @@ answering_options = _options(
         "--coal-until",
         type=SECONDS,
         metavar="TIME",
-        help="State that coal alone falls for so long (30s) at the begin: the gangue fraction is then for this seam.",
+        help="State that only coal falls for this long (30s) at the beginning; the gangue fraction is then "
+        "that of this seam.",
     ),
     click.option(
         "--cycle-pause",
         type=SECONDS,
         metavar="TIME",
-        help="Begin another caving cycle with the first impact after a pause of so long (120s); with --coal-until.",
+        help="Start a new caving cycle at the first impact after a pause of this length (120s); with --coal-until.",
     ),
     click.option(
         "--labelled",
         type=PATH,
         metavar="TABLE",
-        help="Take what this manifest or table of events labels coal in the recording, in place of --coal-until; some "
+        help="Use what this manifest or table of events labels coal in the recording, instead of --coal-until; some "
         "lumps labelled gangue make the fraction sharper, beside either.",
     ),
     click.option(
         "--trained-seam",
         is_flag=True,
-        help="State that the seam is that of the model's training, with its coal and gangue, sizes and drop heights.",
+        help="State that the seam is like that of the model's training: its coal and gangue, their sizes "
+        "and drop heights.",
     ),
     click.option(
         "--blind-after",
         type=float,
-        help="Call a support blind, and withdraw its decision, after so long without sound samples [s], by default 5.",
+        help="Call a support blind, and withdraw its decision, after this long without valid samples [s], "
+        "by default 5.",
     ),
     click.option(
         "--give-up", type=float, help="End when no channel has been readable for this long [s]; by default go on."

@@ -43,7 +43,9 @@ _TOLD = 5e-6
 @click.argument("recording", type=PATH)
 @click.option("-o", "--output", type=OUTPUT, required=True, help="Write the modes to this table (.csv).")
 @click.option("--hammer", metavar="CHANNEL", help="Read the force of the hammer from this channel: its name or number.")
-@click.option("--band", nargs=2, type=float, metavar="LOW HIGH", help="Limit natural frequencies to LOW to HIGH [Hz].")
+@click.option(
+    "--band", nargs=2, type=float, metavar="LOW HIGH", help="Keep natural frequencies between LOW and HIGH [Hz]."
+)
 @click.option(
     "--max-order",
     type=int,
@@ -56,7 +58,7 @@ _TOLD = 5e-6
     type=float,
     default=2.0,
     show_default=True,
-    help="Set the contact time of a hammer without channel [ms].",
+    help="Set the contact time of a hammer that is not recorded [ms].",
 )
 @click.option(
     "--taps", "table", type=PATH, help="Use only the taps listed in this table (.csv) in the column 'time_s'."

@@ -198,7 +198,7 @@ def train(
     Scenes and datasets given with recordings are used for training, too, with their level and spectrum moved to those
     of the recordings.
 
-    With --from, ten to fifty labelled impacts correct a model that is there: its bias, its slope and the gain of the
+    With --from, ten to fifty labelled impacts correct an existing model: its bias, its slope and the gain of the
     sensor, as far as they give evidence. It reports the accuracy on this beam; its interval counts rocks, and groups
     where there are several. Impacts of recordings that trained the model are left out.
 

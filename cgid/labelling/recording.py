@@ -47,7 +47,7 @@ class ListedImpact:
 
 @dataclass(eq=False)
 class LabelledRecording:
-    """A recording, read once from its begin to its end in the background; views may be asked for meanwhile."""
+    """A recording, read once from start to end in the background; views may be asked for meanwhile."""
 
     file: AnnotatedFile
     cells: Cells  # of each of its rows in the table

@@ -43,7 +43,7 @@ def number_of(cell: str) -> float | None:
 
 
 def key_of(row: Mapping[str, str]) -> tuple[str, str, str, str]:
-    """Return what identifies a row: path, channel, and its time, or of a stretch its begin and end to 1 us."""
+    """Return what identifies a row: path, channel, and its time, or of a stretch its start and end to 1 us."""
     times = [number_of(row.get(name, "")) for name in ("time_s", "start_s", "end_s")]
     texts = ["" if one is None else f"{one:.6f}" for one in times]
     return row["path"], row.get("channel", ""), *(("", texts[0]) if texts[0] else (texts[1] or "0.000000", texts[2]))

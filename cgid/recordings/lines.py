@@ -7,7 +7,7 @@ machine runs, two seconds tell: its tone is steady, and its phase goes on from f
 mode decays between impacts, and each impact begins another phase. From then on the bands around the lines are taken
 back to samples and subtracted, and what is left is clipped again, closer now. So a sample is known as soon as its
 second frame is: after half a second. Frames count from the first sample, so the result does not depend on the blocks.
-Without a machine, samples stay as they are, unless one is known to run from the begin on.
+Without a machine, samples stay as they are, unless one is known to run from the start.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ _LOWEST, _WIDTH = 20.0, 4.0
 #: direction: in streams without tones at most .81 where modes have .2 % of damping or more, beside as steady a power,
 #: .94 with .1 %; with tones .99. After so many frames without any (a minute), no machine runs.
 _N_STEADY, _STEADY, _COHERENT, _N_SILENT = 8, 0.7, 0.96, 240
-#: In a recording with a machine from the begin on, lines go from the frame that begins so late on [s].
+#: In a recording with a machine from the start, lines go from the frame that begins so late on [s].
 HEARD_AFTER = (_N_STEADY - 1) * FRAME_TIME / 2
 #: Lines with less than this share of the power are not worth it.
 _SHARE = 0.05

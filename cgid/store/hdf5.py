@@ -185,7 +185,7 @@ class ShardMemory:
             self._buffer = np.empty(room, np.uint8)
 
     def seek(self, offset: int, whence: int = 0) -> int:
-        """Move to an offset from the begin, from here or from the end."""
+        """Move to an offset from the start, from here or from the end."""
         self._at = (0, self._at, self._size)[whence] + offset
         return self._at
 

@@ -170,7 +170,7 @@ class Dataset:
         Parameters
         ----------
         n : int
-            Number of signals of each label, at most 200; fewer of a label that is rare at the begin of the dataset.
+            Number of signals of each label, at most 200; fewer of a label that is rare at the beginning of the dataset.
         axes : matplotlib.axes.Axes, optional
             New ones by default.
 

@@ -61,7 +61,7 @@ class Run:
 
     @property
     def first_whole(self) -> Path | None:
-        """The first file of a folder that is complete at the begin, None without one."""
+        """The first file of a folder that is complete at the beginning, None without one."""
         missing = {*range(self.description.n_files)} if self.is_single else {*self.missing}
         names = enumerate(self.description.names)
         return next((self.output / name for number, name in names if number not in missing), None)

@@ -218,7 +218,7 @@ class Anchor:
     Parameters
     ----------
     coal_until : float [s]
-        Only coal falls for so long from the begin of a cycle on; 0 with `spans`.
+        Only coal falls for so long from the start of a cycle; 0 with `spans`.
     cycle_pause : float, optional [s]
         The first impact after such a pause begins another cycle; None: the recording is one cycle.
     spans : sequence of (float, float) [s]

@@ -122,7 +122,7 @@ class PredictionSettings:
     sensors : tuple of str
         Names of sensors in the model: one for all channels, or one for each.
     lines : bool, optional
-        Whether tones of machines are taken out of accelerations that a model sees through a beam: from the begin on,
+        Whether tones of machines are taken out of accelerations that a model sees through a beam: from the start,
         never, or, without a statement, once two seconds have told that a machine runs.
     dead_time : float, optional [s]
         Time after an impact in which no other begins, see `find_impacts`.
@@ -144,7 +144,7 @@ class PredictionSettings:
     hold : float, optional [s]
         Least time between SHUT and OPEN; None: a window.
     coal_until : float, optional [s]
-        Only coal falls for so long from the begin on: an anchor for the gangue fraction of this seam; None: the seam is
+        Only coal falls for so long from the start: an anchor for the gangue fraction of this seam; None: the seam is
         not known.
     cycle_pause : float, optional [s]
         The first impact after such a pause begins another caving cycle, with as long a time of coal; None: one cycle.

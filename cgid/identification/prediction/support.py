@@ -321,7 +321,7 @@ class CavingWatch:
                 yield from support.at(support.window.at(end), ground, since, reason, is_known=is_known)
 
     def _ground(self, name: str, support: _Support, end: float) -> tuple[Ground, float, str]:
-        """Return the ground of a support, its begin if it is new [s], and the reason."""
+        """Return the ground of a support, its start if it is new [s], and the reason."""
         if self._sensors is not None:
             # A prediction needs sound samples, too, in stretches that are not whole.
             support.last_sound = float(np.fmax.reduce(self._sensors.last_sound[support.rows], initial=np.nan))

@@ -69,7 +69,7 @@ class Stretch:
         return self._added(participation, (1 - np.exp(self.pole * self.n_samples / self.sampling_rate)) * before)
 
     def _added(self, participation: Floats | Complex, states: Complex) -> Complex:
-        """Return what states (n_modes, ...) at the begin of the stretch add, (n_bins, ...)."""
+        """Return what states (n_modes, ...) at the beginning of the stretch add, (n_bins, ...)."""
         own, mirrored = self._ends
         return np.asarray(own * participation @ states + mirrored * np.conj(participation) @ states.conj())
 
@@ -83,7 +83,7 @@ class Stretch:
 
     @cached_property
     def _ends(self) -> tuple[Complex, Complex]:
-        """What a state and its conjugate at the begin add, and take away at the end."""
+        """What a state and its conjugate at the beginning add, and take away at the end."""
         step, unit = 1 / self.sampling_rate, 0.5 * residues(self.pole, self.derivatives)
         turn = np.exp(-1j * self.line * step)[:, None]
         own = unit * step / (1 - np.exp(self.pole * step) * turn)
