@@ -44,8 +44,8 @@ _MIN_WEIGHT = 0.02
 _COLOURS = (0.0, 0.75, 1.5)
 #: Returns tables that its argument makes, perhaps as they were made before.
 Kept = Callable[[Callable[[], Sequence[NDArray[Any]]]], Sequence[NDArray[Any]]]
-#: Locations processed at once, which fit in the processor's cache.
-_LOCATIONS = 16
+#: Numbers of an array that fits in the processor's cache with two others; columns and rows processed at once.
+_SIZE, _COLUMNS, _AT_ONCE = 1 << 16, 1024, 8
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,19 +83,27 @@ class NoiseTables:
         self.tables, self.weight = tables, weight
         power, self._rotation = kept(lambda: tables.table.powers(tables.at, np.sqrt(weight)))
         self.levels = _LEVELS / np.sqrt(np.median(power.sum(axis=1)))
-        self._share, self._cost = _shares(power, self.levels[::every])
+        self._share = _shares(power, self.levels[::every])
 
     def evidence(self, samples: Singles) -> Singles:
         """Return the evidence of the best level for weighted samples (n, n_kept), (n_locations, n)."""
-        table, at = self.tables.table, self.tables.at
-        out = np.empty((len(at), len(samples)), np.float32)
-        by_mixture = np.ascontiguousarray(table.by_mixture(samples).transpose(1, 2, 0)).reshape(at.shape[1], -1)
-        for first in range(0, len(at), _LOCATIONS):
-            part = slice(first, first + _LOCATIONS)
-            vector = (at[part] @ by_mixture).reshape(-1, table.n_shapes, len(samples))
-            gained = self._share[part] @ np.square(self._rotation[part] @ vector) - self._cost[part]
-            gained.max(axis=1, out=out[part])
+        out = np.empty((len(self.tables.at), len(samples)), np.float32)
+        for first in range(0, len(samples), _COLUMNS):
+            columns = slice(first, first + _COLUMNS)
+            self._evidence(samples[columns], out[:, columns])
         return out
+
+    def _evidence(self, samples: Singles, out: Singles) -> None:
+        table, at, n = self.tables.table, self.tables.at, len(samples)
+        by_mixture = np.ascontiguousarray(table.by_mixture(samples).transpose(1, 2, 0)).reshape(at.shape[1], -1)
+        n_each = min(max(_SIZE // (table.n_shapes * n), 8), len(at))
+        squares = np.ones((n_each, table.n_shapes + 1, n), np.float32)
+        for first in range(0, len(at), n_each):
+            part = slice(first, first + n_each)
+            vector = (at[part] @ by_mixture).reshape(-1, table.n_shapes, n)
+            own = squares[: len(vector)]
+            np.square(self._rotation[part] @ vector, out=own[:, :-1])
+            (self._share[part] @ own).max(axis=1, out=out[part])
 
 
 class NearTables:
@@ -106,8 +114,7 @@ class NearTables:
         n_locations, n_shapes = len(tables.at), tables.table.n_shapes
         self._known = np.zeros(n_locations, bool)
         self._rotation = np.empty((n_locations, n_shapes, n_shapes), np.float32)
-        self._share = np.empty((n_locations, levels.size, n_shapes), np.float32)
-        self._cost = np.empty((n_locations, levels.size, 1), np.float32)
+        self._share = np.empty((n_locations, levels.size, n_shapes + 1), np.float32)
 
     def evidence(self, locations: NDArray[np.intp], by_mixture: Singles) -> Singles:
         """Return the evidence at locations (n, n_locations), (n, n_locations, n_levels), from `by_mixture`."""
@@ -119,11 +126,16 @@ class NearTables:
             else:
                 power, self._rotation = self._kept(lambda: make(at, root))
                 new = np.arange(len(at))
-            self._share[new], self._cost[new] = _shares(power, self.levels)
+            self._share[new] = _shares(power, self.levels)
             self._known[new] = True
-        vector = (at[locations] @ by_mixture.reshape(len(by_mixture), at.shape[1], -1))[:, :, :, None]
-        gained = self._share[locations] @ np.square(self._rotation[locations] @ vector)
-        return (gained - self._cost[locations])[:, :, :, 0]
+        out = np.empty((*locations.shape, self.levels.size), np.float32)
+        squares = np.ones((_AT_ONCE, locations.shape[1], self._share.shape[2], 1), np.float32)
+        for first in range(0, len(out), _AT_ONCE):
+            rows = slice(first, first + _AT_ONCE)
+            own, vector = locations[rows], at[locations[rows]] @ by_mixture[rows]
+            np.square(self._rotation[own] @ vector[..., None], out=squares[: len(own), :, :-1])
+            out[rows] = (self._share[own] @ squares[: len(own)])[..., 0]
+        return out
 
 
 class LocationGrid:
@@ -297,11 +309,11 @@ def _groups(kinds: NDArray[np.intp]) -> list[tuple[list[int], NDArray[np.intp]]]
     return [(kind, np.flatnonzero(number.ravel() == k)) for k, kind in enumerate(each.tolist())]
 
 
-def _shares(power: Floats, levels: Floats) -> tuple[Singles, Singles]:
-    """Return the contribution of squared rotated vectors to the evidence of each force level, and its normalisation."""
+def _shares(power: Floats, levels: Floats) -> Singles:
+    """Return the contribution of squared rotated vectors, and of 1, to the evidence of each force level."""
     share = 0.5 / (power[:, None] + levels[:, None] ** -2)
     cost = 0.5 * np.log1p(levels[:, None] ** 2 * power[:, None]).sum(axis=2, keepdims=True)
-    return share.astype(np.float32), cost.astype(np.float32)
+    return np.concatenate([share, -cost], axis=2).astype(np.float32)
 
 
 def _highest(values: Singles, count: int) -> NDArray[np.intp]:
