@@ -96,21 +96,21 @@ class SensorWatch:
         count = samples.shape[1] // self._length
         self._remaining = samples[:, count * self._length :].copy()
         stretches = samples[:, : count * self._length].reshape(len(samples), count, self._length)
-        for stretch in np.moveaxis(stretches, 1, 0):
-            self._n_taken += self._length
-            self._waiting.append(self._judged(stretch, self._n_taken / self._rate))
-
-    def _judged(self, samples: NDArray[Any], end: float) -> _Stretch:
-        low, high = samples.min(axis=1), samples.max(axis=1)  # nan where a sample is missing
-        part = samples[:, :: self._step].astype(np.float64)
+        low, high = stretches.min(axis=2), stretches.max(axis=2)  # nan where a sample is missing
+        part = stretches[:, :, :: self._step].astype(np.float64)
         middle = _middle(part)
-        noise = _middle(np.abs(part - middle[:, None]))
+        noise = _middle(np.abs(part - middle[:, :, None]))
+        for each in zip(low.T, high.T, middle.T, noise.T, strict=True):
+            self._n_taken += self._length
+            self._waiting.append(self._judged(*each, self._n_taken / self._rate))
+
+    def _judged(self, low: Floats, high: Floats, middle: Floats, noise: Floats, end: float) -> _Stretch:
         floor = self._floors.min(axis=1)
         # An impact in it shows that the sensor is alive, however quiet it is besides.
         faint = (noise < FAR_BELOW * floor) & (high - low < floor) & np.isfinite(floor)
-        lack = np.select(
-            [np.isnan(low), ~(low < high), faint], [Lack.SAMPLES, Lack.CHANGE, Lack.NOISE], Lack.NOTHING
-        ).astype(np.int8)
+        lack = np.where(faint, Lack.NOISE, Lack.NOTHING).astype(np.int8)
+        lack[~(low < high)] = Lack.CHANGE
+        lack[np.isnan(low)] = Lack.SAMPLES
         sound = np.flatnonzero(lack == Lack.NOTHING)
         self._alive = end if sound.size else self._alive
         period = self._n_sound[sound] // _PERIOD % _PERIODS
@@ -147,6 +147,6 @@ class SensorWatch:
 
 
 def _middle(values: Floats) -> Floats:
-    """Return the median of each row, the upper one of two; numpy's own would load masked arrays."""
-    place = values.shape[1] // 2
-    return np.asarray(np.partition(values, place, axis=1)[:, place])
+    """Return the medians along the last axis, the upper one of two; numpy's own would load masked arrays."""
+    place = values.shape[-1] // 2
+    return np.asarray(np.partition(values, place, axis=-1)[..., place])
