@@ -150,7 +150,8 @@ class ResponseTable:
     def lower_half(self) -> ResponseTable:
         """Return the same of the lower half of the bands."""
         bands = self.bands[: max(len(self.bands) // 2, 1)]
-        return replace(self, kept=self.kept[: bands[-1][1].stop], bands=bands)
+        beam = self.beam.with_shapes(self.beam.participation[: bands[-1][0].stop])
+        return replace(self, beam=beam, kept=self.kept[: bands[-1][1].stop], bands=bands)
 
     def of_shapes(self, at: Singles, root: Singles | None) -> Singles:
         """Return weighted responses (n, n_shapes, n_kept) for weights `at` (n, n_mixtures) of the mixtures."""
@@ -310,18 +311,24 @@ class BeamResponses:
         frequency = np.arange(self.bins.start, self.bins.stop) * self.beam.sampling_rate / self.n_samples
         return np.repeat(frequency <= (np.inf if limit is None else limit), 2).astype(np.float32)
 
+    @cached_property
+    def _lags(self) -> tuple[NDArray[np.complex128], Floats]:
+        """Phases of the lags of AR noise (ORDER, n_bins), and logarithms of the frequencies about their mean."""
+        frequency = np.arange(self.bins.start, self.bins.stop) / self.n_samples
+        octave = np.log(frequency) - np.log(frequency).mean()
+        return np.exp(-2j * np.pi * np.outer(np.arange(1, ORDER + 1), frequency)), octave
+
     def weights(self, observations: Observations) -> tuple[Singles, Floats]:
         """Return the weight of each coefficient over `Observations.level`, (n, n_coefficients), and noise exponents."""
         weight = np.ones((*observations.noise.shape, 2 * self.n_bins), np.float32)
         exponent = np.zeros(observations.noise.shape)
         colour = observations.coefficients
         if colour is not None and observations.innovation is not None and colour.any():
-            frequency = np.arange(self.bins.start, self.bins.stop) / self.n_samples
-            lag = np.exp(-2j * np.pi * np.outer(np.arange(1, ORDER + 1), frequency))
+            lag, octave = self._lags
             rows = np.nonzero(colour.any(axis=2))
             power = (observations.innovation / observations.noise)[rows][:, None] ** 2
-            power = power / np.abs(1 - colour[rows] @ lag) ** 2
-            octave = np.log(frequency) - np.log(frequency).mean()
+            noise_gain = 1 - colour[rows] @ lag
+            power = power / (np.square(noise_gain.real) + np.square(noise_gain.imag))
             exponent[rows] = -np.log(power) @ octave / np.sum(np.square(octave))
             weight[rows] = np.repeat(1 / power, 2, axis=1)
         if observations.error is not None:

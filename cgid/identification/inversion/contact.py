@@ -38,7 +38,7 @@ _MIN_VARIANCE = 1e-20
 #: Prior mean and standard deviation of the shape, and of the onset [samples].
 _SHAPE_PRIOR, _ONSET_PRIOR = (-0.9, 1.5), (TOUCH / 2, TOUCH / 2)
 #: Rows processed at once.
-_ROWS = 64
+_ROWS = 256
 #: A wrong filter bends short pulses; longer ones [samples] contain echoes of the beam.
 _SHORT = 5.0
 #: With more than this median share outside of the pulse family, forces are not those of contacts.

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid._lib.validation import Floats
-from cgid.identification.inversion.beam_responses import ROWS, BeamResponses, Observations, ResponseTable, Rowwise, cut
+from cgid.identification.inversion.beam_responses import BeamResponses, Observations, ResponseTable, Rowwise, cut
 from cgid.identification.inversion.location_grid import LOW, LocationGrid, Start
 from cgid.measure.modal.beam import TOUCH, Singles
 
@@ -31,6 +31,8 @@ _PRIOR_OF_LOCATION = 0.1
 _LEADING = 14
 #: Maximum error of mixtures of modes over the amplitude.
 _SAME = 3e-4
+#: Vibrations processed at once.
+_AT_ONCE = 256
 #: Singular values of the clipped samples, relative to the largest, below which they are outside the band.
 _IN_BAND = 1e-3
 #: A second impact begins within this time [s]; it is searched where more than so many standard deviations are left.
@@ -155,7 +157,7 @@ class Inversion(BeamResponses):
 
     def _slices(self, n: int) -> list[slice]:
         """Return slices of rows, at least one."""
-        n_rows = max(ROWS // self.beam.n_sensors, 1)
+        n_rows = max(_AT_ONCE // self.beam.n_sensors, 1)
         return [slice(first, first + n_rows) for first in range(0, max(n, 1), n_rows)]
 
     def _refined(self, observations: Observations, weight: Singles, start: Start) -> ForceEstimate:
@@ -239,7 +241,7 @@ class Inversion(BeamResponses):
         without: Singles | None,
     ) -> tuple[Floats, Floats, dict[str, Floats]]:
         """Return locations after a Gauss-Newton step and, with the complete table, the information of the samples."""
-        at, *slopes_of_at = self._all.beam.weights(x, y)
+        at, *slopes_of_at = table.beam.weights(x, y)
         # The first shapes are enough for slopes.
         leading = self._leading if table is self._all else table
         ways = _beside(table.of_shapes(at, root), without)

@@ -52,15 +52,18 @@ def clipped_samples(frames: Floats, shared: int = _SHARED) -> NDArray[np.bool_] 
     # A limit is a value that `shared` samples have in common at the top or the bottom, at least half as large as the
     # other side; the other side then has the same limit, even if only one sample reaches it.
     high, low = frames.max(axis=1), frames.min(axis=1)
-    out = np.zeros(frames.shape, bool)
-    beyond = np.zeros(len(frames), bool)
-    for extreme, other in ((high, low), (low, high), (high, low)):
-        at = np.abs(frames - extreme[:, None]) <= _SAME * np.abs(extreme)[:, None]
-        limit = (at.sum(axis=1) >= shared) & (np.abs(extreme) >= 0.5 * np.abs(other)) & (high > low)
+    near_top = frames >= (high - _SAME * np.abs(high))[:, None]
+    near_bottom = frames <= (low + _SAME * np.abs(low))[:, None]
+    beyond, limits = np.zeros(len(frames), bool), np.zeros((2, len(frames)), bool)
+    top, bottom = (high, low, near_top, limits[0]), (low, high, near_bottom, limits[1])
+    for extreme, other, at, limited in (top, bottom, top):
+        limit = (np.count_nonzero(at, axis=1) >= shared) & (np.abs(extreme) >= 0.5 * np.abs(other)) & (high > low)
         limit |= beyond & (np.abs(extreme + other) <= _TOLERANCE * np.abs(extreme))
         beyond |= limit
-        out |= at & limit[:, None]
-    return out if out.any() else None
+        limited |= limit
+    if not beyond.any():
+        return None
+    return np.asarray((near_top & limits[0][:, None]) | (near_bottom & limits[1][:, None]))
 
 
 class ThroughBeam:
@@ -95,14 +98,7 @@ class ThroughBeam:
         correlation = np.clip(contact.covariance / (deviation[:, :, None] * deviation[:, None]), -1.0, 1.0)
         # Subtract what noise and earlier vibration can explain.
         surely = np.maximum(estimate.misfit - _BY_NOISE, 0.0) / np.maximum(estimate.misfit - 1, 1e-9)
-        event = vibrations.event[:, : round(SPAN_TIME * vibrations.sampling_rate)]
-        before = np.square(self._loudest(vibrations.noise)) * event.shape[1]
-        energy = np.maximum(self._loudest(np.sum(np.square(event), axis=1)), 1e-300)
-        surely = np.maximum(estimate.unexplained * surely - before / energy, 0.0)
-        left = estimate.unexplained - _RINGS_ON * before / energy
-        # At the end of the region the impact itself may lie beyond, which leaves as much.
-        x_low, x_high, y_low, y_high = self.beam.region
-        inside = (estimate.x > x_low) & (estimate.x < x_high) & (estimate.y > y_low) & (estimate.y < y_high)
+        surely = np.maximum(estimate.unexplained * surely - self._earlier(vibrations), 0.0)
         return {
             "beam_peak_force": contact.peak,
             "beam_pulse_width": contact.width,
@@ -120,8 +116,14 @@ class ThroughBeam:
             "beam_unexplained": 100 * estimate.unexplained,
             "beam_surely_unexplained": 100 * surely,
             "beam_misshapen": 100 * contact.outside,
-            "beam_overlap": 100 * np.where(inside & (left > _MORE_THAN_ONE), estimate.overlap, 0.0),
+            "beam_overlap": 100 * estimate.overlap,
         }
+
+    def _earlier(self, vibrations: VibrationBatch) -> Floats:
+        """Return the energy of what came before each impact over that of the impact."""
+        event = vibrations.event[:, : round(SPAN_TIME * vibrations.sampling_rate)]
+        energy = np.maximum(self._loudest(np.einsum("nt,nt->n", event, event)), 1e-300)
+        return np.asarray(np.square(self._loudest(vibrations.noise)) * event.shape[1] / energy)
 
     def _loudest(self, values: Floats) -> Floats:
         """Return the largest value of the sensors of each impact."""
@@ -158,7 +160,9 @@ class ThroughBeam:
         self, vibrations: VibrationBatch, filters: float, rows: NDArray[np.intp], again: NDArray[np.bool_]
     ) -> tuple[ForceEstimate, Contact]:
         """Return the same for some rows and an anti-alias filter at another ratio to that of the beam."""
-        observations, onset = self._prepared(vibrations, filters, rows)
+        if rows.size < len(vibrations.samples) // self.n_sensors:
+            vibrations = vibrations.rows(np.add.outer(rows * self.n_sensors, np.arange(self.n_sensors)).ravel())
+        observations, onset = self._prepared(vibrations, filters)
         estimate = self.inversion.invert(observations, onset)
         contact = self.fit.fit(estimate)
         # If the onset is at the edge of the table of forces, search there, at the same location. If it is too early,
@@ -177,7 +181,11 @@ class ThroughBeam:
             if better.size:
                 estimate = estimate.replaced(rows[better], other.rows(better))
                 contact = contact.replaced(rows[better], self.fit.fit(other.rows(better)))
-        rows = np.flatnonzero(again & (estimate.unexplained > _MORE_THAN_ONE))
+        # At the end of the region the impact itself may lie beyond, which leaves as much as a second one.
+        x_low, x_high, y_low, y_high = self.beam.region
+        inside = (estimate.x > x_low) & (estimate.x < x_high) & (estimate.y > y_low) & (estimate.y < y_high)
+        left = estimate.unexplained - _RINGS_ON * self._earlier(vibrations)
+        rows = np.flatnonzero(again & inside & (left > _MORE_THAN_ONE))
         if rows.size:
             both = self.inversion.with_overlap(observations.rows(rows), estimate.rows(rows))
             estimate = estimate.replaced(rows, both)
@@ -190,12 +198,8 @@ class ThroughBeam:
         power = np.square(observations.frames[:, :, : columns.size] / observations.noise[:, :, None])
         return np.asarray(np.sum(power, axis=(1, 2), where=out[:, None]) / (self.n_sensors * self.beam.n_samples))
 
-    def _prepared(
-        self, vibrations: VibrationBatch, filters: float, rows: NDArray[np.intp]
-    ) -> tuple[Observations, NDArray[np.intp]]:
-        """Return the input of the inversion for some impacts, and the range of the onset."""
-        if rows.size < len(vibrations.samples) // self.n_sensors:
-            vibrations = vibrations.rows(np.add.outer(rows * self.n_sensors, np.arange(self.n_sensors)).ravel())
+    def _prepared(self, vibrations: VibrationBatch, filters: float) -> tuple[Observations, NDArray[np.intp]]:
+        """Return the input of the inversion, and the range of the onset."""
         frames = vibrations.samples - vibrations.offset[:, None]
         rate, own = vibrations.sampling_rate, self.beam.sampling_rate
         quiet = vibrations.n_quiet.astype(np.float64)
@@ -210,10 +214,12 @@ class ThroughBeam:
             [np.maximum(np.floor(first - REACH * own), np.floor(quiet))[clear], np.ceil(first)[clear] + 1], axis=1
         )
         start[:, 0] = np.minimum(start[:, 0], start[:, 1])
-        noise = self._noise(frames, quiet, vibrations, limit)
+        size = np.sqrt(np.einsum("nt,nt->n", frames, frames) / frames.shape[1])
+        # Without noise: the accuracy of a table of the beam.
+        noise = np.maximum(self._noise(frames, quiet, vibrations, limit), _FLOOR * size + 1e-300)
         found = Observations(frames, noise, limit=limit)
         if limit is None:
-            colour = ar_noise_of(frames, quiet, _LEAST * np.sqrt(np.mean(np.square(frames), axis=1)), 1)
+            colour = ar_noise_of(frames, quiet, _LEAST * size, 1)
             clipped = clipped_samples(frames)
             frames, noise, error = self._settled(frames, quiet.astype(np.intp), noise, colour)
             found = Observations(frames, noise, colour.coefficients, colour.innovation, error, clipped)
@@ -265,13 +271,11 @@ class ThroughBeam:
     def _noise(self, frames: Floats, quiet: Floats, vibrations: VibrationBatch, limit: float | None) -> Floats:
         """Return the standard deviation of white noise as loud as that before onset in the band up to `limit`."""
         if limit is None:
-            found = vibrations.noise
-        else:
-            before = np.arange(frames.shape[1]) < quiet[:, None]
-            power = np.sum(np.square(frames), axis=1, where=before) / np.maximum(quiet, 1)
-            found = np.sqrt(power * self.beam.sampling_rate / 2 / limit)
-        # Without noise: the accuracy of a table of the beam.
-        return np.asarray(np.maximum(found, _FLOOR * np.sqrt(np.mean(np.square(frames), axis=1)) + 1e-300))
+            return vibrations.noise
+        start = frames[:, : int(np.ceil(quiet.max(initial=0.0)))]
+        before = np.arange(start.shape[1]) < quiet[:, None]
+        power = np.sum(np.square(start), axis=1, where=before) / np.maximum(quiet, 1)
+        return np.asarray(np.sqrt(power * self.beam.sampling_rate / 2 / limit))
 
     def resampled(self, frames: Floats, rate: float, filters: float) -> Floats:
         """Return frames at the rate of the beam, with its filters instead of those at `filters` times the frequency."""
@@ -314,14 +318,32 @@ class _ChannelState:
 
     def plan(self, n: int) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
         """Return the filters to try (n, 2) for the next impacts, and whether to try other samples of onset, (n,)."""
-        tests = np.arange(n) < self.n_tests
-        self.n_tests = max(self.n_tests - n, 0)
+        # A decision seldom changes what has settled on a known beam; else only impacts up to the next one are planned.
+        settled = self.n >= _SETTLED and self.again and self.lost < _TESTS
+        tests = np.arange(n if settled else min(n, self.n_next)) < self.n_tests
         return tests[:, None] | self.filters, tests | self.again
 
-    def learn(self, unexplained: Floats, misfit: Floats, level: Floats) -> None:
-        """Add the unexplained energy of the next impacts, their misfits for both filters (n, 2), and their noise."""
+    def learn(self, unexplained: Floats, misfit: Floats, level: Floats) -> int:
+        """Add impacts as they were planned, and return their number, up to a decision that changes the plan."""
+        # Their unexplained energy, their misfits for both filters (n, 2), and their noise.
+        filters, again = self.plan(len(level))
+        done = 0
+        while done < len(level):
+            own = slice(done, done + self.n_next)
+            self._learn(unexplained[own], misfit[own], level[own])
+            done = min(own.stop, len(level))
+            other_filters, other_again = self.plan(len(level) - done)
+            n_planned = len(other_again)
+            changed = (filters[done : done + n_planned] != other_filters).any(axis=1)
+            if (changed | (again[done : done + n_planned] != other_again)).any():
+                break
+        return done
+
+    def _learn(self, unexplained: Floats, misfit: Floats, level: Floats) -> None:
+        """Add impacts up to the next decision at most."""
         decides = self.n_next == len(level)
         self.n += len(level)
+        self.n_tests = max(self.n_tests - len(level), 0)
         self.unexplained.extend(unexplained.tolist())
         self.levels.extend(level.tolist())
         for one in (unexplained > _FOREIGN).tolist():
@@ -369,18 +391,21 @@ class BeamStream:
             numbers = np.unique(channel[rest]).tolist()
             states = [self._channels.pop(number, _ChannelState()) for number in numbers]
             self._channels |= zip(numbers, states, strict=True)
-            rows = [rest[channel[rest] == k][: state.n_next] for k, state in zip(numbers, states, strict=True)]
-            plans = [state.plan(own.size) for state, own in zip(states, rows, strict=True)]
+            plans = [state.plan(int((channel[rest] == k).sum())) for k, state in zip(numbers, states, strict=True)]
+            rows = [rest[channel[rest] == k][: len(plan[1])] for k, plan in zip(numbers, plans, strict=True)]
             of_all = np.concatenate(rows)
             order = np.argsort(of_all)
-            parts.append(of_all[order])
-            part = vibrations.rows(np.add.outer(parts[-1] * n_sensors, np.arange(n_sensors)).ravel())
+            of_all = of_all[order]
+            part = vibrations.rows(np.add.outer(of_all * n_sensors, np.arange(n_sensors)).ravel())
             filters, again = (np.concatenate(one)[order] for one in zip(*plans, strict=True))
             estimate, contact, misfit = self.through.at_other_filter(part, filters, again)
-            found.append(self.through.features(part, estimate, contact))
+            features = self.through.features(part, estimate, contact)
+            done = np.zeros(of_all.size, bool)
             for state, own in zip(states, rows, strict=True):
-                own = np.searchsorted(parts[-1], own)
-                state.learn(estimate.unexplained[own], misfit[own], estimate.noise[own])
+                own = np.searchsorted(of_all, own)
+                done[own[: state.learn(estimate.unexplained[own], misfit[own], estimate.noise[own])]] = True
+            parts.append(of_all[done])
+            found.append({name: values[done] for name, values in features.items()})
             rest = np.setdiff1d(rest, parts[-1])
         order = np.argsort(np.concatenate(parts))
         return {name: np.concatenate([one[name] for one in found])[order] for name in found[0]}
