@@ -161,6 +161,10 @@ TAP = {"label": "tap", "shape": "square", "peak_force": "2 kN", "contact_duratio
 DENSITIES = ["1 N/sqrt(Hz)", "1 N/sqrt(Hz)"]
 MODE = {"frequency": 90.0, "damping_ratio": 0.01, "modal_mass": 9.0, "shape_impact": 1.0, "shape_sensor": 1.0}
 MODES = [MODE]
+PLACED = {
+    "shapes": [{"x": 0.1 * k, "y": 0.1 * (k % 2), "shape": [1.0 - 0.1 * k]} for k in range(6)],
+    "impact_point": {"x": 0.2, "y": 0.05},
+}
 BEAM = {
     "length": 1,
     "width": 0.5,
@@ -204,7 +208,7 @@ EVERYTHING = [
         sensor={"absolute_noise": 0.1, "noise_spectrum": {"frequencies": [1, 2e5], "density": DENSITIES}},
         tail_beam=BEAM,
     ),
-    content(impact__target={"youngs_modulus": 2e11, "poisson_ratio": 0.3}, tail_beam={"modes": MODES}),
+    content(impact__target={"youngs_modulus": 2e11, "poisson_ratio": 0.3}, tail_beam={"modes": MODES, **PLACED}),
     content(stream=STREAM, sampling={"sampling_rate": 2e4}),
 ]
 

@@ -620,7 +620,7 @@ def count_crossings(scene: Scene, learned: Modes) -> int:
     """Return how many neighbours have swapped; raises `BadData` if their shapes do not distinguish them."""
     logs, deviation = np.log(learned.frequency), learned.columns["frequency_deviation"]
     crossed = np.flatnonzero(np.diff(logs) < -_CERTAIN * np.hypot(deviation[1:], deviation[:-1]))
-    if crossed.size and scene.panel is None:
+    if crossed.size and scene.region is None:
         first, second = learned.frequency[crossed[0] : crossed[0] + 2]
         raise BadData(
             f"modes {crossed[0] + 1} and {crossed[0] + 2} must not cross in a table of modes: they moved to "

@@ -374,6 +374,24 @@ def rows_of_table(
     return [row for _, row in rows]
 
 
+def rows_of_shapes(path: str | Path) -> list[dict[str, Any]]:
+    """Return place and shapes of each row of a table of shapes: columns `x [m]`, `y [m]`, and `shape_1 [1]` and on."""
+    lines = read_cells(path, "the table of shapes", _MAX_FILE_SIZE)
+    titles = lines[0][1] if lines else []
+    n = sum(title.startswith("shape_") for title in titles)
+    columns = {"x": "m", "y": "m"} | {f"shape_{k + 1}": "1" for k in range(max(n, 1))}
+    indices = _column_indices(path, titles, columns)
+    rows = [_row(f"{path}, line {number}", cells, indices) for number, cells in lines[1:]]
+    return [{"x": row["x"], "y": row["y"], "shape": [row[name] for name in list(columns)[2:]]} for row in rows]
+
+
+def text_of_shapes(places: Floats, shapes: Floats) -> str:
+    """Return the text of a table of shapes (n_places, n_modes) at places (n_places, 2) [m]."""
+    titles = ["x [m]", "y [m]", *(f"shape_{k + 1} [1]" for k in range(shapes.shape[1]))]
+    rows = (",".join(f"{value:.9g}" for value in row) for row in np.concatenate([places, shapes], axis=1).tolist())
+    return "\n".join((",".join(titles), *rows)) + "\n"
+
+
 def text_of_table(columns: Mapping[str, Floats], scale: str = "1") -> str:
     """Return columns of `COLUMNS` or `LEARNED_COLUMNS`, each (n_modes,), as the text of a table of modes."""
     units = COLUMNS | LEARNED_COLUMNS | {"participation": scale, **dict.fromkeys(COMPLEX_COLUMNS, scale)}
@@ -413,6 +431,8 @@ def _require_rule(name: str, value: ArrayLike) -> Floats:
     """Return a column or a cell as numbers, or raise `InvalidValue`."""
     if name.startswith("shape") or name in COMPLEX_COLUMNS:
         return validation.real(name, value)
+    if name in ("x", "y"):
+        return validation.not_negative(name, value, "m")
     if name == "damping_ratio":
         return validation.damping_ratio(name, value)
     if name.endswith("_deviation"):

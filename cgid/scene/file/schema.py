@@ -247,6 +247,11 @@ class Scene(Section):
             return None
         return self.tail_beam.panel(self.impact.target.material)
 
+    @property
+    def region(self) -> tuple[float, ...] | None:
+        """Lowest and highest x, lowest and highest y of a beam that impacts may hit [m]; None for none or one place."""
+        return None if self.tail_beam is None else self.tail_beam.region
+
     @cached_property
     def body(self) -> Target:
         """The target of every impact; a beam of known size counts as an infinite plate."""

@@ -23,7 +23,7 @@ from pydantic_core import CoreSchema, core_schema
 from cgid._lib import validation
 from cgid._lib.validation import Floats, Rule, poisson_ratio
 from cgid.measure.fit.family import MAX_RESTITUTION, MIN_RESTITUTION
-from cgid.measure.modal.modes import COLUMNS, LEARNED_COLUMNS, Modes, rows_of_table
+from cgid.measure.modal.modes import COLUMNS, LEARNED_COLUMNS, Modes, rows_of_shapes, rows_of_table
 from cgid.physics.contact.bodies import RIGID, HalfSpace, RigidWall, ThinPlate
 from cgid.physics.contact.laws import EXPONENTS, HUNT_CROSSLEY_LAWS, LAWS, REMAINING, PowerLaw, known, named
 from cgid.physics.contact.materials import Material
@@ -66,8 +66,10 @@ PLASTIC = ("thornton", "walton-braun")
 CURVATURES, MIN_MASS = (1e-3, 10.0), 1e-2
 #: The keys of power-law dissipation beside the restitution, and their defaults: a sphere that never breaks.
 CONTACT_SHAPE = {key: getattr(PowerLaw, key) for key in PowerLaw.keys if key != "restitution"}
-#: Maximum number of rows of a table of modes.
-_MAX_MODES = 10_000
+#: Maximum number of rows of a table of modes; least and largest number of places of a table of shapes.
+_MAX_MODES, _PLACES = 10_000, (6, 2_000)
+#: Impacts may be this far outside of the places of a table of shapes [m].
+_WITHIN = 1e-6
 
 
 def _or_custom_law(value: Any, handler: Callable[[Any], Any]) -> Any:
@@ -418,8 +420,19 @@ class LearnedRow(_Mode):
     """Standard deviation of the logarithm of the participation."""
 
 
+class ShapeRow(Section):
+    """A place where the shapes of all modes were measured."""
+
+    x: Annotated[float, Quantity("length", Rule(0, LIMITS["length"][1]))]
+    """First coordinate of the place, of the same origin as `impact_point`."""
+    y: Annotated[float, Quantity("length", Rule(0, LIMITS["length"][1]))]
+    """Second coordinate."""
+    shape: Annotated[tuple[float, ...], Field(min_length=1, max_length=_MAX_MODES), Quantity(rule=Rule(-1e6, 1e6))]
+    """Shape of each mode there, in their order and in the scale of `shape_sensor`."""
+
+
 class SceneTable:
-    """The rows of a table as columns, (n_rows,) each; equal to another and hashable by its numbers."""
+    """The rows of a table as columns, (n_rows,) or more each; equal to another and hashable by its numbers."""
 
     def __init__(self, columns: Mapping[str, Floats]) -> None:
         self.columns = columns
@@ -436,7 +449,7 @@ class SceneTable:
     def __hash__(self) -> int:
         return hash(self._identity)
 
-    @property
+    @cached_property
     def _identity(self) -> tuple[tuple[str, bytes], ...]:
         return tuple((name, column.tobytes()) for name, column in self.columns.items())
 
@@ -461,6 +474,9 @@ class TableOf:
         columns = content.columns if isinstance(content, SceneTable) else self._columns(content)
         if columns is None:
             rows = row_by_row(content)
+            lengths = {len(row.shape) for row in rows if isinstance(row, ShapeRow)}
+            if len(lengths) > 1:
+                raise ValueError(f"must have as many shapes at each place, got {min(lengths)} to {max(lengths)}")
             columns = {name: np.array([getattr(row, name) for row in rows]) for name in self.row.model_fields}
         return SceneTable(columns)
 
@@ -485,10 +501,13 @@ class TableOf:
 if TYPE_CHECKING:
     ModeTable = SceneTable
     LearnedTable = SceneTable
+    ShapeTable = SceneTable
 else:
     _SIZE = Field(min_length=1, max_length=_MAX_MODES)
     ModeTable = Annotated[tuple[ModeRow, ...], _SIZE, TableOf(ModeRow)]
     LearnedTable = Annotated[tuple[LearnedRow, ...], _SIZE, TableOf(LearnedRow)]
+    _PLACED = Field(min_length=_PLACES[0], max_length=_PLACES[1])
+    ShapeTable = Annotated[tuple[ShapeRow, ...], _PLACED, TableOf(ShapeRow)]
 
 
 class TailBeamSection(Section):
@@ -518,6 +537,10 @@ class TailBeamSection(Section):
     """Corrections, learned from impacts, of the modes of the panel, or of measured ones, one row for each in their
     order; in a file `learned = "site-modes.csv"` reads them from a table, as `cgid calibrate` writes it.
     """
+    shapes: ShapeTable | None = None
+    """Shapes of the measured modes at the places of a roving hammer, between which they are interpolated: then impacts
+    fall at `impact_point`. In a file `shapes = "modes-shapes.csv"` reads them from a table, as `cgid tap` writes it.
+    """
     coupling: Literal["auto", "impedance", "modes"] = "auto"
     """Coupling of the beam to a rock: as an infinite thin plate, through its modes, or whichever applies."""
 
@@ -528,13 +551,42 @@ class TailBeamSection(Section):
         given = [name for name in (*panel, "ribs") if getattr(self, name) is not None]
         if self.modes is None and missing:
             raise ValueError(f"must have {', '.join(missing)}, or modes in place of a panel")
+        if self.shapes is not None:
+            given = [name for name in given if name != "impact_point"]
         if self.modes is not None and given:
             raise ValueError(f"must have either modes or a panel; remove {', '.join(given)}")
         if self.modes is not None and self.coupling == "impedance":
             raise ValueError("coupling must be auto or modes for measured modes: a table has no impedance")
         self._require_modes()
+        self._require_shapes()
         self._require_on_panel()
         return self
+
+    def _require_shapes(self) -> None:
+        if self.shapes is None:
+            return
+        if self.modes is None or self.impact_point is None:
+            raise ValueError("shapes must have modes and impact_point beside them; add them, or remove shapes")
+        if (n := self.shapes["shape"].shape[1]) != len(self.modes):
+            raise ValueError(f"shapes must have one for each of the {len(self.modes)} modes, got {n}; name both tables")
+        places = np.stack([self.shapes["x"], self.shapes["y"]], axis=1)
+        if len(np.unique(places, axis=0)) < len(places):
+            raise ValueError("shapes must be at different places, one is there twice; leave one of them out")
+        assert self.region is not None
+        for axis, low, high in zip("xy", self.region[::2], self.region[1::2], strict=True):
+            extremes = getattr(self.impact_point, axis).extremes
+            if extremes[0] < low - _WITHIN or extremes[1] > high + _WITHIN:
+                raise ValueError(
+                    f"impact_point.{axis} must be among the places of shapes, {low:g} to {high:g} m, it is "
+                    f"{extremes[0]:.4g} to {extremes[1]:.4g} m; change it, or tap there, too"
+                )
+
+    @cached_property
+    def region(self) -> tuple[float, ...] | None:
+        """Lowest and highest x, lowest and highest y of a beam that impacts may hit [m]; None for one place."""
+        if self.shapes is not None:
+            return tuple(float(end(self.shapes[axis])) for axis in "xy" for end in (np.min, np.max))
+        return None if self.length is None or self.width is None else (0.0, self.length, 0.0, self.width)
 
     def _require_modes(self) -> None:
         if self.modes is None:
@@ -549,7 +601,7 @@ class TailBeamSection(Section):
             raise ValueError("modes must contain one with shapes other than 0 at both impact and sensor; there is none")
 
     def _require_on_panel(self) -> None:
-        if self.impact_point is None or self.sensor_point is None:
+        if self.impact_point is None or self.sensor_point is None or self.modes is not None:
             return
         for axis, size in (("x", self.length), ("y", self.width)):
             assert size is not None
@@ -602,9 +654,11 @@ def with_table(content: dict[str, Any], folder: Path) -> dict[str, Any]:
     beam = content.get("tail_beam")
     if not isinstance(beam, dict):
         return content
-    rows = {}
+    rows: dict[str, Any] = {}
     if isinstance(beam.get("modes"), str):
         rows["modes"] = rows_of_table(folder / beam["modes"], COLUMNS)
     if isinstance(beam.get("learned"), str):
         rows["learned"] = rows_of_table(folder / beam["learned"], LEARNED_COLUMNS)
+    if isinstance(beam.get("shapes"), str):
+        rows["shapes"] = rows_of_shapes(folder / beam["shapes"])
     return content | {"tail_beam": beam | rows} if rows else content

@@ -110,7 +110,7 @@ def parameter_units(scene: Scene) -> dict[str, str]:
     units = PARAMETER_UNITS | {name: unit for name, unit in _MORE_UNITS.items() if name in drawn}
     if scene.mixes_laws:
         units |= {"dissipation": "1"}  # index in `Scene.law_names`, nan for a tap
-    if scene.panel is not None:
+    if scene.region is not None:
         units |= POINT_UNITS
     return units | {name: unit for name, unit in RANDOMISED_UNITS.items() if scene.draws(name)}
 
@@ -290,7 +290,7 @@ def levels_of(settings: Mapping[str, float]) -> dict[str, Floats]:
 
 def points_of_impact(scene: Scene, seed: int, block: int, recording: int = 0) -> dict[str, Floats]:
     """Return the point of the first impact of each rock of a block [m], by name; empty without a beam of known size."""
-    if scene.panel is None:
+    if scene.region is None:
         return {}
     assert scene.tail_beam is not None and scene.tail_beam.impact_point is not None
     along, across = uniforms(seed, block, 2, IMPACT_POINTS, recording)

@@ -144,18 +144,18 @@ def _known(parameters: Mapping[str, ArrayLike], scene: Scene, n: int) -> dict[st
         known[name] = column.astype(np.float64)
         checked = np.where(np.isnan(known[name]), _ALLOWED, known[name])
         _RULES.get(name, validation.real)(name, checked, *([units[name]] if units[name] != "1" else []))
-    _require_on_panel(known, scene)
+    _require_on_beam(known, scene)
     return known
 
 
-def _require_on_panel(known: Mapping[str, Floats], scene: Scene) -> None:
-    if scene.tail_beam is None:
+def _require_on_beam(known: Mapping[str, Floats], scene: Scene) -> None:
+    if scene.region is None:
         return
-    for name, size in zip(POINT_UNITS, (scene.tail_beam.length, scene.tail_beam.width), strict=True):
-        if name in known and size is not None and (outside := known[name] > size).any():
+    for name, (low, high) in zip(POINT_UNITS, (scene.region[:2], scene.region[2:]), strict=True):
+        if name in known and (outside := (known[name] < low) | (known[name] > high)).any():
             row = np.flatnonzero(outside)[0]
             raise InvalidValue(
-                f"{name} must be on the beam, between 0 and {size:g} m, got {known[name][row]:g} m at index {row}"
+                f"{name} must be on the beam, between {low:g} and {high:g} m, got {known[name][row]:g} m at index {row}"
             )
 
 

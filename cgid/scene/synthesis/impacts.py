@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from typing import Any
 
@@ -22,12 +22,13 @@ from cgid.physics.contact.laws import HuntCrossley
 from cgid.physics.contact.materials import Material
 from cgid.physics.contact.sampled import SampledPulses
 from cgid.physics.structure.coupled import ModalContacts, ModalImpact
+from cgid.physics.structure.places import PlacedShapes, placed
 from cgid.physics.structure.plates import PanelShapes
 from cgid.physics.structure.response import Response
 from cgid.physics.structure.tail_beam import TailBeam
 from cgid.scene.file.gravity import weighed
 from cgid.scene.file.schema import Scene
-from cgid.scene.file.sections import CONTACT_SHAPE, SHAPES, TailBeamSection
+from cgid.scene.file.sections import CONTACT_SHAPE, SHAPES, SceneTable, TailBeamSection
 from cgid.scene.synthesis.draws import PARTICLE, SPHERE_SHAPE, at_once, drawn_block
 from cgid.scene.synthesis.plan import NEGLIGIBLE_ECHO, RESPONSE_TOLERANCE, STORED, Plan, highest_frequency
 
@@ -50,8 +51,11 @@ _panel_modes = lru_cache(maxsize=16)(TailBeam.modes)
 @lru_cache(maxsize=16)
 def _beam_modes(section: TailBeamSection, panel: TailBeam | None, highest: float) -> Modes:
     if panel is None:
-        assert section.measured is not None
-        return _learned(section, section.measured)
+        assert section.measured is not None and section.modes is not None
+        measured = section.measured
+        if section.shapes is not None:
+            measured = replace(measured, at_impact=placed_shapes(section.modes, section.shapes).shapes)
+        return _learned(section, measured)
     assert section.sensor_point is not None
     try:
         modes = _panel_modes(panel, highest)
@@ -66,6 +70,14 @@ def _beam_modes(section: TailBeamSection, panel: TailBeam | None, highest: float
             "raise sampling.sampling_rate or sensor.anti_alias.frequency, or take a larger or thinner beam"
         )
     return _learned(section, modes.measured_at(section.sensor_point.x, section.sensor_point.y))
+
+
+@lru_cache(maxsize=4)
+def placed_shapes(modes: SceneTable, shapes: SceneTable) -> PlacedShapes:
+    """Return the shapes of measured modes between the places of a table of them [1/sqrt(kg)]."""
+    places = np.stack([shapes["x"], shapes["y"]], axis=1)
+    values = shapes["shape"] / np.sqrt(modes["modal_mass"])
+    return placed(places, values, modes["frequency"], modes["damping_ratio"])
 
 
 def _learned(section: TailBeamSection, modes: Modes) -> Modes:

@@ -174,9 +174,10 @@ def population_shares(scene: Scene, times: Floats) -> Floats:
 
 def on_beam(scene: Scene, x: Floats, y: Floats) -> NDArray[np.bool_]:
     """Return which points [m] are on the beam; all, for a beam without points."""
-    if scene.panel is None:
+    if scene.region is None:
         return np.ones(x.shape, bool)
-    return np.asarray((x >= 0) & (x <= scene.panel.length) & (y >= 0) & (y <= scene.panel.width))
+    x_low, x_high, y_low, y_high = scene.region
+    return np.asarray((x >= x_low) & (x <= x_high) & (y >= y_low) & (y <= y_high))
 
 
 _QUANTITIES = (*FALL, *SPHERE_SHAPE, *CONTACT_SHAPE, "yield_pressure", "strength", "viscous_restitution", "velocity")

@@ -81,7 +81,7 @@ def impact_units(scene: Scene) -> dict[str, str]:
     more |= {"dissipation": "1"} if scene.mixes_laws else {}
     drawn = {name for population in scene.populations for name in population.laws}
     more |= {name: "1" for name in (*SPHERE_SHAPE, *CONTACT_SHAPE, "viscous_restitution") if name in drawn}
-    place = {} if scene.panel is None else POINT_UNITS
+    place = {} if scene.region is None else POINT_UNITS
     return {**_UNITS, **more, **place, **_NEIGHBOUR_UNITS}
 
 

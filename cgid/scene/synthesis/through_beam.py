@@ -82,8 +82,12 @@ def full_beam(scene: Scene, sensors: Iterable[tuple[float, float]] = ()) -> Beam
 
 
 def spread_over(beam: dict[str, Any]) -> None:
-    """Let impacts fall all over a beam of known size."""
-    if beam.get("impact_point") is not None and {"length", "width"} <= beam.keys():
+    """Let impacts fall all over a beam of known size, or all over the places of its shapes."""
+    if places := beam.get("shapes"):
+        for axis in "xy":
+            low, high = (end(place[axis] for place in places) for end in (min, max))
+            beam["impact_point"][axis] = low if low == high else _uniform(1.0, (low, high))
+    elif beam.get("impact_point") is not None and {"length", "width"} <= beam.keys():
         beam["impact_point"] = {"x": _uniform(beam["length"], _LENGTHWISE), "y": _uniform(beam["width"], _CROSSWISE)}
 
 
@@ -189,17 +193,20 @@ def _at_sensors(scene: Scene, points: list[tuple[float, float]]) -> Floats:
 def _at_nodes(scene: Scene, modes: Modes) -> NodeShapes:
     """Return the participation of the modes at Chebyshev nodes of the region where rocks fall, times the gain."""
     gain = scene.sensor.gain or 1.0
-    if scene.panel is None:
+    if scene.region is None:
         return NodeShapes((modes.participation() * gain)[:, None, None], np.zeros(4))
     region = _region(scene)
     sides = []
-    for low, high, stiffness in zip(
-        region[::2], region[1::2], (scene.panel.rigidities.along, scene.panel.rigidities.across), strict=True
-    ):
-        # A free wave, k^4 = omega^2 m / D.
-        omega = 2 * np.pi * highest_frequency(scene)
-        wave_number = np.sqrt(omega * np.sqrt(scene.panel.rigidities.mass / stiffness))
-        n = int(np.ceil(_NODES_A_WAVE * wave_number * (high - low) / (2 * np.pi))) + _NODES
+    for axis, (low, high) in enumerate(region.reshape(2, 2).tolist()):
+        if scene.panel is None:
+            assert isinstance(modes.at_impact, NodeShapes)
+            own, size = modes.at_impact.values.shape[1 + axis], np.ptp(modes.at_impact.region[2 * axis :][:2])
+            n = int(np.ceil(own * (high - low) / max(size, high - low))) + _NODES if high > low else 1
+        else:
+            # A free wave, k^4 = omega^2 m / D.
+            omega, rigidities = 2 * np.pi * highest_frequency(scene), scene.panel.rigidities
+            wave_number = np.sqrt(omega * np.sqrt(rigidities.mass / (rigidities.along, rigidities.across)[axis]))
+            n = int(np.ceil(_NODES_A_WAVE * wave_number * (high - low) / (2 * np.pi))) + _NODES
         sides.append(nodes(n if high > low else 1, low, high))
     x, y = (side.ravel() for side in np.meshgrid(*sides, indexing="ij"))
     at = modes.participation(x, y) * gain
