@@ -15,6 +15,8 @@ if TYPE_CHECKING:
     from cgid.calibration.modes import SiteCalibration as SiteCalibration
     from cgid.calibration.modes import calibrate as calibrate
     from cgid.calibration.modes import usable_impacts as usable_impacts
+    from cgid.calibration.roving import RovingTest as RovingTest
+    from cgid.calibration.roving import roving_test as roving_test
     from cgid.calibration.taps import Flaw as Flaw
     from cgid.calibration.taps import Tap as Tap
     from cgid.calibration.taps import TapTest as TapTest
@@ -24,6 +26,7 @@ if TYPE_CHECKING:
 _NAMES = {
     "gain": ("Calibration", "calibrated"),
     "modes": ("SiteCalibration", "calibrate", "usable_impacts"),
+    "roving": ("RovingTest", "roving_test"),
     "taps": ("Flaw", "Tap", "TapTest", "tap_test"),
 }
 

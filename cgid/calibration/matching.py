@@ -3,36 +3,52 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cgid._lib.validation import Floats
+from cgid.calibration.roving import RovingTest
 from cgid.calibration.taps import TapTest
 from cgid.measure.modal.modes import Modes
 
 #: A mode of a scene matches one of the taps within this many standard deviations; an unmatched one costs their square.
 _FITTING = 3.0
+#: Shapes of a matched mode have at least this assurance criterion.
+LEAST_MAC = 0.5
 
 
-def matched(test: TapTest, frequency: Floats, damping_ratio: Floats, start_error: float) -> tuple[Modes, Floats]:
-    """Return the modes of a scene, corrected if matched with a mode of the tap test, and which are, (n_modes,)."""
+def matched(test: TapTest, known: Modes, start_error: float) -> tuple[Modes, NDArray[np.intp], Floats]:
+    """Return the modes of a scene, corrected if matched with a mode of the tap test.
+
+    Beside them are the matched modes of the test, (n_modes,), -1 for none, and the modal assurance criterion of each
+    pair, squared cosine of the angle between their shapes at the places of a roving hammer (Allemang & Brown 1982); nan
+    without. Pairs of other shapes are not matched.
+    """
     # `start_error` is the relative standard deviation of the scene's frequencies; damping ratios have ten times as
     # much. Modes keep their order; a common factor of all frequencies, as for stiffer steel, is possible.
+    frequency, damping_ratio = known.frequency, known.damping_ratio
     measured, computed = np.log(test.modes.frequency), np.log(frequency)
     shifts = np.linspace(-_FITTING, _FITTING, 61) * start_error
     pairs = min(
         ((*_aligned(measured, computed + shift, start_error), shift) for shift in shifts), key=lambda one: one[0]
     )
     partner = {k: i for i, k in pairs[1] if _is_unique(measured, computed + pairs[2], i, k, start_error)}
-    matched = np.array(sorted(partner), np.intp)
-    measured_index = np.array([partner[k] for k in matched.tolist()], np.intp)
     n = computed.size
+    found, alike = np.full(n, -1), np.full(n, np.nan)
+    for k, i in partner.items():
+        found[k] = i
+    if isinstance(test, RovingTest) and callable(known.at_impact):
+        own, theirs = test.mode_shapes[:, found], known.shape(*test.places.T)
+        products = [np.sum(one * two, axis=0) for one, two in ((own, theirs), (own, own), (theirs, theirs))]
+        alike = np.where(found >= 0, products[0] ** 2 / np.maximum(products[1] * products[2], 1e-300), np.nan)
+        found[alike < LEAST_MAC] = -1
+    matched = np.flatnonzero(found >= 0)
+    measured_index = found[matched]
     values = np.array([frequency, damping_ratio])
     deviations = np.outer([start_error, min(10 * start_error, 0.3), 0.0], np.ones(n))
     assert test.modes.deviation is not None
     values[:, matched] = np.array([test.modes.frequency, test.modes.damping_ratio])[:, measured_index]
     deviations[:2, matched] = test.modes.deviation[:2, measured_index]
-    is_matched = np.zeros(n, bool)
-    is_matched[matched] = True
-    return Modes.relative(values[0], values[1], np.ones(n), deviations), is_matched
+    return Modes.relative(values[0], values[1], np.ones(n), deviations), found, alike
 
 
 def _aligned(measured: Floats, computed: Floats, error: float) -> tuple[float, list[tuple[int, int]]]:

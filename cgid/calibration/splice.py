@@ -17,8 +17,8 @@ from cgid.errors import BadData
 
 #: Length of a stretch, and of the vibration that is used altogether [s].
 MINUTE = 60.0
-#: A tap has at most this much vibration, from this long before its onset [s].
-_PIECE, _LEAD = 8.0, 0.1
+#: A tap has at most this much vibration, one of a roving hammer this much, from this long before its onset [s].
+_PIECE, _ROVING, _LEAD = 8.0, 2.0, 0.1
 #: A stretch of a recording: its first sample, response (n_channels, n), force (n,) or None, whether it is the last.
 Span = tuple[int, Floats, Floats | None, bool]
 
@@ -54,8 +54,17 @@ class Splice:
     #: How much stretches must overlap [s].
     OVERLAP = _PIECE + 4 * _LEAD
 
-    def __init__(self, spans: Iterable[Span], sampling_rate: float, source: str, times: Sequence[float] | None) -> None:
+    def __init__(
+        self,
+        spans: Iterable[Span],
+        sampling_rate: float,
+        source: str,
+        times: Sequence[float] | None,
+        n_places: int = 0,
+    ) -> None:
+        # `n_places` taps of a roving hammer are used all.
         self.sampling_rate = sampling_rate
+        self._piece, most = (_ROVING, np.inf) if n_places else (_PIECE, MINUTE)
         self._listed = None if times is None else np.array(times)
         pieces: list[tuple[int, Floats, Floats | None]] = []
         total, refused = 0, None
@@ -69,7 +78,7 @@ class Splice:
             except BadData as error:  # a stretch without a tap
                 refused = error
             total = sum(piece.shape[1] for _, piece, _ in pieces)
-            if total > MINUTE * sampling_rate:
+            if total > most * sampling_rate or len(pieces) > n_places > 0:
                 break
         if not pieces:
             raise refused or BadData(f"{source}: the table of taps must list one of the recording; correct it")
@@ -83,7 +92,7 @@ class Splice:
         self, first: int, response: Floats, force: Floats | None, last: bool, known: int, source: str
     ) -> Iterator[tuple[int, Floats, Floats | None]]:
         """Yield begin, response and force of the taps of a stretch that come after a sample of the recording."""
-        lead, longest = round(_LEAD * self.sampling_rate), round(_PIECE * self.sampling_rate)
+        lead, longest = round(_LEAD * self.sampling_rate), round(self._piece * self.sampling_rate)
         if force is None:
             events = events_in(response, self.sampling_rate, source, apart=self._listed is None)
         else:

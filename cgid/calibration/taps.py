@@ -75,6 +75,8 @@ _SAME_DELAY, _MIN_PHASES = 1.5e-3, 3
 _CLEARLY = 0.25
 #: Maximum standard deviation of a row of the response over what is unexplained, and its least.
 _AS_A_WHOLE, EXACT = 2.0, 0.01
+#: Columns of a table of taps, and their units.
+_TAPS = {"time_s": "s", "x_m": "m", "y_m": "m"}
 #: Largest table of taps [bytes].
 _MAX_FILE_SIZE = 1 << 20
 
@@ -89,6 +91,7 @@ class Flaw(StrEnum):
     BEFORE_END = "too close to the end of the recording"
     NOT_LISTED = "not in the table of taps"
     UNEXPLAINED = "not explained by the other taps"
+    ELSEWHERE = "not where the table of taps says"
 
 
 #: What to do where no tap is usable, by flaw.
@@ -378,20 +381,34 @@ def _modes(pole: Complexes, participation: Floats | Complexes, deviation: Floats
     return modes.with_participation(participation)
 
 
-def read_times(path: str | Path) -> list[float]:
-    """Return the times [s] of a table of taps: a CSV file with a column `time_s`."""
+def read_taps(path: str | Path) -> tuple[list[float] | None, Floats | None]:
+    """Return times (n_taps,) [s] and places (n_taps, 2) [m] of a table of taps, None for what it lacks.
+
+    It is a CSV file with the columns `time_s`, or `x_m` and `y_m`, or all three.
+    """
     lines = read_cells(path, "the table of taps", _MAX_FILE_SIZE)
     titles = lines[0][1] if lines else []
-    if "time_s" not in titles or len(lines) < 2:
-        raise BadData(f"{path}: a table of hammer taps must have the column time_s [s] and one line per tap; add them")
-    column, out = titles.index("time_s"), []
+    present = [name for name in _TAPS if name in titles]
+    if not present or ("x_m" in present) != ("y_m" in present) or len(lines) < 2:
+        raise BadData(
+            f"{path}: a table of hammer taps must have the column time_s [s], for a roving hammer x_m and y_m [m], and "
+            f"one line per tap, got {', '.join(present) or 'none of them'} and {len(lines[1:])} taps; add them"
+        )
+    out: list[list[float]] = []
     for number, cells in lines[1:]:
-        cell = cells[column] if column < len(cells) else ""
-        try:
-            out.append(float(validation.not_negative("time", float(cell), "s")))
-        except ValueError:
-            raise BadData(f"{path}, line {number}: time must be a number of at least 0 s, got {cell!r}") from None
-    return out
+        row = []
+        for name in present:
+            cell = cells[titles.index(name)] if titles.index(name) < len(cells) else ""
+            try:
+                row.append(float(validation.not_negative(name, float(cell), _TAPS[name])))
+            except ValueError:
+                raise BadData(
+                    f"{path}, line {number}: {name} must be a number of at least 0 {_TAPS[name]}, got {cell!r}"
+                ) from None
+        out.append(row)
+    columns = dict(zip(present, np.array(out).T, strict=True))
+    times = columns["time_s"].tolist() if "time_s" in columns else None
+    return times, np.stack([columns["x_m"], columns["y_m"]], axis=1) if "x_m" in columns else None
 
 
 # -- taps -------------------------------------------------------------------------------------------------

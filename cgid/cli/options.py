@@ -718,6 +718,17 @@ def warn_of_chance(model: StoredModel, source: str = "", gangue: Sequence[str] =
         )
 
 
+def point_of(text: str) -> tuple[float, float]:
+    """Return the point [m] of a sensor."""
+    from cgid._lib import validation
+
+    try:
+        x, y = (float(validation.not_negative("--sensor", float(part))) for part in text.split(","))
+    except ValueError:
+        raise InvalidValue(f"--sensor must be a point X,Y [m] of a beam, such as 0.5,0.45, got {text!r}") from None
+    return x, y
+
+
 def share_of(flag: str, text: str) -> float:
     """Return a fraction such as "1 %"."""
     from cgid.units import parse

@@ -116,10 +116,11 @@ def warn(warning: object) -> None:
 def warn_of_one_place(source: Any) -> None:
     """Warn that a scene has the modes of one place, as hammer taps give them; not of a dataset."""
     beam = getattr(source, "tail_beam", None)
-    if beam is not None and beam.modes is not None:
+    if beam is not None and beam.modes is not None and beam.shapes is None:
         warn(
             f"scene {source.name}: modes of one place: only impacts there are described; for impacts anywhere give "
-            "length, width, thickness and edges of the beam, and the table as learned"
+            "length, width, thickness and edges of the beam, and the table as learned; or tap a grid of places, and "
+            "name the shapes (cgid tap taps.wav --hammer 2 --taps places.csv --sensor X,Y -o modes.csv)"
         )
 
 

@@ -18,6 +18,7 @@ from cgid.cli.options import (
     json_option,
     laws_option,
     overwrite_option,
+    point_of,
     reading_options,
     share_of,
 )
@@ -27,12 +28,14 @@ from cgid.errors import BadData, InvalidValue
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from cgid._lib.validation import Floats
     from cgid.calibration import TapTest
     from cgid.calibration.splice import Span
+    from cgid.measure.modal.modes import Modes
 
 #: A delay of the hammer is told from here on [s].
 _TOLD = 5e-6
+#: A mode of which places predict less is coarsely sampled.
+_COARSE = 0.3
 
 
 @click.command(
@@ -61,8 +64,13 @@ _TOLD = 5e-6
     help="Set the contact time of a hammer that is not recorded [ms].",
 )
 @click.option(
-    "--taps", "table", type=PATH, help="Use only the taps listed in this table (.csv) in the column 'time_s'."
+    "--taps",
+    "table",
+    type=PATH,
+    help="Use only the taps listed in this table (.csv) in the column 'time_s'; of a roving hammer, 'x_m' and 'y_m' "
+    "are the place of each tap.",
 )
+@click.option("--sensor", metavar="X,Y", help="Set the place of the sensor of a roving hammer [m].")
 @click.option("--window-tau", type=float, metavar="MS", help="Undo an exponential window of this time constant [ms].")
 @click.option("--scene", "scene_name", type=SCENE, help="Write the modes of this scene's beam, corrected by the taps.")
 @click.option(
@@ -87,6 +95,7 @@ def tap(
     max_order: int,
     contact: float,
     table: str | None,
+    sensor: str | None,
     window_tau: float | None,
     scene_name: str | None,
     start_error: str,
@@ -101,12 +110,16 @@ def tap(
     Tap five to ten times at one point, a second or more apart, with any hammer; an accelerometer on the beam records.
     With an instrumented hammer, name its channel by --hammer: then participations are in 1/kg. The table is one for
     tail_beam.modes of a scene and, with --scene, for tail_beam.learned.
+
+    A roving hammer taps a grid of places once or more each, one of them next to the sensor. Places closer than half of
+    the shortest wave length give the shapes between them, in a table beside the first for tail_beam.shapes.
     """
     from dataclasses import replace
 
     from cgid._lib.files import check_new, write_whole
+    from cgid.calibration.roving import roving_test
     from cgid.calibration.splice import Splice
-    from cgid.calibration.taps import read_times, save_learned, tap_test
+    from cgid.calibration.taps import read_taps, save_learned, tap_test
 
     path = check_new(Path(output), "a table of modes", (".csv",), overwrite=overwrite)
     universal = None if uff is None else check_new(Path(uff), "a universal file", (".uff", ".unv"), overwrite=overwrite)
@@ -117,35 +130,31 @@ def tap(
         from cgid.plots.figure import new_picture
 
         drawing = new_picture(picture, overwrite=overwrite)
+    times, places = (None, None) if table is None else read_taps(table)
+    _require_roving(places is not None, hammer, sensor, window_tau, uff)
     modes = None if scene_name is None else _modes_of(scene_name)
     error = share_of("--start-error", start_error)
     if not 0 < error <= 0.1:
         raise InvalidValue(f"--start-error must be above 0 and at most 10 %, got {error:g}")
-    times = None if table is None else read_times(table)
     spans, rate, quantity = read_with_hammer(recording, hammer, reading, Splice.OVERLAP)
-    splice = Splice(spans, rate, recording, times)
+    splice = Splice(spans, rate, recording, times, 0 if places is None else len(places))
     with progress_bar(100, "%", "finding modes") as progress:
-        test = tap_test(
-            splice.response,
-            rate,
-            hammer=splice.force,
-            quantity=quantity,
-            band=band or None,
-            max_order=max_order,
-            contact=contact * 1e-3,
-            times=splice.inside(times),
-            window_tau=None if window_tau is None else window_tau * 1e-3,
-            source=recording,
-            progress=progress,
-        )
+        options: dict[str, Any] = {"hammer": splice.force, "times": splice.inside(times), "quantity": quantity}
+        options |= {"band": band or None, "max_order": max_order, "source": recording, "progress": progress}
+        if places is None:
+            options |= {"contact": contact * 1e-3, "window_tau": None if window_tau is None else window_tau * 1e-3}
+            test = tap_test(splice.response, rate, **options)
+        else:
+            assert sensor is not None
+            test = roving_test(splice.response, rate, places=places, sensor=point_of(sensor), **options)
     test = replace(test, taps=tuple(splice.placed(tap) for tap in test.taps))
-    known = None
+    known = alike = None
     if modes is None:
         test.save(path, overwrite=overwrite)
     else:
         from cgid.calibration.matching import matched
 
-        learned, known = matched(test, *modes, error)
+        learned, known, alike = matched(test, modes, error)
         save_learned(learned, path, overwrite=overwrite)
     if drawing is not None:
         from cgid.plots.figure import stabilisation_picture
@@ -155,11 +164,24 @@ def tap(
         write_whole(universal, test.frequency_response.universal(Path(recording).name), overwrite=overwrite)
     if len(test.used) == 1:
         warn("one tap: the standard deviations omit the variation between taps; tap about five times")
-    _say(test, path, scene_name, known, as_json)
+    _say(test, path, scene_name, known, alike, as_json)
 
 
-def _modes_of(name: str) -> tuple[Floats, Floats]:
-    """Return natural frequencies and damping ratios of a scene's beam."""
+def _require_roving(
+    roving: bool, hammer: str | None, sensor: str | None, window_tau: float | None, uff: str | None
+) -> None:
+    """Raise `InvalidValue` unless the options fit a table of places, or one without."""
+    if roving and (hammer is None or sensor is None):
+        raise InvalidValue("--taps with places must be used with --hammer and --sensor; give its channel and its place")
+    if not roving and sensor is not None:
+        raise InvalidValue("--sensor must be used with a table of places; give --taps with the columns x_m and y_m")
+    if roving and (window_tau is not None or uff is not None):
+        flag = "--uff" if window_tau is None else "--window-tau"
+        raise InvalidValue(f"{flag} must be left out with a table of places, it is for taps at one place")
+
+
+def _modes_of(name: str) -> Modes:
+    """Return the modes of a scene's beam."""
     import numpy as np
 
     from cgid.scene import load_scene
@@ -168,12 +190,12 @@ def _modes_of(name: str) -> tuple[Floats, Floats]:
     scene = load_scene(name)
     if scene.tail_beam is None:
         raise InvalidValue(f"scene {scene.name}: must have a [tail_beam] to be compared with taps; add it")
-    modes = scene.tail_beam.learned_modes or beam_modes(scene)
+    modes = beam_modes(scene)
     if (np.diff(modes.frequency) < 0).any():
         raise InvalidValue(
             f"scene {scene.name}: natural frequencies must ascend to be matched; remove the learned ones"
         )
-    return modes.frequency, modes.damping_ratio
+    return modes
 
 
 def read_with_hammer(
@@ -237,11 +259,13 @@ def _spans(recording: Any, hammer: Any, factor: float, pull: float, overlap: flo
         warn(warning)
 
 
-def _say(test: TapTest, path: Path, scene: str | None, known: Any, as_json: bool) -> None:
-    """Print the modes, and how to use them."""
+def _say(test: TapTest, path: Path, scene: str | None, known: Any, alike: Any, as_json: bool) -> None:
+    """Print the modes, and how to use them; those matched with a scene's, and how alike both are."""
     from cgid.calibration.joint import LINE_DAMPING
+    from cgid.calibration.matching import LEAST_MAC
+    from cgid.calibration.roving import RovingTest
 
-    content = _content(test, path, known)
+    content = _content(test, path, known, alike)
     if as_json:
         print_json(content)
         return
@@ -258,7 +282,14 @@ def _say(test: TapTest, path: Path, scene: str | None, known: Any, as_json: bool
     if test.unexplained is not None and len(test.used) > 1:
         left = sorted(test.unexplained.tolist())[len(test.used) // 2]
         say(f"{100 * left:.2g} % of a tap is not explained by the modes from the others (median)")
-    outside = int((test.response.damping_ratio == LINE_DAMPING).sum())
+    if isinstance(test, RovingTest):
+        worst, middle = test.modes.frequency[test.unpredicted > _COARSE], sorted(test.unpredicted.tolist())
+        say(
+            f"{len(test.places)} places: {100 * middle[len(middle) // 2]:.2g} % of a mode is not predicted by other "
+            f"places (median), more than {100 * _COARSE:.0f} % of {counted(len(worst), 'mode')}"
+            + (f", from {worst.min():.4g} Hz on: tap a finer grid, or lower --band" if len(worst) else "")
+        )
+    outside = int((test.response.damping_ratio > LINE_DAMPING / 2).sum())
     split = test.response.frequency.size - outside - test.modes.frequency.size
     if outside:
         and_split = f", {split} for decays that are not exponential" if split > 0 else ""
@@ -271,14 +302,28 @@ def _say(test: TapTest, path: Path, scene: str | None, known: Any, as_json: bool
             f"{100 * mode['damping_ratio']:>10.4g} +- {100 * mode['damping_ratio'] * deviations[1]:<8.2g}"
             f"{mode['participation']:>16.4g} +- {abs(mode['participation']) * deviations[2]:.2g}"
         )
-    if known is None:
+    if known is None and isinstance(test, RovingTest):
+        (x_low, y_low), (x_high, y_high) = test.places.min(axis=0), test.places.max(axis=0)
+        say(
+            f'cgid: hint: name the tables in a scene, modes = "{path.name}", learned = "{path.name}" and shapes = '
+            f'"{test.shapes_path(path).name}" below [tail_beam] in place of its panel, with impact_point from '
+            f"{x_low:g} to {x_high:g} m and {y_low:g} to {y_high:g} m, then cgid check support.toml",
+            err=True,
+        )
+    elif known is None:
         say(
             f'cgid: hint: name the table in a scene, modes = "{path.name}" and learned = "{path.name}" below '
             "[tail_beam] in place of its panel, then cgid check support.toml",
             err=True,
         )
     else:
-        say(f"{int(known.sum())} of {known.size} modes of {scene} corrected")
+        say(f"{int((known >= 0).sum())} of {known.size} modes of {scene} corrected")
+        if not all(one != one for one in alike.tolist()):
+            shown = sorted(one for one in alike.tolist() if one == one)
+            say(
+                f"MAC of matched modes {shown[len(shown) // 2]:.2f} (median), {sum(one < LEAST_MAC for one in shown)} "
+                f"below {LEAST_MAC:g} not corrected"
+            )
         say(
             f'cgid: hint: put learned = "{path.name}" below [tail_beam] of {scene}, then cgid calibrate shift.wav '
             "--scene with it learns the other modes",
@@ -286,7 +331,7 @@ def _say(test: TapTest, path: Path, scene: str | None, known: Any, as_json: bool
         )
 
 
-def _content(test: TapTest, path: Path, known: Any) -> dict[str, Any]:
+def _content(test: TapTest, path: Path, known: Any, alike: Any) -> dict[str, Any]:
     columns = {**test.modes.columns, "orders": test.poles.orders}
     rows = zip(*(column.tolist() for column in columns.values()), strict=True)
     return {
@@ -296,7 +341,8 @@ def _content(test: TapTest, path: Path, known: Any) -> dict[str, Any]:
         "absolute": test.modes.scaled,
         "delay": test.delay,
         "unexplained": None if test.unexplained is None else test.unexplained.tolist(),
-        "n_matched": None if known is None else int(known.sum()),
+        "n_matched": None if known is None else int((known >= 0).sum()),
+        "mac": None if alike is None else [None if one != one else one for one in alike.tolist()],
         "taps": [{"time": one.time, "used": not one.flaw, "flaw": one.reason} for one in test.taps],
         "modes": [dict(zip(columns, row, strict=True)) for row in rows],
     }
