@@ -140,6 +140,26 @@ def test_tables_are_a_scene_whose_impacts_fall_anywhere(folder):
     np.testing.assert_allclose(full_beam(scene).region, [0.1, 0.7, 0.1, 0.5])
 
 
+def test_forces_of_impacts_at_unknown_places(folder, monkeypatch, capsys):
+    monkeypatch.chdir(folder)
+    places = np.array([[0.17, 0.42], [0.63, 0.31], [0.36, 0.14]])
+    response, force, _ = tapped(places, seed=8, contact=40)
+    write(folder, response, force, places, name="rocks")
+    given = ["rocks.npy", "--rate", f"{RATE:g}", "--channel", "1", "--hammer", "2", "--unit", "1=m/s^2,2=N"]
+    command = ["invert", *given, "--scene", "support.toml", "-o", "forces.csv"]
+    assert run([*command, "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)["impacts"]
+    np.testing.assert_allclose([[one["x"], one["y"]] for one in found], places, atol=0.02)
+    for one in found:
+        assert np.hypot(one["x_deviation"], one["y_deviation"]) < 0.02
+        assert abs(one["errors"]["impulse"]) < 0.03 and abs(one["errors"]["peak"]) < 0.1
+        assert one["unexplained"] < 0.1
+    rows = (folder / "forces.csv").read_text().splitlines()
+    assert rows[0] == "impact,time [s],force [N],deviation [N],measured [N],x [m],y [m]"
+    assert run([*command, "--overwrite"]) == 0
+    assert "x [mm]" in capsys.readouterr().out
+
+
 @pytest.mark.parametrize(
     ("change", "says"),
     [

@@ -1,4 +1,4 @@
-"""`cgid invert`: the force of impacts at the place of a table of modes, from the motion of the beam."""
+"""`cgid invert`: the force of impacts from the motion of the beam, where it was tapped or anywhere on it."""
 
 from __future__ import annotations
 
@@ -9,24 +9,21 @@ import click
 
 from cgid._lib.terminal import counted
 from cgid.cli.help import Command
-from cgid.cli.options import OUTPUT, PATH, ReadingOptions, json_option, overwrite_option, reading_options
-from cgid.cli.output import print_json, say, warn
+from cgid.cli.options import OUTPUT, PATH, SCENE, ReadingOptions, json_option, overwrite_option, reading_options
+from cgid.cli.output import print_json, say, warn, warn_of_one_place
 from cgid.cli.tap import read_with_hammer
-from cgid.errors import BadData
+from cgid.errors import InvalidValue
 
 if TYPE_CHECKING:
-    from cgid._lib.validation import Floats
-    from cgid.identification.inversion.recovered import RecoveredForce
-
-#: An earlier impact is heard for this time [s].
-_RINGS = 2.0
+    from cgid.calibration.forces import ImpactForce
 
 
 @click.command(
     cls=Command,
     short_help="Recover the force of impacts from the motion of a beam.",
     example="cgid tap taps.csv --channel 1 --hammer 2 --band 60 2000 -o modes.csv\n"
-    "cgid invert taps.csv --channel 1 --hammer 2 --modes modes.csv -o forces.csv",
+    "cgid invert taps.csv --channel 1 --hammer 2 --modes modes.csv -o forces.csv\n"
+    "cgid invert shift.wav --scene support.toml -o forces.csv",
 )
 @click.argument("recording", type=PATH)
 @click.option(
@@ -34,9 +31,9 @@ _RINGS = 2.0
     "tables",
     type=PATH,
     multiple=True,
-    required=True,
-    help="Use this table of cgid tap --hammer; repeat the option for each channel.",
+    help="Use this table of cgid tap --hammer, for impacts at the place of its taps; repeat it for each channel.",
 )
+@click.option("--scene", "scene_name", type=SCENE, help="Look for the place of each impact on the beam of this scene.")
 @click.option("-o", "--output", type=OUTPUT, help="Write force and standard deviation over time to this table (.csv).")
 @click.option("--hammer", metavar="CHANNEL", help="Compare with the force measured in this channel.")
 @click.option(
@@ -51,6 +48,7 @@ _RINGS = 2.0
 def invert(
     recording: str,
     tables: tuple[str, ...],
+    scene_name: str | None,
     output: str | None,
     hammer: str | None,
     band: tuple[float, float] | None,
@@ -59,47 +57,25 @@ def invert(
     as_json: bool,
     reading: ReadingOptions,
 ) -> None:
-    """Recover the contact force of each impact in a RECORDING, at the place where a beam was tapped.
+    """Recover the contact force of each impact in a RECORDING of a beam's motion.
 
-    The table of cgid tap holds the modes of one place: only impacts there can be inverted. Where impacts fall anywhere,
-    train a model on the beam; cgid predict looks for their places.
+    A table of cgid tap holds the modes of one place: only impacts there can be inverted. On the beam of a scene, which
+    has a drawing or shapes of a roving hammer, the place of each impact is looked for as cgid predict does, and the
+    force is a pulse of its family.
     """
     from cgid._lib.files import check_new, write_whole
-    from cgid.calibration.taps import events_in, hammer_force, is_clipped
-    from cgid.identification.inversion.recovered import recover_force
-    from cgid.measure.modal.modes import read_modes
+    from cgid.calibration.forces import OVERLAP, forces_in
 
     path = None if output is None else check_new(Path(output), "a table of forces", (".csv",), overwrite=overwrite)
-    modes = [read_modes(table) for table in tables]
-    spans, rate, quantity = read_with_hammer(recording, hammer, reading, 2 * _RINGS)
+    modes = _modes_of(tables, scene_name, band)
+    spans, rate, quantity = read_with_hammer(recording, hammer, reading, OVERLAP)
     rows: list[dict[str, Any]] = []
     text: list[str] = []
-    done, silent = 0, None
-    for first, response, force, last in spans:
-        try:
-            if force is None:
-                measured, events = None, events_in(response, rate, recording, apart=False)
-            else:
-                measured, events = hammer_force(force, rate, recording)
-        except BadData as error:
-            silent = error
-            continue
-        # The vibration of the last impacts goes on in the next stretch, which also begins with them.
-        end = response.shape[1] - (0 if last else round(_RINGS * rate))
-        onsets = [event.onset / rate for event in events if event.onset < end]
-        options: dict[str, Any] = {"quantity": quantity, "band": band or None, "contact": contact * 1e-3}
-        for event, one in zip(events, recover_force(response, rate, modes, onsets, **options), strict=False):
-            if first + event.onset < done:
-                continue
-            row = _row(one, measured, rate)
-            part = slice(round(event.onset), round(one.time[-1] * rate) + round(_RINGS * rate))
-            row["clipped"] = is_clipped(response[:, part], response.max(axis=1), response.min(axis=1))
-            rows.append({**row, "time": row["time"] + first / rate})
-            if path is not None:
-                text += _lines(len(rows), one, measured, rate, first)
-        done = first + end
-    if not rows:
-        raise silent or BadData(f"{recording}: must contain an impact, got none; record longer")
+    options: dict[str, Any] = {"quantity": quantity, "band": band or None, "contact": contact * 1e-3}
+    for one in forces_in(spans, rate, modes, source=recording, **options):
+        rows.append(_row(one))
+        if path is not None:
+            text += _lines(len(rows), one)
     for row in rows:
         if row["clipped"]:
             warn(f"impact at {row['time']:.4g} s: the response is clipped, its force is wrong; use a larger range")
@@ -107,16 +83,21 @@ def invert(
             warn(f"impact at {row['time']:.4g} s: the force pulls; is the signal inverted (--invert), or elsewhere?")
     if path is not None:
         title = "impact,time [s],force [N],deviation [N]" + ("" if hammer is None else ",measured [N]")
+        title += ",x [m],y [m]" if scene_name is not None else ""
         write_whole(path, "\n".join([title, *text, ""]).encode(), overwrite=overwrite)
     if as_json:
         print_json({"output": output, "impacts": rows})
         return
     say(f"{recording}: {counted(len(rows), 'impact')}")
-    say(f"{'time [s]':>10}{'peak [N]':>24}{'duration [ms]':>15}{'impulse [N s]':>26}{'unexplained [%]':>17}")
+    place = "" if scene_name is None else f"{'x [mm]':>18}{'y [mm]':>16}"
+    say(f"{'time [s]':>10}{'peak [N]':>24}{'duration [ms]':>15}{'impulse [N s]':>26}{'unexplained [%]':>17}{place}")
     for row in rows:
+        place = "".join(
+            f"{1e3 * row[axis]:>8.0f} +- {1e3 * row[f'{axis}_deviation']:<4.1f}" for axis in "xy" if axis in row
+        )
         say(
             f"{row['time']:>10.5g}{row['peak']:>12.5g} +- {row['peak_deviation']:<8.2g}{1e3 * row['duration']:>15.4g}"
-            f"{row['impulse']:>14.4g} +- {row['impulse_deviation']:<8.2g}{100 * row['unexplained']:>17.3g}"
+            f"{row['impulse']:>14.4g} +- {row['impulse_deviation']:<8.2g}{100 * row['unexplained']:>17.3g}{place}"
         )
         if "errors" in row:
             errors = dict(row["errors"])
@@ -125,8 +106,34 @@ def invert(
             say(f"{'':>10}  beside the measured force, {1e3 * late:+.2g} ms later: {errors_text}")
 
 
-def _row(found: RecoveredForce, measured: Floats | None, rate: float) -> dict[str, Any]:
+def _modes_of(tables: tuple[str, ...], scene_name: str | None, band: tuple[float, float] | None) -> Any:
+    """Return the modes of tables, or the beam of a scene."""
+    if bool(tables) == (scene_name is not None):
+        raise InvalidValue(
+            "--modes or --scene must be given, and not both: a table of modes for impacts at the place of its taps, a "
+            "scene for impacts anywhere on its beam; choose one"
+        )
+    if scene_name is None:
+        from cgid.measure.modal.modes import read_modes
+
+        return [read_modes(table) for table in tables]
+    if band:
+        raise InvalidValue("--band must be left out with --scene, whose sensor has the band; change it there")
+    from cgid.scene import load_scene
+    from cgid.scene.synthesis.through_beam import beam_of, why_no_beam
+
+    scene = load_scene(scene_name)
+    if why := why_no_beam(scene):
+        raise InvalidValue(
+            f"scene {scene.name}: must have a beam to look through, but {why}; change it, or give --modes"
+        )
+    warn_of_one_place(scene)
+    return beam_of(scene)
+
+
+def _row(one: ImpactForce) -> dict[str, Any]:
     """Return the numbers of one impact, with errors where the force was measured."""
+    found = one.found
     peak, impulse = found.peak, found.impulse
     row: dict[str, Any] = {
         "time": float(found.time[0]),
@@ -136,18 +143,20 @@ def _row(found: RecoveredForce, measured: Floats | None, rate: float) -> dict[st
         "impulse": impulse[0],
         "impulse_deviation": impulse[1],
         "unexplained": found.unexplained,
+        "clipped": one.clipped,
     }
-    if measured is not None:
-        from cgid.identification.inversion.recovered import errors_of
+    if found.place is not None and found.place_deviation is not None:
+        for axis, place, deviation in zip("xy", found.place, found.place_deviation, strict=True):
+            row |= {axis: place, f"{axis}_deviation": deviation}
+    return row if one.errors is None else {**row, "errors": one.errors}
 
-        row["errors"] = errors_of(found, measured, rate)
-    return row
 
-
-def _lines(number: int, found: RecoveredForce, measured: Floats | None, rate: float, first: int) -> list[str]:
-    """Return the rows of a table of forces, one for each sample; the stretch begins at sample `first`."""
-    columns = [found.time + first / rate, found.force, found.deviation]
-    if measured is not None:
-        begin = round(found.time[0] * rate)
-        columns.append(measured[begin : begin + found.time.size])
-    return [f"{number}," + ",".join(f"{float(value):.9g}" for value in row) for row in zip(*columns, strict=True)]
+def _lines(number: int, one: ImpactForce) -> list[str]:
+    """Return the rows of a table of forces, one for each time."""
+    found = one.found
+    columns = [found.time, found.force, found.deviation]
+    columns += [] if one.measured is None else [one.measured]
+    place = "" if found.place is None else ",{:.6g},{:.6g}".format(*found.place)
+    return [
+        f"{number}," + ",".join(f"{float(value):.9g}" for value in row) + place for row in zip(*columns, strict=True)
+    ]

@@ -1,9 +1,10 @@
-"""The force of impacts at the one place that a table of modes describes, from the motion of the beam.
+"""The force of impacts from the motion of a beam, at one place that a table of modes describes, or anywhere on it.
 
-The inversion of `predict` knows the forces of a population and looks for the place. Here the place is known and nothing
-else: the force is a polygon with corners half a period of the band's end apart, zero outside of the contact, and least
-squares in the band of the modes find it. Its errors are those of the modes, which are large where these resonate, so
-the deviations come from the residual itself: parts of the band count as independent (Huber 1967).
+Anywhere it is the inversion of `predict`, which knows the forces of a population and looks for the place. Where the
+place is known, nothing else is: the force is a polygon with corners half a period of the band's end apart, zero outside
+of the contact, and least squares in the band of the modes find it. Its errors are those of the modes, which are large
+where these resonate, so the deviations come from the residual itself: parts of the band count as independent (Huber
+1967).
 """
 
 from __future__ import annotations
@@ -17,6 +18,10 @@ import numpy as np
 from cgid._lib import validation
 from cgid._lib.validation import Complex, Floats
 from cgid.errors import BadData, InvalidValue
+from cgid.identification.inversion.through_beam import ThroughBeam
+from cgid.measure.features.vibration import VibrationBatch
+from cgid.measure.fit import family
+from cgid.measure.modal.beam import FINE, SPAN_TIME, Beam
 from cgid.measure.modal.finite import Stretch, bins_in
 from cgid.measure.modal.modes import Modes
 
@@ -27,8 +32,10 @@ _MOTIONS = ("displacement", "velocity", "acceleration")
 _MODE_DAMPING, _BEYOND = 0.2, 1.1
 #: The force may begin this long before a detected onset, and is looked for this long after it [s].
 _BEFORE, CONTACT = 1e-3, 6e-3
-#: Longest vibration that is used [s].
-_LONGEST = 1.0
+#: Longest vibration that is used [s]; where the place is unknown, of noise before an impact.
+_LONGEST, _QUIET_TIME = 1.0, 5e-3
+#: Step of numerical slopes of a pulse.
+_STEP = 1e-4
 #: The contact is where the force is above this fraction of its peak, with a margin of this fraction of its length on
 #: either side.
 _FOOT, _MARGIN = 0.05, 0.6
@@ -63,12 +70,16 @@ class RecoveredForce:
     covariance : ndarray, (n, n) [N^2]
     unexplained : float
         Fraction of the amplitude of the vibration, in the band, that the force does not explain.
+    place, place_deviation : tuple of float, optional [m]
+        x and y of the impact where the place was looked for, and their standard deviations.
     """
 
     time: Floats
     force: Floats
     covariance: Floats
     unexplained: float
+    place: tuple[float, float] | None = None
+    place_deviation: tuple[float, float] | None = None
 
     @property
     def deviation(self) -> Floats:
@@ -113,10 +124,10 @@ def errors_of(found: RecoveredForce, measured: Floats, sampling_rate: float) -> 
     The clock of the hammer may differ from that of the sensor: the measured force is moved to where it fits best.
     """
     # The force is zero outside of the contact, so that what is measured there is an error, too.
-    first, reach = round(found.time[0] * sampling_rate), found.force.size + round(_SHIFT * sampling_rate)
-    part = np.arange(max(first - reach, 0), min(first + found.force.size + reach, measured.size))
-    true, own = measured[part], np.zeros(part.size)
-    own[first - part[0] : first - part[0] + found.force.size] = found.force
+    first, last = (round(time * sampling_rate) for time in (found.time[0], found.time[-1]))
+    reach = last - first + 1 + round(_SHIFT * sampling_rate)
+    part = np.arange(max(first - reach, 0), min(last + 1 + reach, measured.size))
+    true, own = measured[part], np.interp(part / sampling_rate, found.time, found.force, 0.0, 0.0)
     padded = 2 * part.size
     spectra = np.fft.rfft(own, padded), np.fft.rfft(true, padded)
     fine = 16 * padded
@@ -138,22 +149,23 @@ def errors_of(found: RecoveredForce, measured: Floats, sampling_rate: float) -> 
 def recover_force(
     response: Floats,
     sampling_rate: float,
-    modes: Modes | Sequence[Modes],
+    modes: Modes | Sequence[Modes] | Beam,
     onsets: Sequence[float],
     *,
     quantity: str = "acceleration",
     band: tuple[float, float] | None = None,
     contact: float = CONTACT,
 ) -> list[RecoveredForce]:
-    """Return the force of each impact at the place of a table of modes.
+    """Return the force of each impact, at the place of a table of modes or anywhere on a beam.
 
     Parameters
     ----------
     response : ndarray, (n_sensors, n_samples)
         Motion of the beam in SI units.
     sampling_rate : float [Hz]
-    modes : Modes or sequence of Modes
-        Modes of each sensor, such as a table of `cgid tap` with a hammer channel.
+    modes : Modes, sequence of Modes, or Beam
+        Modes of each sensor, such as a table of `cgid tap` with a hammer channel; or a beam with its sensors, of
+        `cgid.scene.synthesis.through_beam.beam_of` or a model: then each place is looked for, in the beam's band.
     onsets : sequence of float [s]
         When the impacts begin, to a millisecond.
     quantity : {"acceleration", "velocity", "displacement"}
@@ -176,6 +188,8 @@ def recover_force(
     """
     derivatives = _MOTIONS.index(validation.choice("quantity", quantity, _MOTIONS))
     contact = validation.number("contact", contact, "s", validation.positive)
+    if isinstance(modes, Beam):
+        return _anywhere(np.atleast_2d(np.asarray(response, np.float64)), sampling_rate, modes, onsets, derivatives)
     every = [modes] if isinstance(modes, Modes) else list(modes)
     response = np.atleast_2d(np.asarray(response, np.float64))
     if len(every) != len(response):
@@ -201,6 +215,63 @@ def recover_force(
         ]
         found.append(_recovered(vibrations, first, round((contact + _BEFORE) * sampling_rate)))
     return found
+
+
+def _anywhere(
+    response: Floats, sampling_rate: float, beam: Beam, onsets: Sequence[float], derivatives: int
+) -> list[RecoveredForce]:
+    """Return the force of each impact on a beam, with its place."""
+    if len(response) != beam.n_sensors or derivatives != beam.derivatives:
+        raise InvalidValue(
+            f"response must be {beam.n_sensors} channels of {_MOTIONS[beam.derivatives]} for this beam, got "
+            f"{len(response)} of {_MOTIONS[derivatives]}; choose channels by --channel"
+        )
+    if not len(onsets):
+        return []
+    before, n = (round(time * sampling_rate) for time in (_QUIET_TIME, _QUIET_TIME + 1.6 * SPAN_TIME))
+    first = np.round(np.sort(np.asarray(onsets, np.float64)) * sampling_rate).astype(int) - before
+    if first[0] < 0 or first[-1] + n > response.shape[1]:
+        at = first[0] if first[0] < 0 else first[-1]
+        raise BadData(
+            f"impact at {(at + before) / sampling_rate:.4g} s: must have {1e3 * _QUIET_TIME:g} ms before and "
+            f"{1e3 * (n - before) / sampling_rate:g} ms after it; record longer"
+        )
+    frames = np.stack([row[start : start + n] for start in first.tolist() for row in response])
+    found, contact = ThroughBeam(beam).look(VibrationBatch(frames, sampling_rate, before))
+    out = []
+    for row, start in enumerate(first.tolist()):
+        touch = start / sampling_rate + (found.start[row] + contact.touch[row]) / beam.sampling_rate
+        logs = np.array([np.log(contact.peak[row]), np.log(contact.width[row]), contact.shape[row]])
+        time, force = _pulse(logs, None, sampling_rate)
+        slopes = np.stack([_pulse(logs + step, time, sampling_rate)[1] - force for step in _STEP * np.eye(3)]) / _STEP
+        out.append(
+            RecoveredForce(
+                time=touch + time,
+                force=force,
+                covariance=slopes.T @ contact.covariance[row] @ slopes,
+                unexplained=float(np.sqrt(found.unexplained[row])),
+                place=(float(found.x[row]), float(found.y[row])),
+                place_deviation=(float(found.place_deviation[row, 0]), float(found.place_deviation[row, 1])),
+            )
+        )
+    return out
+
+
+def _pulse(logs: Floats, time: Floats | None, sampling_rate: float) -> tuple[Floats, Floats]:
+    """Return times from the touch on [s] and the pulse of ln peak, ln width and shape there, as `Contact` has them."""
+    peak, width, shape = np.exp(logs[0]), np.exp(logs[1]), logs[2]
+    restitution = np.array([min(np.exp(-abs(shape)), family.MAX_RESTITUTION)])
+    lasts, top, _ = (part[0] for part in family.times(restitution))
+    height = family.force(np.array([[top]]), restitution)[0, 0]
+    scale = width * height / (1 + restitution[0])  # of the dimensionless time, whose impulse is 1 + e
+    if time is None:
+        step = 1 / (FINE * sampling_rate)
+        time = np.asarray(step * np.arange(int(lasts * scale / step) + 2))
+    own = np.asarray(time / scale)
+    inside = (own > 0) & (own < lasts)
+    own = np.where(shape > 0, lasts - own, own)
+    force = family.force(np.clip(own, 0, lasts)[None], restitution)[0]
+    return np.asarray(time), np.where(inside, peak / height * force, 0.0)
 
 
 def _band_of(modes: Sequence[Modes], band: tuple[float, float] | None, sampling_rate: float) -> tuple[float, float]:
