@@ -74,15 +74,15 @@ class Attached(NamedTuple):
 class Variant:
     """A beam, its losses, and its noise.
 
-    `ribs` and `mindlin` are those of `independent_modes.Beam`. `damping`: "constant", 2 % in every mode; "rayleigh",
-    2 % at 100 Hz and 5 kHz, .6 % between, 4 % at 10 kHz; "rising", 1 % plus 2 % times the frequency over 10 kHz.
-    `white` and `pink` are the standard deviations of the noise, `hum` the amplitudes at 50, 100, 150, ... Hz, all over
-    `NOISE`.
+    `ribs` and `mindlin` are those of `independent_modes.Beam`. `damping`: "constant", 2 % in every mode; "light", 1 %;
+    "rayleigh", 2 % at 100 Hz and 5 kHz, .6 % between, 4 % at 10 kHz; "rising", 1 % plus 2 % times the frequency over
+    10 kHz. `white` and `pink` are the standard deviations of the noise, `hum` the amplitudes at 50, 100, 150, ... Hz,
+    all over `NOISE`.
     """
 
     ribs: Ribs = "beams"
     mindlin: float = 1.0
-    damping: Literal["constant", "rayleigh", "rising"] = "constant"
+    damping: Literal["constant", "light", "rayleigh", "rising"] = "constant"
     attached: tuple[Attached, ...] = ()
     white: float = 1.0
     pink: float = 0.0
@@ -112,7 +112,9 @@ def damping_ratios(frequency: Floats, kind: str) -> Floats:
     if kind == "rayleigh":
         low, high = 100.0, 5000.0
         return 0.02 * (low * high / frequency + frequency) / (low + high)
-    return 0.01 + 0.02 * frequency / 10e3 if kind == "rising" else np.full(frequency.shape, 0.02)
+    if kind == "rising":
+        return 0.01 + 0.02 * frequency / 10e3
+    return np.full(frequency.shape, 0.01 if kind == "light" else 0.02)
 
 
 @cache
