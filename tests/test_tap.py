@@ -11,7 +11,7 @@ from cgid.calibration import Flaw, tap_test
 from cgid.calibration.agreement import shifted
 from cgid.calibration.matching import matched
 from cgid.calibration.poles import poles_of
-from cgid.calibration.splice import Splice, spans_of
+from cgid.calibration.splice import Splice, moved, spans_of
 from cgid.cli.main import run
 from cgid.errors import BadData
 from cgid.identification.inversion.recovered import errors_of, recover_force
@@ -299,6 +299,37 @@ def test_channels_of_several_units_and_the_response_as_a_universal_file(tmp_path
     assert "--unit" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("count", [-2100, -3, 0, 5, 700])
+def test_blocks_are_moved_whatever_their_lengths(count):
+    samples = np.arange(1.0, 2001.0)[None]
+    blocks = np.split(samples, [700, 701, 1500], axis=1)
+    found = list(moved(blocks, count))
+    assert [one.shape[1] for one in found] == [one.shape[1] for one in blocks]
+    np.testing.assert_array_equal(np.concatenate(found, axis=1), shifted(samples[0], count)[None])
+
+
+@pytest.mark.parametrize("late", [-300, 400])
+def test_channels_that_begin_at_times_of_their_own_are_moved(late, tmp_path, capsys, monkeypatch):
+    """LabVIEW states when each channel begins."""
+    monkeypatch.chdir(tmp_path)
+    response, force, times = taps(3, gap=0.6, seed=1)
+    rows = [f"\t{one!r}\t{two!r}" for one, two in zip(response.tolist(), np.roll(force, -late).tolist(), strict=True)]
+    head = [
+        "LabVIEW Measurement\t", "Separator\tTab", "X_Columns\tNo", "***End_of_Header***\t", "Channels\t2\t",
+        "Date\t2026/03/04\t2026/03/04\t", "Time\t10:11:12\t10:11:12\t", "Y_Unit_Label\tm/s^2\tN\t",
+        f"X0\t1\t{1 + late / RATE:.9f}\t", f"Delta_X\t{1 / RATE:.9E}\t{1 / RATE:.9E}\t", "***End_of_Header***\t\t",
+        "X_Value\tbeam\thammer\tComment",
+    ]  # fmt: skip
+    (tmp_path / "taps.lvm").write_text("\n".join([*head, *rows, ""]))
+    given = ["tap", "taps.lvm", "--channel", "beam", "--hammer", "hammer", "--band", "60", "560", "-o", "modes.csv"]
+    assert run([*given, "--json"]) == 0
+    told = capsys.readouterr()
+    content = json.loads(told.out)
+    assert abs(content["delay"]) < 0.1 / RATE
+    assert "begins" in told.err
+    np.testing.assert_allclose([tap["time"] for tap in content["taps"]], times, atol=2e-3)
+
+
 def test_command_with_a_scene_and_one_tap(tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     response, _, _ = taps(1, seed=1)
@@ -325,10 +356,10 @@ def test_a_hammer_without_a_tap_and_a_tap_that_is_cut_off_are_refused():
 def test_a_delay_of_the_hammer_is_corrected_and_told(late):
     response, force, _ = taps(3, gap=0.6, seed=1)
     plain = tap_test(response[None], RATE, hammer=force, band=(60.0, 560.0))
-    moved = tap_test(response[None], RATE, hammer=shifted(force, late), band=(60.0, 560.0))
+    other = tap_test(response[None], RATE, hammer=shifted(force, late), band=(60.0, 560.0))
     assert abs(plain.delay * RATE) < 0.05
-    assert moved.delay * RATE == pytest.approx(late, abs=0.05)
-    np.testing.assert_allclose(moved.modes.participation(), plain.modes.participation(), rtol=2e-3)
+    assert other.delay * RATE == pytest.approx(late, abs=0.05)
+    np.testing.assert_allclose(other.modes.participation(), plain.modes.participation(), rtol=2e-3)
 
 
 def test_delays_that_differ_are_refused():

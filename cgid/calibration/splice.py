@@ -42,6 +42,29 @@ def spans_of(blocks: Iterable[Floats], length: int, overlap: int) -> Iterator[tu
     yield first, np.concatenate(held, axis=1), True
 
 
+def moved(blocks: Iterable[Floats], count: int) -> Iterator[Floats]:
+    """Yield blocks (n_channels, n) of the same lengths whose samples come `count` later, or earlier if negative.
+
+    Zeros enter.
+    """
+    lengths: list[int] = []
+    held: Floats | None = None
+    for block in blocks:
+        held = np.zeros((len(block), max(count, 0))) if held is None else held
+        lengths.append(block.shape[1])
+        held = np.concatenate([held, block], axis=1)
+        while lengths and held.shape[1] >= lengths[0] + max(-count, 0):
+            skipped, count = (-count, 0) if count < 0 else (0, count)
+            length = lengths.pop(0)
+            yield held[:, skipped : skipped + length]
+            held = held[:, skipped + length :]
+    for length in lengths:
+        assert held is not None
+        part, held = held[:, max(-count, 0) :][:, :length], held[:, max(-count, 0) + length :]
+        count = 0
+        yield np.pad(part, ((0, 0), (0, length - part.shape[1])))
+
+
 class Splice:
     """The taps of a recording, the only stretch of a short one as it is.
 

@@ -167,6 +167,18 @@ def tap(
     _say(test, path, scene_name, known, alike, as_json)
 
 
+def _later(hammer: Any, recording: Any) -> int:
+    """Return by how many samples a hammer's channel begins after the response, as the file says; 0 if it does not."""
+    first, other = (next(iter(one.starts), None) for one in (hammer, recording))
+    count = 0 if first is None or other is None else round((first - other).total_seconds() * recording.sampling_rate)
+    if count:
+        say(
+            f"hammer begins {1e3 * count / recording.sampling_rate:.6g} ms after the response in the file, moved",
+            err=True,
+        )
+    return count
+
+
 def _require_roving(
     roving: bool, hammer: str | None, sensor: str | None, window_tau: float | None, uff: str | None
 ) -> None:
@@ -244,10 +256,10 @@ def _spans(recording: Any, hammer: Any, factor: float, pull: float, overlap: flo
     """Yield stretches of a recording and of its hammer, in SI units; warnings are told at the end."""
     import numpy as np
 
-    from cgid.calibration.splice import MINUTE, spans_of
+    from cgid.calibration.splice import MINUTE, moved, spans_of
 
     rate = recording.sampling_rate
-    forces = itertools.repeat(None) if hammer is None else hammer.blocks()
+    forces = itertools.repeat(None) if hammer is None else moved(hammer.blocks(), _later(hammer, recording))
     blocks = (
         np.asarray(block, np.float64) if force is None else np.concatenate([block, force]).astype(np.float64)
         for block, force in zip(recording.blocks(), forces, strict=hammer is not None)

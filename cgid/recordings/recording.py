@@ -355,6 +355,8 @@ class RecordingFile:
         Per channel, as the file states; None if unknown before reading.
     start_time : datetime or None
         Time of the first sample, if the file states it.
+    starts : tuple of datetime or None
+        That of each channel, empty where all have one.
     """
 
     def __init__(
@@ -387,6 +389,7 @@ class RecordingFile:
             for index, link in zip(self._selected, links, strict=True)
         )
         self.n_samples, self.start_time = contents.n_samples, contents.start_time
+        self.starts = tuple(contents.starts[index] for index in self._selected) if contents.starts else ()
 
     def __repr__(self) -> str:
         channels = ", ".join(f"{channel.name} [{channel.unit or 'unit unknown'}]" for channel in self.channels[:4])
