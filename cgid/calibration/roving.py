@@ -65,7 +65,7 @@ class RovingTest(TapTest):
 
     Attributes
     ----------
-    modes, taps, duration, band, poles, delay, response, unexplained, frequency_response
+    modes, taps, duration, band, poles, delay, response, unexplained, measure
         As of `TapTest`; there is no frequency response.
     places : ndarray, (n_places, 2) [m]
     shapes : ndarray, (n_places, n_rows)

@@ -11,6 +11,7 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
+from functools import cached_property, partial
 from pathlib import Path
 
 import numpy as np
@@ -158,8 +159,8 @@ class TapTest:
         add. Their participations are complex where points do not move in phase. Without a hammer channel the modes.
     unexplained : ndarray, (n_used,), optional
         Fraction of the amplitude of each used tap, in the band, that the response fitted to the other taps leaves.
-    frequency_response : FrequencyResponse, optional
-        Measured and modelled, with a hammer channel.
+    measure : callable, optional
+        Returns the frequency response, measured and modelled, with a hammer channel.
     """
 
     modes: Modes
@@ -170,7 +171,12 @@ class TapTest:
     response: Modes
     delay: float = 0.0
     unexplained: Floats | None = None
-    frequency_response: FrequencyResponse | None = None
+    measure: Callable[[], FrequencyResponse] | None = None
+
+    @cached_property
+    def frequency_response(self) -> FrequencyResponse | None:
+        """The frequency response, measured and modelled, computed when first used; None without a hammer channel."""
+        return None if self.measure is None else self.measure()
 
     @property
     def used(self) -> list[Tap]:
@@ -343,7 +349,15 @@ def tap_test(  # noqa: PLR0913
         response_modes = _modes(pole[fit.kept], fit.value, deviation[:, fit.kept], scaled=True)
         response_modes = response_modes.taken(np.argsort(response_modes.frequency))
         poles, unexplained = poles.taken(kept_modes), fit.unexplained
-        measured = FrequencyResponse.of(blows, response_modes, sampling_rate, quantity, (low, high), rest)  # type: ignore[arg-type]
+        measured = partial(
+            FrequencyResponse.of,
+            blows,
+            response_modes,
+            sampling_rate,
+            quantity,  # type: ignore[arg-type]
+            (low, high),
+            rest,
+        )
         break
     return TapTest(
         modes=modes,
@@ -354,7 +368,7 @@ def tap_test(  # noqa: PLR0913
         delay=delay,
         response=response_modes,
         unexplained=unexplained,
-        frequency_response=measured,
+        measure=measured,
     )
 
 
