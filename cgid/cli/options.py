@@ -737,14 +737,3 @@ def share_of(flag: str, text: str) -> float:
         return parse(float(text) if text.replace(".", "", 1).isdigit() else text, "ratio")
     except (CgidError, ValueError):
         raise InvalidValue(f"{flag} must be a share such as '1 %' or 0.01, got {text!r}") from None
-
-
-def point_of(text: str) -> tuple[float, float]:
-    """Return the point [m] of a --sensor."""
-    from cgid._lib import validation
-
-    try:
-        x, y = (float(validation.not_negative("--sensor", float(part))) for part in text.split(","))
-    except ValueError:
-        raise InvalidValue(f"--sensor must be a point X,Y [m] of a beam, such as 0.5,0.45, got {text!r}") from None
-    return x, y
