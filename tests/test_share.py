@@ -774,6 +774,14 @@ def test_an_anchor_takes_the_place_of_the_coal_of_a_confusion() -> None:
     assert moved.rates[0].sum() == pytest.approx(1.2)
     assert moved.rates[0] / 1.2 == pytest.approx(np.histogram(logits, [-99, -1, 1, 99])[0] / 4000, abs=1e-3)
     assert confusion.anchored(np.zeros(0)).rates == pytest.approx(rates)
+    # Of two bins the error of the rate of gangue among n impacts is that of the fraction, times the gain.
+    pair = Confusion(edges=np.zeros(1), rates=np.array([[0.8, 0.2], [0.1, 0.9]]), scatter=0.04, overdispersion=1.5)
+    few = pair.anchored(np.array([-1.0] * 9 + [1.0] * 3))
+    coal = (3 + 2 * 0.2) / 14
+    error = np.sqrt(1.5 * coal * (1 - coal) / 14 / 3) / (0.9 - coal)
+    assert few.scatter == pytest.approx(np.hypot(0.04, error))
+    assert pair.anchored(np.full(10**6, -1.0)).scatter == pytest.approx(0.04, abs=1e-4)
+    assert replace(pair, rates=np.full((2, 2), 0.5)).anchored(np.array([-1.0, 1.0])).scatter == 0.5
     anchored = ShareWindow(1e3, answers=confusion, anchor=Anchor(100.0))
     plain = ShareWindow(1e3, answers=confusion)
     for time, one in enumerate(logits[:100]):
@@ -784,19 +792,22 @@ def test_an_anchor_takes_the_place_of_the_coal_of_a_confusion() -> None:
     assert anchored.at(600.0).share < 0.2 < plain.at(600.0).share
 
 
-@pytest.mark.parametrize(("confusion", "widest"), [([[360, 40], [80, 320]], 0.5), ([[23, 2], [5, 20]], 0.7)])
+@pytest.mark.parametrize(
+    ("confusion", "n_coal", "widest"),
+    [([[360, 40], [80, 320]], 60, 0.5), ([[23, 2], [5, 20]], 60, 0.7), ([[360, 40], [80, 320]], 12, 0.65)],
+)
 def test_a_tested_model_gives_the_share_beside_coal_that_it_often_takes_for_gangue(
-    confusion: Any, widest: float
+    confusion: Any, n_coal: int, widest: float
 ) -> None:
     """A model of recordings calls .1 of its coal gangue, .3 of the coal of this seam, and .8 of the gangue of both."""
     model = with_record(metrics=of_a_test(confusion))
     rng, found = np.random.default_rng(5), []
     for share in np.repeat([0.1, 0.5, 0.9], 20).tolist():
-        is_gangue = np.append(np.zeros(60, bool), rng.random(60) < share)
-        called = rng.random(120) < np.where(is_gangue, 0.8, 0.3)
+        is_gangue = np.append(np.zeros(n_coal, bool), rng.random(60) < share)
+        called = rng.random(is_gangue.size) < np.where(is_gangue, 0.8, 0.3)
         answers = [answer(time + 0.5, gangue=0.7 if one else 0.2) for time, one in enumerate(called.tolist())]
-        settings = PredictionSettings(coal_until=60.0, share_time=60.0, share_step=60.0)
-        last = CavingWatch(model, ["1"], settings).feed(answers, 120.0)[-1].state.share
+        settings = PredictionSettings(coal_until=n_coal, share_time=60.0, share_step=n_coal + 60.0)
+        last = CavingWatch(model, ["1"], settings).feed(answers, n_coal + 60.0)[-1].state.share
         assert last.basis == Basis.ANCHOR
         found.append((last.share - share, last.low <= share <= last.high, last.high - last.low))
     error, holds, width = np.transpose(found)

@@ -192,11 +192,16 @@ class Confusion:
         return float(bins @ slopes**2 / bins.sum())
 
     def anchored(self, logits: Floats) -> Self:
-        """Return the same with predictions for rocks of the first label that are distributed like these, (n,)."""
+        """Return the same with predictions for rocks of the first label that are distributed like these, (n,).
+
+        The error of so few moves a fraction q by (1 - q) of it, on average over q by the root of a third.
+        """
         counts = np.bincount(np.searchsorted(self.edges, logits, side="right"), minlength=self.edges.size + 1)
         total = self.rates[0].sum()
         first = total * (counts + _ADDED * self.rates[0] / total) / (logits.size + _ADDED)
-        return replace(self, rates=np.stack([first, self.rates[1]]))
+        moved = replace(self, rates=np.stack([first, self.rates[1]]))
+        error = self.overdispersion / max(3.0 * (logits.size + _ADDED) * moved.information(0.0), MIN_DIVISOR)
+        return replace(moved, scatter=min(float(np.hypot(self.scatter, np.sqrt(error))), _MAX_SCATTER))
 
     def turned(self) -> Self:
         """Return the same with the labels exchanged."""

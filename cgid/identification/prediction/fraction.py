@@ -32,7 +32,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, lru_cache
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import numpy as np
@@ -203,7 +203,6 @@ class ShareWindow:
             raise InvalidValue(f"weight must be above 0 and up to 1, got {weight:g}")
         self._answers, self._threshold = answers or NoConfusion(), threshold
         self._weight = weight / self._answers.overdispersion
-        self._blur = _blur(self._answers.scatter)
         self._seams, self.anchor, self._lumps = seams, anchor, lumps
         self._impacts: deque[tuple[float, float, tuple[float, ...] | None]] = deque()
 
@@ -302,8 +301,8 @@ class ShareWindow:
         masses = np.exp(logarithm - logarithm.max()) * breadths
         masses /= masses.sum()
         likely = float(shares[np.argmax(logarithm)])
-        if self._blur is not None:
-            masses = self._blur @ masses
+        if (blur := _blur(answers.scatter)) is not None:
+            masses = blur @ masses
         # The density has a single maximum (its logarithm is concave in the share of answers, which grows with that of
         # rocks), so the densest shares are neighbours.
         densest = np.argsort(-masses / breadths, kind="stable")
@@ -360,7 +359,7 @@ def _nodes() -> tuple[Floats, Floats]:
     return shares, np.concatenate([[0.0], (shares[1:] + shares[:-1]) / 2, [1.0]])
 
 
-@cache
+@lru_cache(maxsize=16)  # one for each support with an anchor of its own
 def _blur(scatter: float) -> Floats | None:
     """Return the matrix that spreads a density by a standard deviation, within 0 and 1; None for 0."""
     if scatter <= 0:
