@@ -306,6 +306,11 @@ tail_beam | "cantilever" | "floating" | tail_beam.edges
 tail_beam | thickness = "30 mm"\n |  | tail_beam
 tail_beam | anti_alias = { frequency = "10 kHz" | anti_alias = { frequency = "13 kHz" | sensor.anti_alias.frequency
 tail_beam | anti_alias = { frequency = "10 kHz", order = 8 } | bandwidth = "13 kHz" | sensor.bandwidth
+tail_beam | "10 kHz", order = 8 } | "13 kHz", kind = "linear-phase" } | sensor.anti_alias.frequency
+tail_beam | "10 kHz", order = 8 } | "10 kHz", kind = "linear-phase", order = 6 } | order must be left out
+tail_beam | "10 kHz", order = 8 } | "10 kHz", order = 8, transition = 0.2 } | transition must be left out
+tail_beam | "10 kHz", order = 8 } | "10 kHz", kind = "linear-phase", transition = 2 } | sensor.anti_alias.transition
+tail_beam | "10 kHz", order = 8 } | "10 kHz", kind = "linear" } | sensor.anti_alias.kind
 tail_beam | bits = 16 | bits = 16\nbandwidth = "10 kHz" | anti_alias
 tail_beam | poisson_ratio = 0.30 } | poisson_ratio = 0.30, thickness = "30 mm" } | impact.target.thickness
 tail_beam | law = "exact" | law = "exact"\ngravity = "1 g" | impact.gravity

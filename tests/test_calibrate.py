@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy import signal
 from scipy.special import ndtri
 
 from cgid.calibration import calibrate
@@ -21,9 +22,11 @@ from cgid.calibration.modes import (
 from cgid.cli.main import run
 from cgid.errors import BadData, InvalidValue
 from cgid.identification.inversion.inversion import Inversion
+from cgid.identification.inversion.through_beam import ThroughBeam
 from cgid.identification.prediction import load_model
 from cgid.identification.training import train_on_specimens
 from cgid.identification.training.rows import BEAM_GUARDS, measure
+from cgid.measure.features.vibration import VibrationBatch
 from cgid.measure.modal.beam import corrected
 from cgid.measure.modal.modes import LEARNED_COLUMNS, Modes, read_modes
 from cgid.scene import generate, load_scene, parse_scene, record, synthesise
@@ -497,6 +500,38 @@ def test_a_wrong_filter_is_corrected(known):
     # As stated it is refused, or explains less.
     with pytest.raises(BadData, match=r"shape of contacts|must explain"):
         calibrate(scene, frames(truth, 60, seed=12), RATE, BEFORE, exact=("filter", "mounting"))
+
+
+def test_a_filter_of_linear_phase_is_looked_through(known):
+    """It leaves as little unexplained as any, and forces have the shape of contacts, whatever its delay."""
+    content = json.loads(known[0].text)
+    content["sensor"]["anti_alias"] = {"frequency": 2500.0, "kind": "linear-phase", "transition": 0.3}
+    scene = parse_scene(content)
+    batch = next(iter(synthesise(scene, 60, 12)))
+    estimate, contact = ThroughBeam(beam_of(scene)).look(VibrationBatch(batch.signals, RATE, BEFORE))
+    assert np.median(np.abs(estimate.x - batch.parameters["impact_x"])) < 2e-3
+    assert np.median(estimate.unexplained) < 1e-3 and np.nanmedian(contact.outside) < 0.02
+    off = np.log(contact.peak / batch.parameters["peak_force"]) / np.sqrt(contact.covariance[:, 0, 0])
+    assert np.median(np.abs(off)) < 1.3
+    # Its delay is kept in a model file as far as the table of forces has room.
+    beam = beam_of(scene)
+    again = type(beam).from_arrays(beam.arrays)
+    assert np.array_equal(again.linear_phase, beam.linear_phase) and again.delay < scene.sensor.filters[0].delay
+
+
+@pytest.mark.long
+def test_a_filter_of_linear_phase_is_learned():
+    """The taps are those of scipy, its delay is cut off; the scene has a Butterworth filter."""
+    scene = load_scene("tail_beam")
+    content = json.loads(scene.text)
+    content["sensor"].pop("anti_alias")
+    content["sampling"] |= {"sampling_rate": 51_200.0, "samples": 4096, "pre_trigger": 256}
+    motion = np.concatenate([batch.signals for batch in synthesise(parse_scene(content), 40, 5)])
+    taps = signal.firwin(129, 0.2, fs=1.0, window=("kaiser", 9.0))
+    blows = signal.fftconvolve(motion, taps[None], mode="same", axes=1)[:, ::2]
+    found = calibrate(scene, blows, 25_600.0, 128, exact=("sensor", "mounting"), start_error=1e-3)
+    assert found.scene.sensor.anti_alias.kind == "linear-phase" and found.outside < 0.02
+    assert found.scene.sensor.anti_alias.frequency == pytest.approx(10_240, rel=0.02)
 
 
 @pytest.mark.long

@@ -16,6 +16,7 @@ from cgid.physics import (
     HighPass,
     HuntCrossley,
     Impact,
+    LinearPhase,
     LowPass,
     Material,
     Resonance,
@@ -267,6 +268,34 @@ def test_low_pass_has_the_poles_of_butterworth(order):
     theirs = theirs[theirs.imag > -1e-6]
     np.testing.assert_allclose(np.sort_complex(own), np.sort_complex(theirs), rtol=1e-12, atol=1e-6)
     assert ((own.imag == 0).sum()) == order % 2
+
+
+def test_linear_phase_is_the_finite_impulse_response_of_scipy():
+    """Taps of `firwin` with a Gaussian window, run over the same motion at 32 times the rate."""
+    over, part = 32, LinearPhase(frequency=9000.0, transition=0.3)
+    modes, pulses, onset = some_modes(), impacts(6), np.linspace(0.2, 1.9, 6) / RATE
+    participation = np.random.default_rng(4).normal(size=(6, 12))
+    fine = Response(sampling_rate=over * RATE, modes=modes, filters=CHAIN[:1])
+    motion = frames_of(fine, pulses, onset, participation, n_samples=400 * over)
+    n = 2 * round(part.delay * over * RATE) + 1
+    window = ("gaussian", over * RATE / (2 * np.pi * part.width))
+    taps = signal.firwin(n, part.frequency, window=window, fs=over * RATE)
+    expected = signal.lfilter(taps, 1, motion, axis=1)[:, ::over]
+    # The delay of the taps is a whole number of their steps.
+    onset = onset + (n // 2) / (over * RATE) - part.delay
+    through = Response(sampling_rate=RATE, modes=modes, filters=(*CHAIN[:1], part))
+    found = frames_of(through, pulses, onset, participation, n_samples=400)
+    np.testing.assert_allclose(found, expected, atol=3e-5 * np.abs(expected).max())
+    frequency = np.array([200.0, 4e3, 8e3, 9e3, 10e3])
+    gains = through.frequency_response(frequency, participation[0]) / Response(
+        sampling_rate=RATE, modes=modes, filters=CHAIN[:1]
+    ).frequency_response(frequency, participation[0])
+    _, own = signal.freqz(taps, 1, frequency, fs=over * RATE)
+    np.testing.assert_allclose(np.abs(gains), np.abs(own), atol=1e-5)
+    np.testing.assert_allclose(np.angle(gains * np.exp(2j * np.pi * frequency * part.delay)), 0, atol=1e-6)
+    # From 99 % to 1 % over the stated transition.
+    edges = part.frequency * (1 + np.array([-0.5, 0.5]) * part.transition)
+    assert np.abs(signal.freqz(taps, 1, edges, fs=over * RATE)[1]) == pytest.approx([0.99, 0.01], abs=2e-4)
 
 
 def test_resonance_on_a_mode_is_told_apart():

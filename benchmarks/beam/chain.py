@@ -7,7 +7,7 @@ package makes the signals.
 
     python benchmarks/beam/chain.py                      # every row
     python benchmarks/beam/chain.py --rows 3 --seed 7    # random chains alone, as many as that
-    python benchmarks/beam/chain.py --sound 10           # sound calibrations: refused or moved
+    python benchmarks/beam/chain.py --sound 40           # sound calibrations, modes 1 % off: refused or moved
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -34,12 +35,15 @@ from cgid.identification.prediction import load_model
 from cgid.identification.prediction.diagnosis import MISSHAPEN
 from cgid.measure.features.vibration import VibrationBatch
 from cgid.scene import load_scene, parse_scene
+from cgid.scene.synthesis.impacts import beam_modes
 from cgid.scene.synthesis.through_beam import beam_of
 
 #: The beam as the package has it, but for a thousandth of shear.
 VARIANT = "0.001 mindlin"
 #: Taps of the linear-phase filter, at so many times the sampling rate, and its edge in sampling rates.
 _TAPS, _OVER, _FIR_EDGE = 257, 4, 0.4
+#: Bands in which deviations of modes are compared with their errors [Hz].
+_BANDS = (100.0, 2e3, 4e3, 7e3, 10e3)
 
 
 @dataclass(frozen=True)
@@ -100,11 +104,14 @@ def recorder_of(case: Case) -> Callable[[Any], Any]:
     return filtered
 
 
-def made(case: Case, n: int, seed: int) -> dict[str, Any]:
+def modes_of_case(case: Case, seed: int) -> Any:
     modes = other.modes_for(other.VARIANTS[VARIANT])
-    if case.modes:
-        off = np.random.default_rng(seed).normal(0, case.modes, modes.frequency.size)
-        modes = replace(modes, frequency=modes.frequency * np.exp(off))
+    off = np.random.default_rng(seed).normal(0, case.modes, modes.frequency.size)
+    return replace(modes, frequency=modes.frequency * np.exp(off)) if case.modes else modes
+
+
+def made(case: Case, n: int, seed: int) -> dict[str, Any]:
+    modes = modes_of_case(case, seed)
     return other.generate(n, seed, VARIANT, sensors=(case.sensor,), recorder=recorder_of(case), modes=modes)
 
 
@@ -149,7 +156,11 @@ def row(case: Case, model: Model, n: int, n_test: int, seed: int) -> str:
             after = f"{told['accuracy']:.3f}"
             said = ", ".join(
                 [f"{one.name[-1]} {1e3 * (one.after - one.before):+.1f} mm" for one in found.dimensions]
-                + [f"{name.rpartition('.')[0][:4]} {new:.4g}" for name, (_, new) in found.chain.items()]
+                + [
+                    f"{name.rpartition('.')[0][:4]} {new:.4g}"
+                    for name, (_, new) in found.chain.items()
+                    if isinstance(new, float | int)
+                ]
             )
     clock = time.process_time() - clock
     before = asked(model, model.beam.beam, tests)
@@ -163,6 +174,27 @@ def row(case: Case, model: Model, n: int, n_test: int, seed: int) -> str:
     return f"| {' | '.join(cells)} |"
 
 
+def sound(n: int, seed: int) -> str:
+    """Return a row of a sound calibration: what was moved or refused, and how the modes hold, by band."""
+    case = Case("as stated", modes=0.01)
+    clock, scene, truth = time.process_time(), load_scene("tail_beam"), modes_of_case(case, seed)
+    impacts = made(case, n, seed)["acceleration"]
+    with threadpool_limits(1):
+        try:
+            found = calibrate(scene, impacts, other.RATE, other.PRE_TRIGGER, max_impacts=n)
+        except BadData as error:
+            return f"| {seed} | refused: {str(error)[:60]} | | | {time.process_time() - clock:.0f} |"
+    moved = [one.name for one in found.dimensions] + list(found.chain)
+    own = found.scene.tail_beam
+    assert own is not None and own.learned_modes is not None
+    frequency = beam_modes(found.scene).frequency
+    change = np.log(frequency / truth.frequency[: frequency.size])
+    held = np.abs(change) < 1.96 * own.learned_modes.deviation[0]
+    cells = [f"{np.mean(held[(frequency >= low) & (frequency < high)]):.2f}" for low, high in pairwise(_BANDS)]
+    said = ", ".join(moved) or "kept"
+    return f"| {seed} | {said} | {100 * found.outside:.1f} % | {', '.join(cells)} | {time.process_time() - clock:.0f} |"
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--rows", type=int, default=4, help="random chains")
@@ -172,12 +204,16 @@ def main() -> None:
     parser.add_argument("--impacts", type=int, default=300)
     parser.add_argument("--test", type=int, default=768)
     options = parser.parse_args()
+    if options.sound:
+        print("| seed | moved | outside of contacts | deviations hold (0.1, 2, 4, 7, 10 kHz) | s |")
+        print("|---|---|---|---|---|")
+        for number in range(options.sound):
+            print(sound(options.impacts, options.seed + number), flush=True)
+        return
     model = load_model("default-acceleration")
     print("| true | force outside of contacts (* warned) | right, stated (unknown) | after | true beam | learned | s |")
     print("|---|---|---|---|---|---|---|")
     chosen = [case for case in cases(options.rows, options.seed) if options.only in case.name]
-    if options.sound:
-        chosen = [Case("as stated", modes=0.01)] * options.sound
     for number, case in enumerate(chosen):
         print(row(case, model, options.impacts, options.test, options.seed + number), flush=True)
 

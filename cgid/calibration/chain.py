@@ -3,13 +3,14 @@
 A wrong filter leaves nothing of a vibration unexplained: the recovered force takes up the difference, and has a shape
 that no contact has. So forces are recovered in shapes that hold those of all filters, once, in one band, and the pulse
 family is fitted to them through one chain after the other. Gauss-Newton steps in the logarithms of edge, mounting and
-its damping minimise what the pulses leave, with the pulses projected out; the order of the filter is tried.
+its damping minimise what the pulses leave, with the pulses projected out; the order of a Butterworth filter, or the
+transition of one of linear phase, is tried.
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -21,31 +22,35 @@ from cgid.calibration.learning import ImpactFrames
 from cgid.identification.inversion.contact import Contact, ContactFit
 from cgid.identification.inversion.inversion import ForceEstimate, Inversion
 from cgid.measure.modal.beam import Beam, filtered
-from cgid.physics.structure.response import LowPass, Resonance
+from cgid.physics.structure.response import LinearPhase, LowPass, Resonance
 from cgid.scene.file.schema import Scene, parse_scene
-from cgid.scene.synthesis.through_beam import contact_forces
+from cgid.scene.synthesis.through_beam import contact_forces, linear_phase_of
 
 #: Number of impacts, and of shapes of all filtered forces; every so many forces make them, through filters of these
 #: edges and mountings (in sampling rates) and orders.
 _IMPACTS, _SHAPES, _EVERY = 60, 44, 12
 #: Number of impacts whose forces are compared with pulses, and least number of short ones.
 _COMPARED, _FEWEST = 128, 10
-_CHAINS = tuple(
-    zip(np.geomspace(0.2, 0.49, 12).tolist(), np.geomspace(1.6, 0.35, 12).tolist(), 3 * (4, 8, 2, 6), strict=True)
-)
+_SHAPED = (4, 8, 2, 6, 4, 0.1, 8, 2, 6, 4, 8, 0.4)
+_CHAINS = tuple(zip(np.geomspace(0.2, 0.49, 12).tolist(), np.geomspace(1.6, 0.35, 12).tolist(), _SHAPED, strict=True))
 #: Lowest and highest edge and mounting (in sampling rates) and damping ratio, and deviations of their logarithms. A
 #: damped mounting would stand for any filter.
 _LIMITS, _PRIOR = np.log([[0.12, 0.22, 0.01], [0.495, 3.2, 0.15]]), np.array([0.3, 0.3, 0.3])
 #: A mounting that nobody stated, and one near the band (in sampling rates); damping of the former.
 _STIFF, _SOFT, _DAMPING = 1.6, 0.43, 0.05
-#: Orders that are tried first, and the range of others.
-_ORDERS, _ALL_ORDERS = (4, 8), range(2, 13)
+#: Filters that are tried first: orders, and transitions of a linear phase; all orders, and factors between transitions.
+_FIRST, _ALL_ORDERS, _WIDER = (4, 8, 0.2), range(2, 13), 1.5
+#: Delay of a linear phase in shapes that hold every filter [samples].
+_DELAY = 3.0
 #: Steps of a first try and of the best, and tries of each; they end where they gain less log-likelihood. Longest step,
 #: and difference quotients in a logarithm.
 _TRIED, _STEPS, _CAUTIOUS, _MIN_GAIN, _LONGEST, _STEP = 5, 12, 6, 0.05, 0.25, 1e-3
 #: Ranges of ln width, shape and onset of a pulse, their longest step, prior mean and deviation of shape and onset.
 _PULSES = np.array([[np.log(25e-6), np.log(0.06), -2.0], [np.log(1.6e-3), 1.2, 9.0]])
 _LONGEST_OF_PULSE, _PULSE_PRIOR = 0.3, np.array([[-0.9, 3.5], [1.5, 3.5]])
+#: Keys of a sensor, and the narrowest transition that is tried.
+_EDGE, _TRANSITIONS = "anti_alias.frequency", (0.05, 1.0)
+_LINEAR_KEYS = ("anti_alias.kind", _EDGE, "anti_alias.transition")
 #: Parts of a chain that may be exact.
 PARTS = ("sensor", "filter", "mounting")
 #: A chain is kept where the share of the force outside of the pulse family is below this one, or does not fall to half.
@@ -56,43 +61,84 @@ SOUND, _FALLS_TO = 0.01, 0.5
 class SensorChain:
     """A recorder's filter and a sensor's mounting."""
 
-    order: int | None  # of the anti-alias filter; None without one
+    steep: float | None  # order of a Butterworth filter, or transition (below or at 1) of a linear phase; None without
     logs: Floats  # (3,), of the edge and of the mounting [Hz], and of its damping ratio
 
     @classmethod
     def of(cls, scene: Scene) -> SensorChain:
         """Return the chain of a scene; a mounting that it does not state is stiff."""
         sensor, rate = scene.sensor, scene.sampling.sampling_rate
-        edge = rate if sensor.anti_alias is None else sensor.anti_alias.frequency
+        edge, steep = rate, None
+        if sensor.anti_alias is not None:
+            part = sensor.anti_alias.filter
+            edge, steep = part.frequency, part.transition if isinstance(part, LinearPhase) else part.order
         mounting = (_STIFF * rate, _DAMPING)
         if sensor.mounting is not None:
             mounting = (sensor.mounting.frequency, sensor.mounting.damping_ratio)
-        return cls(None if sensor.anti_alias is None else sensor.anti_alias.order, np.log([edge, *mounting]))
+        return cls(steep, np.log([edge, *mounting]))
+
+    def behind(self, beam: Beam) -> Beam:
+        """Return a beam with this chain."""
+        edge, mounting, damping = np.exp(self.logs).tolist()
+        poles, linear = [Resonance(frequency=mounting, damping_ratio=damping).poles], None
+        if self.steep is not None and self.linear:
+            linear = linear_phase_of(LinearPhase(frequency=edge, transition=self.steep), _DELAY / beam.sampling_rate)
+        elif self.steep is not None:
+            poles.append(LowPass(frequency=edge, order=int(self.steep)).poles)
+        return replace(beam, filters=np.concatenate(poles), linear_phase=linear)
+
+    def lag(self, beam: Beam) -> float:
+        """Return by how much slow forces come late [samples]."""
+        own = self.behind(beam)
+        both = np.where(own.filters.imag != 0, 2.0, 1.0)
+        return float((both * (-1 / own.filters).real).sum() + own.delay) * beam.sampling_rate
 
     @property
-    def filters(self) -> Any:
-        """The poles [rad/s], as in `Beam.filters`."""
-        edge, mounting, damping = np.exp(self.logs).tolist()
-        poles = [Resonance(frequency=mounting, damping_ratio=damping).poles]
-        return np.concatenate(poles + ([] if self.order is None else [LowPass(frequency=edge, order=self.order).poles]))
+    def linear(self) -> bool:
+        """Whether the filter has a linear phase."""
+        return self.steep is not None and self.steep <= 1
 
     def moved(self, step: Floats) -> SensorChain:
         """Return the chain with other logarithms."""
         return replace(self, logs=self.logs + step)
 
+    @property
+    def others(self) -> list[float]:
+        """The filters beside this one: other orders, or other transitions."""
+        if self.steep is None:
+            return []
+        if self.linear:
+            return [
+                one
+                for one in (round(self.steep / _WIDER, 4), round(self.steep * _WIDER, 4))
+                if _TRANSITIONS[0] <= one <= 1
+            ]
+        return [order for order in (self.steep + step for step in (-2, -1, 1, 2)) if order in _ALL_ORDERS]
+
+    @property
+    def keys(self) -> dict[str, Any]:
+        """The keys of the sensor that state this chain."""
+        edge, mounting, damping = np.exp(self.logs).tolist()
+        found = {"mounting.frequency": mounting, "mounting.damping_ratio": damping}
+        if self.linear:
+            return found | dict(zip(_LINEAR_KEYS, ("linear-phase", edge, self.steep), strict=True))
+        return found | ({} if self.steep is None else {_EDGE: edge, "anti_alias.order": int(self.steep)})
+
     def placed(self, scene: Scene) -> Scene:
         """Return a scene with this chain."""
-        content, (edge, mounting, damping) = json.loads(scene.text), np.exp(self.logs).tolist()
-        content["sensor"]["mounting"] = {"frequency": mounting, "damping_ratio": damping}
-        if self.order is not None:
-            content["sensor"]["anti_alias"] = {"frequency": edge, "order": self.order}
+        content = json.loads(scene.text)
+        if self.steep is not None:
+            content["sensor"].pop("anti_alias", None)
+        for name, value in self.keys.items():
+            part, key = name.split(".")
+            content["sensor"][part] = (content["sensor"].get(part) or {}) | {key: value}
         return parse_scene(content, source=f"another recorder of {scene.name}", folder=scene.folder)
 
 
 def learn_chain(scene: Scene, beam: Beam, impacts: ImpactFrames, exact: Collection[str]) -> SensorChain | None:
     """Return the chain that makes the forces of impacts those of contacts; None if that of the scene does."""
     stated, rate = SensorChain.of(scene), scene.sampling.sampling_rate
-    free = np.array(["filter" not in exact and stated.order is not None, *2 * ["mounting" not in exact]])
+    free = np.array(["filter" not in exact and stated.steep is not None, *2 * ["mounting" not in exact]])
     if not free.any():
         return None
     impacts = impacts.taken(slice(_IMPACTS))
@@ -101,7 +147,7 @@ def learn_chain(scene: Scene, beam: Beam, impacts: ImpactFrames, exact: Collecti
         return None
     inversion = Inversion(_with_every_filter(scene, beam))
     estimate = inversion.invert(impacts.observations(), impacts.start)
-    contact = ContactFit(inversion, beam.filters).fit(estimate)
+    contact = ContactFit(inversion, _brief(beam)).fit(estimate)
     before = _median(contact)
     pulses = np.column_stack([np.log(contact.width), contact.shape, contact.touch])
     soft = stated.logs.copy()
@@ -110,22 +156,28 @@ def learn_chain(scene: Scene, beam: Beam, impacts: ImpactFrames, exact: Collecti
     low, high = _LIMITS + np.log([rate, rate, 1.0])
     limits = np.array([np.minimum(low, stated.logs), np.maximum(high, stated.logs)])
     search = _Search(inversion, estimate, stated.logs, free, limits)
-    orders = {stated.order, *_ORDERS} if free[0] else {stated.order}
-    tried = [search.descended(SensorChain(order, logs), pulses, _TRIED) for logs in starts for order in orders]
+    filters = sorted({stated.steep, *_FIRST}) if free[0] and stated.steep is not None else [stated.steep]
+    tried = search.tried((SensorChain(steep, logs) for logs in starts for steep in filters), stated, pulses)
     best = min(tried, key=lambda one: one.cost)
-    known = {one.chain.order for one in tried}
+    known = {one.chain.steep for one in tried}
     while True:
         best = search.descended(best.chain, best.pulses, _STEPS)
-        others = [] if best.chain.order is None or not free[0] else [best.chain.order + step for step in (-2, -1, 1, 2)]
-        others = [order for order in others if order in _ALL_ORDERS and order not in known]
+        others = [one for one in best.chain.others if free[0] and one not in known]
         known |= set(others)
-        tried = [search.descended(replace(best.chain, order=order), best.pulses, _TRIED) for order in others]
+        tried = search.tried((replace(best.chain, steep=one) for one in others), best.chain, best.pulses)
         better = min(tried, key=lambda one: one.cost, default=best)
         if better.cost >= best.cost:
             break
         best = better
-    after = _median(ContactFit(inversion, best.chain.filters).fit(estimate))
+    after = _median(ContactFit(inversion, best.chain.behind(beam)).fit(estimate))
     return best.chain if after <= _FALLS_TO * before else None
+
+
+def _brief(beam: Beam) -> Beam:
+    """Return a beam whose filter of linear phase comes as soon as those that are tried."""
+    if beam.linear_phase is None:
+        return beam
+    return replace(beam, linear_phase=np.minimum(beam.linear_phase, [np.inf, np.inf, _DELAY / beam.sampling_rate]))
 
 
 def outside(inversion: Inversion, estimate: ForceEstimate) -> float:
@@ -141,12 +193,14 @@ def _median(contact: Contact) -> float:
 def _with_every_filter(scene: Scene, beam: Beam) -> Beam:
     """Return a beam without filters, whose shapes hold those of contact forces behind any filter."""
     forces, rate = contact_forces(scene)[::_EVERY], beam.sampling_rate
-    chains = (SensorChain(order, np.log([edge * rate, mounting * rate, _DAMPING])) for edge, mounting, order in _CHAINS)
-    behind = np.concatenate([filtered(replace(beam, filters=chain.filters), forces) for chain in chains])
+    chains = (SensorChain(steep, np.log([edge * rate, mounting * rate, _DAMPING])) for edge, mounting, steep in _CHAINS)
+    behind = np.concatenate([filtered(chain.behind(beam), forces) for chain in chains])
     n_points = behind.shape[1]
     power, shapes = eigh(behind.T @ behind, subset_by_index=(n_points - _SHAPES, n_points - 1))
     deviations = np.sqrt(power[::-1] / len(behind))
-    return replace(beam, filters=np.empty(0, complex), shapes=shapes.T[::-1].copy(), deviations=deviations)
+    return replace(
+        beam, filters=np.empty(0, complex), linear_phase=None, shapes=shapes.T[::-1].copy(), deviations=deviations
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -191,9 +245,17 @@ class _Search:
                 break
         return now
 
+    def tried(self, chains: Iterable[SensorChain], near: SensorChain, pulses: Floats) -> list[_Fitted]:
+        """Return the best chains near some, from the pulses through another one."""
+        beam, out = self._inversion.beam, []
+        for chain in chains:
+            sooner = np.array([0.0, 0.0, near.lag(beam) - chain.lag(beam)])
+            out.append(self.descended(chain, np.clip(pulses + sooner, *_PULSES), _TRIED))
+        return out
+
     def _fitted(self, chain: SensorChain, pulses: Floats, n_steps: int) -> _Fitted:
         """Return the pulses that fit best through a chain, near some."""
-        fit = ContactFit(self._inversion, chain.filters)
+        fit = ContactFit(self._inversion, chain.behind(self._inversion.beam))
         peak, ways, left = self._through(fit, pulses)
         for _ in range(n_steps):
             curvature, pull = self._of_pulses(ways, peak, pulses)
@@ -252,7 +314,9 @@ class _Search:
             step = np.zeros(3)
             step[number] = _STEP
             above, below = (
-                ContactFit(self._inversion, now.chain.moved(sign * step).filters).exact_coefficients(now.pulses)[0]
+                ContactFit(
+                    self._inversion, now.chain.moved(sign * step).behind(self._inversion.beam)
+                ).exact_coefficients(now.pulses)[0]
                 for sign in (1, -1)
             )
             yield (above - below) / (2 * _STEP) * now.peak[:, None]

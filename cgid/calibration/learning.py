@@ -9,7 +9,7 @@ with Gaussian priors. A mode in a wrong local minimum is then searched for by it
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -63,6 +63,11 @@ class ImpactFrames:
         """Return some of the impacts."""
         colour = ARNoise(self.colour.coefficients[rows], self.colour.innovation[rows])
         return ImpactFrames(self.frames[rows], self.start[rows], self.noise[rows], colour)
+
+    def earlier(self, delay: float, sampling_rate: float) -> ImpactFrames:
+        """Return the same behind a recorder that comes late by a delay [s]: onsets may be earlier in the frames."""
+        start = self.start - np.array([int(np.ceil(delay * sampling_rate)), 0])
+        return replace(self, start=np.maximum(start, 0))
 
     def observations(self, raised: Floats | float = 1.0, limit: float | None = None) -> Observations:
         """Return the impacts with their noise raised by factors, (n,)."""

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import mannwhitneyu
 from threadpoolctl import threadpool_limits
 
 from cgid._lib import validation
@@ -63,17 +64,15 @@ _WORST_OF_STREAM = 0.5
 #: A mode is silent at a sensor if its shape is below this fraction of its root mean square; a sensor at nodes of more
 #: than this fraction of the modes is unusable. On a line of symmetry it is half.
 _SILENT, _MAX_SILENT = 0.02, 0.6
-#: Fewest impacts before or after a change of beam or sensor, the part that is learned by itself to see one, and how
-#: many times as far as permitted the evidence of the others is below.
-_FEWEST_OF_PART, _PART, _FOREIGN = 12, 0.4, 3.0
+#: Of a beam or sensor that changes: the part that is learned by itself, how many times as far as permitted the evidence
+#: of the others is below, and the probability of such ranks by chance, of a recording that is explained or not.
+_PART, _FOREIGN, _BY_CHANCE, _PERHAPS = 0.4, 3.0, 1e-5, 0.05
 #: Sensors of one beam do not place impacts so far apart [m].
 _APART = 0.05
 #: The location of a sensor is off by about this [m], and as stated within the second length.
 _SENSOR_ERROR, _SAME_PLACE = 0.02, 2e-3
 #: Forces outside of the pulse family may be so many times those of simulated impacts.
 _LIKE_SIMULATED = 2.0
-#: Keys of a sensor that are learned.
-_KEYS = ("anti_alias.frequency", "mounting.frequency", "mounting.damping_ratio", "anti_alias.order")
 #: A crossing counts if the learned frequencies differ by this many standard deviations.
 _CERTAIN = 3.0
 
@@ -99,9 +98,9 @@ class SiteCalibration:
         Number of neighbouring modes that have swapped.
     has_converged : bool
         Whether the modes have converged.
-    chain : mapping of str to tuple of float
-        Keys of the sensor that are not those of the scene, before and after: filter and mounting; empty if the stated
-        ones were kept.
+    chain : mapping of str to tuple
+        Keys of the sensor that are not those of the scene, before and after, None where there is none: filter and
+        mounting; empty if the stated ones were kept.
     outside : float
         Median share of the recovered forces that no contact has.
     others : tuple of SiteCalibration
@@ -118,7 +117,7 @@ class SiteCalibration:
     expected: float
     crossings: int
     has_converged: bool
-    chain: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    chain: Mapping[str, tuple[Any, Any]] = field(default_factory=dict)
     outside: float = 0.0
     others: tuple[SiteCalibration, ...] = ()
 
@@ -333,12 +332,19 @@ class _Sensor:
     """A sensor of the beam: its scene and beam as they become known, and the impacts that it measured."""
 
     def __init__(self, scene: Scene, impacts: ImpactFrames, number: str) -> None:
-        self.scene, self.impacts, self.beam = scene, impacts, _exact_beam(scene)
+        self.scene, self._measured = scene, impacts
+        self._begin()
         self.name, self.together = f"scene {scene.name}{number}", bool(number)
         self.worst = _WORST if scene.stream is None else _WORST_OF_STREAM
-        self.before = mean_evidence(self.beam, impacts, self.worst)
+        self.before = mean_evidence(self.beam, self.impacts, self.worst)
         self.dimensions: tuple[Dimension, ...] = ()
-        self.chain: dict[str, tuple[float, float]] = {}
+        self.chain: dict[str, tuple[Any, Any]] = {}
+
+    def _begin(self) -> None:
+        """Look through the beam and the recorder of the scene."""
+        beam = beam_of(self.scene)
+        self.beam = replace(beam, modes=replace(beam.modes, deviation=None))  # which are learned
+        self.impacts = self._measured.earlier(beam.delay, beam.sampling_rate)
 
     def learn_dimensions(
         self, errors: Mapping[str, float], progress: Callable[[int], object] | None
@@ -379,7 +385,7 @@ class _Sensor:
         if chain is not None:
             self.chain = _changes(self.scene, chain)
             self.scene = chain.placed(self.scene)
-            self.beam = _exact_beam(self.scene)
+            self._begin()
 
     def look(self, correction: Floats) -> None:
         """Invert the impacts through the corrected beam."""
@@ -393,7 +399,9 @@ class _Sensor:
         learned = replace(start.corrected(result.correction[:, :n]), deviation=result.deviation[:, :n])
         crossings = count_crossings(scene, learned)
         result_scene = _with_beam(scene, learned=rows_of(learned), impact_point=region)
-        usual, simulated = evidence_of(self.inversion, _simulated(result_scene))
+        usual, simulated = evidence_of(
+            self.inversion, _simulated(result_scene).earlier(self.beam.delay, self.beam.sampling_rate)
+        )
         after, expected = (_mean(one, self.worst) for one in (self.evidence, usual))
         margin = max(_BELOW, _BELOW_SHARE * abs(expected))
         least, foreign = expected - margin, expected - _FOREIGN * margin
@@ -441,11 +449,18 @@ class _Sensor:
     def _changes_within(self, least: float, foreign: float) -> bool:
         """Return whether the impacts before or after some point are explained, and the others are not."""
         n = len(self.impacts)
-        for at in (n * np.arange(1, 10) // 10).tolist():
-            both = sorted(_mean(part, self.worst) for part in np.split(self.evidence, [at]))
-            if min(at, n - at) >= _FEWEST_OF_PART and both[0] < foreign and both[1] >= least:
-                return True
-        return False
+        parts = [np.split(self.evidence, [at]) for at in (n * np.arange(1, 20) // 20).tolist()]
+        return any(
+            self._is_foreign(*both, least, foreign) or self._is_foreign(*both[::-1], least, foreign) for both in parts
+        )
+
+    def _is_foreign(
+        self, own: Floats, rest: Floats, least: float, foreign: float, by_chance: float = _BY_CHANCE
+    ) -> bool:
+        """Return whether these impacts are explained, and the rest are surely not."""
+        # By ranks, too: single impacts may leave far more than others.
+        differ = mannwhitneyu(own, rest, alternative="greater").pvalue < by_chance
+        return bool(differ and _mean(own, self.worst) >= least and _mean(rest, self.worst) < foreign)
 
     def _has_two_parts(self, prior: Floats, least: float, foreign: float) -> bool:
         """Return whether the first or the last impacts explain themselves alone, and not the others."""
@@ -455,8 +470,8 @@ class _Sensor:
             alone = Learned([heard], prior)
             alone.approach()
             inversion = Inversion(heard.corrected(alone.places[0], alone.correction))
-            both = [_mean(evidence_of(inversion, self.impacts.taken(one))[0], self.worst) for one in (own, rest)]
-            if both[0] >= least and both[1] < foreign:
+            found = [evidence_of(inversion, self.impacts.taken(one))[0] for one in (own, rest)]
+            if self._is_foreign(*found, least, foreign, _PERHAPS):
                 return True
         return False
 
@@ -467,12 +482,6 @@ def _far_apart(first: _Sensor, other: _Sensor) -> bool:
     by_chance = [getattr(first.forces, axis) - np.roll(getattr(other.forces, axis), 1) for axis in "xy"]
     apart = float(np.median(np.hypot(x, y)))
     return apart > max(_APART, float(np.median(np.hypot(*by_chance))) / 2)
-
-
-def _exact_beam(scene: Scene) -> Beam:
-    """Return the beam of a scene without the standard deviations of its modes, which are learned."""
-    beam = beam_of(scene)
-    return replace(beam, modes=replace(beam.modes, deviation=None))
 
 
 def _with_sensor(scene: Scene, place: Floats) -> Scene:
@@ -495,12 +504,10 @@ def _moved(stated: Scene, found: Scene) -> tuple[Dimension, ...]:
     )
 
 
-def _changes(stated: Scene, chain: SensorChain) -> dict[str, tuple[float, float]]:
+def _changes(stated: Scene, chain: SensorChain) -> dict[str, tuple[Any, Any]]:
     """Return the keys of the sensor that a chain changes, before and after."""
-    before, (edge, mounting, damping) = SensorChain.of(stated), np.exp(chain.logs).tolist()
-    old = dict(zip(_KEYS, (*np.exp(before.logs).tolist(), float(before.order or 0)), strict=True))
-    new = dict(zip(_KEYS, (edge, mounting, damping, float(chain.order or 0)), strict=True))
-    return {name: (old[name], new[name]) for name in _KEYS if old[name] != new[name]}
+    old, new = SensorChain.of(stated).keys, chain.keys
+    return {name: (old.get(name), new.get(name)) for name in old | new if old.get(name) != new.get(name)}
 
 
 def uncertain(scene: Scene, start_error: float) -> Scene:

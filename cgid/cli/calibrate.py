@@ -324,7 +324,11 @@ def _say(found: SiteCalibration, path: Path, as_json: bool) -> None:
             say(f"{name}: {one['before']:.5g}{unit} before, {one['after']:.5g}{unit} after, {known_to}")
         for name, one in content["sensor"].items():
             unit = " Hz" if name.endswith("frequency") else ""
-            say(f"sensor.{name}: {one['before']:.4g}{unit} before, {one['after']:.4g}{unit} after")
+            before, after = (
+                "none" if value is None else f"{value:.4g}{unit}" if isinstance(value, float) else value
+                for value in (one["before"], one["after"])
+            )
+            say(f"sensor.{name}: {before} before, {after} after")
         if content["n_learned"]:
             say(
                 f"natural frequencies changed by {content['frequency_change']:.3%} (median), standard deviation "

@@ -44,6 +44,7 @@ if TYPE_CHECKING:
     from cgid.physics.contact.sampled import SampledPulses as SampledPulses
     from cgid.physics.structure.coupled import ModalImpact as ModalImpact
     from cgid.physics.structure.response import HighPass as HighPass
+    from cgid.physics.structure.response import LinearPhase as LinearPhase
     from cgid.physics.structure.response import LowPass as LowPass
     from cgid.physics.structure.response import Resonance as Resonance
     from cgid.physics.structure.response import Response as Response
@@ -85,7 +86,7 @@ _NAMES = {
     "contact.own_laws": ("add_laws",),
     "contact.sampled": ("SampledPulses",),
     "structure.coupled": ("ModalImpact",),
-    "structure.response": ("HighPass", "LowPass", "Resonance", "Response"),
+    "structure.response": ("HighPass", "LinearPhase", "LowPass", "Resonance", "Response"),
     "structure.tail_beam": ("Ribs", "TailBeam"),
 }
 

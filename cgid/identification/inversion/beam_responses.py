@@ -17,7 +17,7 @@ from cgid._lib import user_cache
 from cgid._lib.validation import Floats
 from cgid.errors import BadData
 from cgid.measure.fit.ar_noise import ORDER
-from cgid.measure.modal.beam import GRID, Beam, Singles, filtered, gain, respond_on_average, sides_of
+from cgid.measure.modal.beam import GRID, Beam, Singles, filtered, respond_on_average, sides_of
 
 #: Minimum number of frequencies, and limits of the response to a force of 1 N, whose squares fit single precision.
 _MIN_BINS, _LOUDNESS = 17, (1e-12, 1e11)
@@ -215,7 +215,7 @@ class BeamResponses:
     def bins(self) -> slice:
         """The frequencies used: above 0, up to the 1 % point of the filters or, without any, below half the rate."""
         frequencies = np.fft.rfftfreq(self.n_samples, 1 / self.beam.sampling_rate)
-        passed = (np.abs(gain(self.beam.filters, frequencies)) > 0.01) & (frequencies <= self.limit)
+        passed = (np.abs(self.beam.gain(frequencies)) > 0.01) & (frequencies <= self.limit)
         return slice(1, min(max(int(np.flatnonzero(passed)[-1]) + 1, _MIN_BINS), (self.n_samples + 1) // 2))
 
     @property

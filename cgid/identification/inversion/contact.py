@@ -8,7 +8,7 @@ length of the signal was.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache, cached_property
 
 import numpy as np
@@ -20,7 +20,7 @@ from cgid.identification.inversion.inversion import ForceEstimate, Inversion
 from cgid.measure.fit import family
 from cgid.measure.fit.least_squares import least_squares
 from cgid.measure.fit.template import relative_times
-from cgid.measure.modal.beam import FINE, TOUCH, Beam, gain
+from cgid.measure.modal.beam import FINE, TOUCH, Beam
 
 #: Nodes of the shape s = ln e (above 0: reversed pulses) in the table of spectra; points of a pulse to its width and of
 #: its transform.
@@ -77,19 +77,18 @@ def _spectra() -> NDArray[np.complex128]:
 
 
 class ContactFit:
-    """Fit the pulse family in the principal shapes of one beam, or behind other `filters` in the same shapes."""
+    """Fit the pulse family in the principal shapes of one beam, or in the same shapes with the chain of another."""
 
-    def __init__(self, inversion: Inversion, filters: NDArray[np.complex128] | None = None) -> None:
-        beam = inversion.beam
-        self.beam: Beam = beam if filters is None else replace(beam, filters=filters)
+    def __init__(self, inversion: Inversion, behind: Beam | None = None) -> None:
+        self.beam = inversion.beam if behind is None else behind
         self.forces = inversion.forces
-        self._kept = inversion.kept if filters is None else lambda _, make: make()
+        self._kept = inversion.kept if behind is None else lambda _, make: make()
 
     @cached_property
     def _frequencies(self) -> Floats:
         n_points = self.forces.shape[1]
         found = np.fft.rfftfreq(2 * n_points, 1 / (FINE * self.beam.sampling_rate))
-        folded = np.abs(gain(self.beam.filters, found)) > 5e-3
+        folded = np.abs(self.beam.gain(found)) > 5e-3
         # Beyond half the sampling rate, too: residual energy there is folded into the samples.
         return np.asarray(found[: min(int(np.flatnonzero(folded)[-1]) + 1, found.size // 4)], np.float64)
 
@@ -102,7 +101,7 @@ class ContactFit:
         # Sum over points of force and shape, by Parseval: 2 / N, but 1 / N at frequency 0.
         share = np.full(self._frequencies.size, 2.0)
         share[0] = 1.0
-        weights = spectrum.conj() * share / (2 * n_points) * rate * gain(self.beam.filters, self._frequencies)
+        weights = spectrum.conj() * share / (2 * n_points) * rate * self.beam.gain(self._frequencies)
         return np.ascontiguousarray(np.linalg.solve(inner, weights).T)
 
     def coefficients(self, width: Floats, shape: Floats, touch: Floats) -> tuple[Floats, Floats]:

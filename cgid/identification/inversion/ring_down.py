@@ -7,7 +7,6 @@ from numpy.typing import NDArray
 
 from cgid._lib.validation import Floats
 from cgid.identification.inversion.beam_responses import BeamResponses
-from cgid.measure.modal.beam import gain
 
 
 class RingDown:
@@ -30,7 +29,7 @@ class RingDown:
         beam, n_quiet = responses.beam, self.n_quiet
         time = np.arange(n_quiet + self.n_samples) / beam.sampling_rate
         frequency = np.abs(beam.poles) / (2 * np.pi)
-        loud = np.sqrt(np.mean(np.square(beam.participation), axis=(1, 2))) * np.abs(gain(beam.filters, frequency))
+        loud = np.sqrt(np.mean(np.square(beam.participation), axis=(1, 2))) * np.abs(beam.gain(frequency))
         loud *= np.abs(beam.poles) ** (beam.derivatives - 1) * np.abs(beam.shares[sensor])
         tables = []
         for age in self.AGES:

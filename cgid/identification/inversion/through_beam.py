@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
+from dataclasses import replace
 from fractions import Fraction
 
 import numpy as np
@@ -15,12 +16,13 @@ from cgid.identification.inversion.inversion import ForceEstimate, Inversion
 from cgid.identification.inversion.ring_down import RingDown
 from cgid.measure.features.vibration import VibrationBatch
 from cgid.measure.fit.ar_noise import ARNoise, ar_noise_of
-from cgid.measure.modal.beam import SPAN_TIME, TOUCH, Beam, gain
+from cgid.measure.modal.beam import SPAN_TIME, TOUCH, Beam
 
 #: Maximum time of the onset before the first sample above the noise [s]: the travel time of waves.
 REACH = 1.2e-3
-#: Relative tolerance of equal sampling rates; with others, the band up to this fraction of the lower rate is used.
-_SAME_RATE, _TOP = 1e-6, 0.41
+#: Relative tolerance of equal sampling rates; with others, the band up to this fraction of the lower rate is used, as
+#: far as the recorder passes this much.
+_SAME_RATE, _TOP, _PASSED = 1e-6, 0.41, 1e-3
 _MAX_RATIO = 1000
 #: An onset this close to the ends of the table of forces is searched this much further [samples].
 _EDGE, _BESIDE = 0.35, 4
@@ -211,9 +213,13 @@ class ThroughBeam:
             limit = _TOP * min(rate, own)
         clear = self._clearest(vibrations)
         start = np.stack(
-            [np.maximum(np.floor(first - REACH * own), np.floor(quiet))[clear], np.ceil(first)[clear] + 1], axis=1
+            [
+                np.maximum(np.floor(first - REACH * own), np.floor(quiet))[clear] - np.ceil(self.beam.delay * own),
+                np.ceil(first)[clear] + 1,
+            ],
+            axis=1,
         )
-        start[:, 0] = np.minimum(start[:, 0], start[:, 1])
+        start[:, 0] = np.clip(start[:, 0], 0, start[:, 1])
         size = np.sqrt(np.einsum("nt,nt->n", frames, frames) / frames.shape[1])
         # Without noise: the accuracy of a table of the beam.
         noise = np.maximum(self._noise(frames, quiet, vibrations, limit), _FLOOR * size + 1e-300)
@@ -287,8 +293,12 @@ class ThroughBeam:
         frequency = np.fft.rfftfreq(n, 1 / rate)
         inside = frequency <= _TOP * min(rate, own)
         low_pass = np.abs(self.beam.filters) < np.pi * own
-        recorder_gain = np.where(low_pass, self.beam.filters * filters, self.beam.filters)
-        change = np.where(inside, gain(self.beam.filters, frequency) / gain(recorder_gain, frequency), 0.0)
+        recorder = replace(self.beam, filters=np.where(low_pass, self.beam.filters * filters, self.beam.filters))
+        if recorder.linear_phase is not None:  # whatever its delay: the onset is sought
+            recorder = replace(recorder, linear_phase=recorder.linear_phase * [filters, filters, 1.0])
+        passed = recorder.gain(frequency)
+        inside &= np.abs(passed) > _PASSED
+        change = np.where(inside, self.beam.gain(frequency) / np.where(inside, passed, 1), 0.0)
         out = np.zeros((len(frames), n_out // 2 + 1), complex)
         kept = min(out.shape[1], spectrum.shape[1])
         out[:, :kept] = (spectrum * change)[:, :kept]

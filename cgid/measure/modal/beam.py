@@ -6,6 +6,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -49,8 +50,8 @@ Singles = NDArray[np.float32]
 class Beam:
     """A beam and its sensor as arrays."""
 
-    #: Names of the arrays in a model file; the last may be missing.
-    OPTIONAL: ClassVar = ("sensors", "errors")
+    #: Names of the arrays in a model file; the optional ones may be missing.
+    OPTIONAL: ClassVar = ("sensors", "errors", "linear_phase")
     ARRAYS: ClassVar = ("scalars", "poles", "participation", "region", "filters", "shapes", "deviations", *OPTIONAL)
 
     sampling_rate: float  # sampling rate of the recorder with the anti-alias filter `filters` [Hz]
@@ -61,6 +62,18 @@ class Beam:
     derivatives: int  # 0, 1 or 2 for displacement, velocity or acceleration
     shapes: Floats  # (n_shapes, n_points), principal contact forces, `FINE` points a sample, before the filters
     deviations: Floats  # (n_shapes,), standard deviations of their coefficients for a force of peak 1
+    #: (3,), of a low-pass of linear phase in the chain: edge, width of the edge [Hz] and delay [s]; None without one
+    linear_phase: Floats | None = None
+
+    def gain(self, frequencies: NDArray[np.floating]) -> NDArray[np.complex128]:
+        """Return the gain of the sensor chain at frequencies [Hz]."""
+        out = gain(self.filters, frequencies)
+        return out if self.linear_phase is None else out * linear_phase_gain(frequencies, *self.linear_phase.tolist())
+
+    @property
+    def delay(self) -> float:
+        """Delay of a low-pass of linear phase [s]."""
+        return 0.0 if self.linear_phase is None else float(self.linear_phase[2])
 
     @property
     def poles(self) -> NDArray[np.complex128]:
@@ -161,6 +174,8 @@ class Beam:
             arrays["beam.sensors"] = self.shares
         if self.errors is not None:
             arrays["beam.errors"] = self.errors
+        if self.linear_phase is not None:
+            arrays["beam.linear_phase"] = self.linear_phase
         # A file contains no empty array.
         return {name: array for name, array in arrays.items() if array.size}
 
@@ -196,6 +211,7 @@ class Beam:
             filters=_complex("filters", stored["filters"]),
             shapes=stored["shapes"],
             deviations=stored["deviations"],
+            linear_phase=stored.get("linear_phase"),
         )
         beam.check()
         return replace(beam, derivatives=int(beam.derivatives))
@@ -226,6 +242,14 @@ class Beam:
             and self.shares.ndim == 2
             and self.shares.shape[1] == n_modes
             and _inside(np.abs(self.shares).max(axis=1, initial=0.0), *_SHARES)
+            and (
+                self.linear_phase is None
+                or (
+                    self.linear_phase.shape == (3,)
+                    and _inside(self.linear_phase[:2] / self.sampling_rate, *_CUT_OFFS)
+                    and 0 <= self.linear_phase[2] <= FORCE_TIME
+                )
+            )
             and (self.errors is None or (self.errors.shape == (len(CORRECTED), n_modes) and _inside(self.errors, 0, 1)))
         )
         if not sound:
@@ -281,11 +305,20 @@ def gain(poles: NDArray[np.complex128], frequencies: NDArray[np.floating]) -> ND
     return out
 
 
+def linear_phase_gain(
+    frequencies: NDArray[np.floating], edge: float, width: float, delay: float
+) -> NDArray[np.complex128]:
+    """Return the gain of a brick wall at an edge, smoothed by a Gaussian of a standard deviation `width`, and late."""
+    # Its impulse response is a sinc times a Gaussian, which ends: a filter of finite impulse response.
+    height = [0.5 * math.erfc(place) for place in ((np.abs(frequencies) - edge) / (math.sqrt(2) * width)).tolist()]
+    return np.asarray(np.array(height) * np.exp(-2j * np.pi * frequencies * delay))
+
+
 def filtered(beam: Beam, forces: Floats) -> Floats:
     """Return forces (..., n_points), `FINE` points to a sample, after the filters of a beam."""
     n_points = forces.shape[-1]
     spectrum = np.fft.rfft(forces, 2 * n_points, axis=-1)
-    spectrum *= gain(beam.filters, np.fft.rfftfreq(2 * n_points, 1 / (FINE * beam.sampling_rate)))
+    spectrum *= beam.gain(np.fft.rfftfreq(2 * n_points, 1 / (FINE * beam.sampling_rate)))
     return np.asarray(np.fft.irfft(spectrum, axis=-1)[..., :n_points])
 
 

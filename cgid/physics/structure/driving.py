@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import cache
 from typing import Any, Protocol
 
 import numpy as np
+from numpy import fft
 from numpy.polynomial import legendre
 from numpy.typing import NDArray
 
@@ -32,6 +34,15 @@ class Pulses(Protocol):
 
     def add_to_frames(self, frames: NDArray[Any], sampling_rate: Any, onset: Any, *, tolerance: float) -> None:
         """Add the forces to frames (n, n_samples), each with its sampling rate, within an error over the peak."""
+
+
+class ImpulseResponse(Protocol):
+    """A filter of finite impulse response, which comes to its middle after `delay` [s]."""
+
+    @property
+    def delay(self) -> float: ...  # noqa: D102
+    def taps(self, step: float) -> Floats:
+        """Return its impulse response at steps [s], times the step."""
 
 
 def steps_for(tolerance: float) -> int:
@@ -94,10 +105,18 @@ def polynomials_for(phase: float, tolerance: float) -> int:
 class Windows:
     """The forces of n pulses that begin at `onset` [s], each on its own grid, as fine as its contact needs."""
 
+    # `smooth` are filters of linear phase, through which the forces pass.
     # stride : steps per sample, a power of 2, (n,); strides, level : the distinct ones, and the index of each pulse's
     # force, drive : force [N], and the force corrected for linear interpolation, (n, n_steps)
 
-    def __init__(self, pulses: Pulses, onset: Floats, sampling_rate: float, tolerance: float) -> None:
+    def __init__(
+        self,
+        pulses: Pulses,
+        onset: Floats,
+        sampling_rate: float,
+        tolerance: float,
+        smooth: Sequence[ImpulseResponse] = (),
+    ) -> None:
         duration = pulses.contact_duration * sampling_rate
         fraction, exponent = np.frexp(steps_for(tolerance) / duration)
         needed = np.maximum(exponent - (fraction == 0.5), 0).astype(np.int64)  # log2, rounded up
@@ -112,11 +131,17 @@ class Windows:
         position = onset * sampling_rate
         self.first = np.floor(position).astype(np.int64)
         # Two steps without force follow the contact, as the correction below reaches past its end.
-        end = np.floor(position + pulses.end_of_contact * sampling_rate + 2 / self.stride).astype(np.int64) + 1
+        last = pulses.end_of_contact + 2 * sum(part.delay for part in smooth)
+        end = np.floor(position + last * sampling_rate + 2 / self.stride).astype(np.int64) + 1
         self.count = end - self.first
         force = np.zeros((len(onset), int((self.count * self.stride).max(initial=0)) + 1))
         since = (position - self.first) / sampling_rate
         pulses.add_to_frames(force, sampling_rate * self.stride, since, tolerance=_SHARE_OF_FORCE * tolerance)
+        for part in smooth:
+            for stride in self.strides.tolist():
+                rows, taps = self.stride == stride, part.taps(1 / (sampling_rate * stride))
+                n = force.shape[1] + taps.size
+                force[rows] = fft.irfft(fft.rfft(force[rows], n) * fft.rfft(taps, n), n)[:, : force.shape[1]]
         # The mean error of linear interpolation is a twelfth of the second difference.
         drive = force.copy()
         drive[:, 1:-1] -= (force[:, 2:] - 2 * force[:, 1:-1] + force[:, :-2]) / 12

@@ -22,7 +22,7 @@ from cgid.measure.modal.modes import Modes, residues, resonator_poles
 from cgid.physics.contact.curves import in_parts
 from cgid.physics.structure.driving import DrivenSample, Pulses, Windows, polynomials_for
 
-__all__ = ["Filter", "HighPass", "LowPass", "Resonance", "Response"]
+__all__ = ["Filter", "HighPass", "LinearPhase", "LowPass", "Resonance", "Response"]
 
 #: Quantities of a sensor on a beam, and the number of time derivatives of the displacement.
 DERIVATIVES = {"displacement": 0, "velocity": 1, "acceleration": 2}
@@ -31,6 +31,9 @@ Quantity = Literal["force", "displacement", "velocity", "acceleration"]
 #: Relative distance below which a filter's pole is moved away from another pole, since their residues would be large
 #: and cancel. So a mounting resonance may shift by up to .2 % if a mode has the same frequency.
 _MIN_DISTANCE = 1e-3
+#: A Gaussian edge falls from 99 % to 1 % within so many standard deviations; that of an impulse response ends after so
+#: many, at 4e-6.
+_TO_ONE_PER_CENT, _LENGTH = 4.6527, 5.0
 #: Samples in the table of exponentials: with a hundred poles it fits into the cache.
 _TABLE = 256
 
@@ -110,7 +113,50 @@ class HighPass:
         return np.array([-2 * np.pi * self.frequency], complex)
 
 
-Filter = Resonance | LowPass | HighPass
+@dataclass(frozen=True, kw_only=True)
+class LinearPhase:
+    """A low-pass of linear phase and finite impulse response, as of a sigma-delta converter.
+
+    All frequencies come late by the same delay: half the length of the impulse response, a sinc under a Gaussian.
+
+    Parameters
+    ----------
+    frequency : float [Hz]
+        Half-amplitude (6 dB) point.
+    transition : float
+        From 99 % to 1 % of the amplitude, over `frequency`; 0.05 to 1.
+    """
+
+    frequency: float
+    transition: float = 0.2
+
+    def __post_init__(self) -> None:
+        validation.positive("frequency of the low-pass", self.frequency, "Hz")
+        validation.between("transition of the low-pass", self.transition, 0.05, 1.0)
+
+    @property
+    def poles(self) -> Complex:
+        """None: it acts on the force."""
+        return np.empty(0, complex)
+
+    @property
+    def width(self) -> float:
+        """Standard deviation of the Gaussian that smooths the edge [Hz]."""
+        return self.transition * self.frequency / _TO_ONE_PER_CENT
+
+    @property
+    def delay(self) -> float:
+        """Half the length of the impulse response [s]."""
+        return _LENGTH / (2 * np.pi * self.width)
+
+    def taps(self, step: float) -> Floats:
+        """Return the impulse response at steps [s], times the step."""
+        time = step * np.arange(int(2 * self.delay / step) + 1) - self.delay
+        own = np.sinc(2 * self.frequency * time) * np.exp(-0.5 * (2 * np.pi * self.width * time) ** 2)
+        return np.asarray(2 * self.frequency * step * own)
+
+
+Filter = Resonance | LowPass | HighPass | LinearPhase
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -127,7 +173,7 @@ class Response:
         What the sensor measures: the contact force itself, or a motion of the beam.
     modes : Modes, optional
         Modes of the beam; None for a force.
-    filters : tuple of Resonance, LowPass or HighPass
+    filters : tuple of Resonance, LowPass, HighPass or LinearPhase
         Filters of the sensor and the recorder.
     tolerance : float
         Permitted error over the largest sample; sets the steps per contact and which quiet poles are omitted.
@@ -149,6 +195,8 @@ class Response:
                 f"modes must be left out for a force, and given for a motion of the beam, got {self.quantity} "
                 f"{'without' if self.modes is None else 'with'} modes"
             )
+        if self.modes is None and self._smooth:
+            raise InvalidValue("filters must be without a linear phase for a force; use a zero-phase low-pass")
         if self.modes is None and not self.filters:
             raise InvalidValue("filters must be at least 1 for a force: the recording is the force itself")
 
@@ -190,8 +238,17 @@ class Response:
 
     @property
     def _passes(self) -> bool:
-        """Whether the filters pass the highest frequencies."""
-        return all(isinstance(part, HighPass) for part in self.filters)
+        """Whether the filters pass the highest frequencies of the force, perhaps smoothed by those of linear phase."""
+        return all(isinstance(part, HighPass | LinearPhase) for part in self.filters)
+
+    @property
+    def _smooth(self) -> list[LinearPhase]:
+        return [part for part in self.filters if isinstance(part, LinearPhase)]
+
+    @property
+    def lengthened(self) -> float:
+        """By how much filters of linear phase lengthen a force [s]."""
+        return 2 * sum(part.delay for part in self._smooth)
 
     @cached_property
     def _residues(self) -> tuple[Complex, Complex]:
@@ -257,7 +314,12 @@ class Response:
         s = 2j * np.pi * np.asarray(frequencies)[:, None]
         pole, half = self.poles[None], np.where(self.poles.imag != 0, 0.5, 1.0) * amplitude[0]
         other = np.where(self.poles.imag != 0, half.conjugate() / (s - pole.conjugate()), 0.0)
-        return np.asarray(direct[0] + (half / (s - pole) + other).sum(axis=1))
+        out = direct[0] + (half / (s - pole) + other).sum(axis=1)
+        for part in self._smooth:
+            step = 1 / (16 * part.frequency)
+            taps = part.taps(step)
+            out = out * (np.exp(-s * step * np.arange(taps.size)) @ taps)
+        return np.asarray(out)
 
     def audible(self, participation: Floats | None) -> NDArray[np.intp]:
         """Return the poles needed for these pulses, the slowest decay first.
@@ -301,7 +363,7 @@ class Response:
         if ratio is not None:
             amplitude, direct = amplitude * ratio[:, None], direct * ratio
         parts = np.ascontiguousarray(np.stack([amplitude.real, amplitude.imag], axis=1))
-        windows = Windows(pulses, onset, self.sampling_rate, self.tolerance)
+        windows = Windows(pulses, onset, self.sampling_rate, self.tolerance, self._smooth)
         ringing = np.empty_like(parts)
         turn = np.ascontiguousarray(self._exponentials[:, selected, 1])
         driven = self._driven(selected, windows.strides)

@@ -13,7 +13,7 @@ from pydantic import field_validator, model_validator
 
 from cgid._lib.validation import Floats, Rule
 from cgid.measure.filters import SENSOR_TAPER, fft_filter
-from cgid.physics.structure.response import Filter, HighPass, LowPass, Resonance
+from cgid.physics.structure.response import Filter, HighPass, LinearPhase, LowPass, Resonance
 from cgid.scene.file.background import QUANTITIES, ColouredNoise
 from cgid.scene.file.distributions import (
     LIMITS,
@@ -32,6 +32,8 @@ from cgid.units import parse
 _LEVELS = {"absolute_noise": "", "noise_density": " noise density", "range": "", "offset": "", "drift": " per time"}
 #: An offset, or its change: of either sign.
 _Shift = Annotated[Number, Quantity(rule=Rule(-1e15, 1e15))]
+#: Transition of a filter of linear phase over its edge, by default.
+TRANSITION = 0.2
 #: Minimum full scale relative to a peak.
 _MIN_SCALE = 1e-25
 #: Samples of a recording with one address: the longest period of a stream's coloured noise.
@@ -48,12 +50,38 @@ class Mounting(Section):
 
 
 class AntiAlias(Section):
-    """The Butterworth low-pass before the converter; `frequency` is its -3 dB point."""
+    """The low-pass before the converter: a Butterworth filter, or one of linear phase as of sigma-delta converters."""
 
     frequency: Frequency
-    """-3 dB point."""
+    """-3 dB point; -6 dB point of a linear phase."""
     order: Annotated[WholeNumber, Quantity(rule=Rule(1, 12))] = 8
-    """Order of the filter."""
+    """Order of a Butterworth filter."""
+    kind: Literal["butterworth", "linear-phase"] | None = None
+    """Butterworth by default. A filter of linear phase has a finite impulse response, a sinc under a Gaussian, and
+    delays all frequencies by half its length; for motions of a beam.
+    """
+    transition: Annotated[Number, Quantity("ratio", Rule(0.05, 1))] | None = None
+    """Of a linear phase: from 99 % to 1 % of the amplitude, over the frequency; 0.2 by default."""
+
+    @model_validator(mode="after")
+    def _parts_fit(self) -> Self:
+        if self.linear and self.order != AntiAlias.model_fields["order"].default:
+            raise ValueError("order must be left out, a filter of linear phase has none")
+        if self.transition is not None and not self.linear:
+            raise ValueError("transition must be left out of a Butterworth filter; give order, or kind linear-phase")
+        return self
+
+    @property
+    def linear(self) -> bool:
+        """Whether its phase is linear."""
+        return self.kind == "linear-phase"
+
+    @property
+    def filter(self) -> LowPass | LinearPhase:
+        """The filter itself."""
+        if self.linear:
+            return LinearPhase(frequency=self.frequency, transition=self.transition or TRANSITION)
+        return LowPass(frequency=self.frequency, order=self.order)
 
 
 class Sensor(Section):
@@ -127,6 +155,8 @@ class Sensor(Section):
     def _parts_fit(self) -> Self:
         if self.bandwidth is not None and self.anti_alias is not None:
             raise ValueError("must have either bandwidth (zero phase) or anti_alias (causal)")
+        if self.quantity == "force" and self.anti_alias is not None and self.anti_alias.linear:
+            raise ValueError("anti_alias.kind must be butterworth for a force, or bandwidth a zero-phase low-pass")
         if self.gain is not None and self.quantity == "force":
             raise ValueError("gain must be left out for a force, it applies to motions of the beam")
         if self.gain == 0:
@@ -181,7 +211,7 @@ class Sensor(Section):
 
     @property
     def filters(self) -> tuple[Filter, ...]:
-        """The filters with poles: mounting, anti-alias and AC coupling."""
+        """The filters: mounting, anti-alias and AC coupling."""
         return _filters(self.mounting, self.anti_alias, self.ac_coupling)
 
     @property
@@ -243,7 +273,7 @@ def _filters(mounting: Mounting | None, anti_alias: AntiAlias | None, coupling: 
     if mounting is not None:
         parts.append(Resonance(**mounting.model_dump()))
     if anti_alias is not None:
-        parts.append(LowPass(**anti_alias.model_dump()))
+        parts.append(anti_alias.filter)
     if coupling is not None:
         parts.append(HighPass(frequency=coupling))
     return tuple(parts)

@@ -245,7 +245,7 @@ def settled(scene: Scene, settings: Mapping[str, float]) -> Scene:
     edge = settings.get("anti_alias_frequency")
     if edge is not None:
         given = scene.sensor.anti_alias or AntiAlias(frequency=1.0)
-        sensor["anti_alias"] = None if np.isnan(edge) else AntiAlias(frequency=edge, order=given.order)
+        sensor["anti_alias"] = None if np.isnan(edge) else given.model_copy(update={"frequency": edge})
     background = scene.background
     if settings.get("hum", 0.0) > 0:
         frequency = settings.get("hum_frequency", HUM_FREQUENCY)

@@ -25,6 +25,7 @@ from cgid.measure.features.pulses import FAINT
 from cgid.measure.fit.family import MIN_RESTITUTION
 from cgid.physics.contact.bodies import ThinPlate
 from cgid.physics.contact.laws import HuntCrossley
+from cgid.physics.structure.response import LinearPhase
 from cgid.scene.file.gravity import largest_error, tolerance_of
 from cgid.scene.file.schema import Scene, load_scene, samples_of
 from cgid.scene.file.sensor import CHUNK
@@ -63,6 +64,8 @@ BEYOND_BAND = 1.25
 MAX_RESPONSE_FREQUENCY = 20e3
 #: A frequency is in the band if the anti-alias filter passes at least this fraction of its amplitude.
 _MIN_AUDIBLE = 0.1
+#: A Gaussian edge passes that after so many standard deviations.
+_TO_A_TENTH = 1.2816
 #: Filters of the sensor that may be drawn, and by which key.
 _DRAWN_FILTERS = {"anti-alias": "anti_alias_frequency", "AC coupling": "ac_coupling"}
 #: Longer lists of features are abbreviated.
@@ -293,6 +296,8 @@ def highest_frequency(scene: Scene) -> float:
     anti_alias = scene.sensor.anti_alias
     if anti_alias is None:
         return BEYOND_BAND * scene.sampling.sampling_rate / 2
+    if isinstance(linear := anti_alias.filter, LinearPhase):
+        return BEYOND_BAND * (linear.frequency + _TO_A_TENTH * linear.width)
     # A Butterworth filter passes 1 / sqrt(1 + (f / edge)^(2 order)).
     return float(
         BEYOND_BAND * anti_alias.frequency * np.power(1 / (_MIN_AUDIBLE * _MIN_AUDIBLE) - 1, 0.5 / anti_alias.order)
@@ -406,7 +411,10 @@ def _sensor_chain(plan: Plan) -> str | StageDecision:
         return StageDecision(True, why, RESPONSE_TOLERANCE)
     if not on:
         return ""
-    return StageDecision(True, f"{on}: {sum(part.poles.size for part in sensor.filters)} poles", RESPONSE_TOLERANCE)
+    linear = next((part for part in sensor.filters if isinstance(part, LinearPhase)), None)
+    late = "" if linear is None else f" of linear phase, {1e3 * linear.delay:.3g} ms late"
+    n_poles = sum(part.poles.size for part in sensor.filters)
+    return StageDecision(True, f"{on}{late}: {n_poles} poles", RESPONSE_TOLERANCE)
 
 
 def _frame_remainder(plan: Plan) -> str | StageDecision:

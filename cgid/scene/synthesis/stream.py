@@ -173,7 +173,7 @@ def _add_response(
     # The slowest pole decays to its fraction of the response's tolerance in this time.
     poles = recorder.response.poles
     ringing = float(np.log(poles.size / RESPONSE_TOLERANCE) / -poles.real.max())
-    end = columns["time"].max() + pulses.end_of_contact.max() + ringing
+    end = columns["time"].max() + pulses.end_of_contact.max() + recorder.response.lengthened + ringing
     stop = int(min(np.ceil(end * rate), last))
     frames = axis.until(stop)[None, first - axis.first :]
     onset = (columns["time"] * rate - first) / rate

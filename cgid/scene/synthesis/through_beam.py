@@ -12,9 +12,20 @@ from scipy.linalg import eigh
 
 from cgid._lib.validation import Floats
 from cgid.errors import InvalidValue
-from cgid.measure.modal.beam import FINE, MAX_SENSORS, RATES, SPAN_TIME, TOUCH, Beam, bounded, filtered, points_of
+from cgid.measure.modal.beam import (
+    FINE,
+    FORCE_TIME,
+    MAX_SENSORS,
+    RATES,
+    SPAN_TIME,
+    TOUCH,
+    Beam,
+    bounded,
+    filtered,
+    points_of,
+)
 from cgid.measure.modal.modes import Modes, NodeShapes, nodes
-from cgid.physics.structure.response import DERIVATIVES, HighPass
+from cgid.physics.structure.response import DERIVATIVES, HighPass, LinearPhase
 from cgid.scene.file.schema import Scene, parse_scene, stored_scene
 from cgid.scene.synthesis.draws import BLOCK
 from cgid.scene.synthesis.impacts import beam_modes, draw
@@ -25,6 +36,8 @@ if TYPE_CHECKING:
 
 #: Pulses drawn for the principal shapes, in blocks of 256, their seed, and the number of shapes.
 _BLOCKS, _SEED, N_SHAPES = 12, 0x5EED_0002_C9D1, 18
+#: Longest delay of a filter in a table of forces [s].
+_DELAY = 0.3 * FORCE_TIME
 #: Multiples of the golden section fill an interval evenly.
 _GOLDEN = 0.6180339887498949
 #: Chebyshev nodes to a wave of the highest mode, and beyond.
@@ -52,6 +65,7 @@ def beam_of(scene: Scene, n_shapes: int = N_SHAPES, sensors: Iterable[tuple[floa
             at_sensor=at_sensors / np.where(best == 0, 1, best) if len(at_sensors) > 1 else np.ones_like(at_sensors),
         ),
         filters=np.concatenate([np.empty(0, complex), *(part.poles for part in chain)]),
+        linear_phase=next((linear_phase_of(part) for part in chain if isinstance(part, LinearPhase)), None),
         derivatives=DERIVATIVES[scene.sensor.quantity],
         shapes=np.zeros((0, points_of(rate))),
         deviations=np.zeros(0),
@@ -63,6 +77,12 @@ def beam_of(scene: Scene, n_shapes: int = N_SHAPES, sensors: Iterable[tuple[floa
     power, shapes = eigh(responses.T @ responses, subset_by_index=(n_points - n_shapes, n_points - 1))
     power, mixes = power[::-1], responses @ (shapes / power)[:, ::-1]
     return replace(beam, shapes=mixes.T @ forces, deviations=np.sqrt(power / len(forces)))
+
+
+def linear_phase_of(part: LinearPhase, longest: float = _DELAY) -> Floats:
+    """Return a filter of linear phase as in `Beam.linear_phase`."""
+    # A recorder may be later: the onset is sought. What comes earlier than the delay is lost.
+    return np.array([part.frequency, part.width, min(part.delay, longest)])
 
 
 def through_modes(scene: Scene, beam: Beam) -> Beam:
@@ -140,9 +160,8 @@ def shared_beam(
 def _rig(scene: Scene) -> tuple[Any, ...]:
     """Return what the modes and the sensor of a scene follow from."""
     content, sensor = json.loads(scene.text), scene.sensor
-    filters = [pole for part in sensor.filters for pole in part.poles.tolist()]
     steel = content["impact"].get("target")
-    return content["tail_beam"], steel, sensor.quantity, filters, scene.sampling.sampling_rate
+    return content["tail_beam"], steel, sensor.quantity, sensor.filters, scene.sampling.sampling_rate
 
 
 def contact_forces(scene: Scene) -> Floats:
