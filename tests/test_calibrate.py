@@ -511,8 +511,8 @@ def test_a_filter_of_linear_phase_is_looked_through(known):
     estimate, contact = ThroughBeam(beam_of(scene)).look(VibrationBatch(batch.signals, RATE, BEFORE))
     assert np.median(np.abs(estimate.x - batch.parameters["impact_x"])) < 2e-3
     assert np.median(estimate.unexplained) < 1e-3 and np.nanmedian(contact.outside) < 0.02
-    off = np.log(contact.peak / batch.parameters["peak_force"]) / np.sqrt(contact.covariance[:, 0, 0])
-    assert np.median(np.abs(off)) < 1.3
+    off = np.log(contact.peak / batch.parameters["peak_force"])
+    assert np.median(np.abs(off)) < 0.08  # .06 through a Butterworth filter of order 4
     # Its delay is kept in a model file as far as the table of forces has room.
     beam = beam_of(scene)
     again = type(beam).from_arrays(beam.arrays)
