@@ -451,7 +451,9 @@ class _Sensor:
         n = len(self.impacts)
         parts = [np.split(self.evidence, [at]) for at in (n * np.arange(1, 20) // 20).tolist()]
         return any(
-            self._is_foreign(*both, least, foreign) or self._is_foreign(*both[::-1], least, foreign) for both in parts
+            self._is_foreign(own, rest, least, foreign)
+            for before, after in parts
+            for own, rest in ((before, after), (after, before))
         )
 
     def _is_foreign(
@@ -471,7 +473,7 @@ class _Sensor:
             alone.approach()
             inversion = Inversion(heard.corrected(alone.places[0], alone.correction))
             found = [evidence_of(inversion, self.impacts.taken(one))[0] for one in (own, rest)]
-            if self._is_foreign(*found, least, foreign, _PERHAPS):
+            if self._is_foreign(found[0], found[1], least, foreign, _PERHAPS):
                 return True
         return False
 
