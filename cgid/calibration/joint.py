@@ -127,32 +127,31 @@ def gram_of(
     band: tuple[float, float],
     delay: float = 0.0,
 ) -> Gram:
-    """Return the products in a band [Hz] for forces recorded `delay` [s] too late."""
-    n, n_bins = len(blows), 0
+    """Return the products of equally long taps in a band [Hz] for forces recorded `delay` [s] too late."""
+    n = len(blows)
     size = 2 * pole.size
     matrix, vector, power = np.zeros((n, size, size)), np.zeros((n, size)), np.zeros(n)
-    for k, blow in enumerate(blows):
-        n_samples = blow.response.size
-        spectrum = np.fft.rfft(blow.response) / sampling_rate
-        inside = bins_in(n_samples, sampling_rate, band)
-        n_bins += inside.size
-        power[k] = np.sum(np.square(np.abs(spectrum[inside])))
-        for first in range(0, inside.size, _BINS):
-            part = inside[first : first + _BINS]
-            stretch = Stretch(
-                pole=pole,
-                bins=part,
-                n_samples=n_samples,
-                sampling_rate=sampling_rate,
-                derivatives=derivatives,
-            )
+    n_samples = blows[0].response.size  # of all
+    inside = bins_in(n_samples, sampling_rate, band)
+    spectra = [np.fft.rfft(blow.response)[inside] / sampling_rate for blow in blows]
+    for first in range(0, inside.size, _BINS):
+        part = slice(first, first + _BINS)
+        stretch = Stretch(
+            pole=pole,
+            bins=inside[part],
+            n_samples=n_samples,
+            sampling_rate=sampling_rate,
+            derivatives=derivatives,
+        )
+        for k, (blow, spectrum) in enumerate(zip(blows, spectra, strict=True)):
             before = np.zeros(pole.size, complex)
             for ago, force in blow.earlier:
                 before += stretch.states(force, ago, delay)
             columns = np.concatenate(stretch.by_mode(blow.force, before, delay), axis=1)
+            power[k] += np.sum(np.square(np.abs(spectrum[part])))
             matrix[k] += (columns.conj().T @ columns).real
             vector[k] += (columns.conj().T @ spectrum[part]).real
-    return Gram(matrix, vector, np.maximum(power, 1e-300), n_bins)
+    return Gram(matrix, vector, np.maximum(power, 1e-300), n * inside.size)
 
 
 @dataclass(frozen=True, eq=False)

@@ -157,7 +157,8 @@ def _cores(band: tuple[float, float], duration: float) -> Iterator[tuple[float, 
 class _Band:
     """The decays in one band: bins of their transform."""
 
-    # `line` (n_bins,): frequencies [rad/s]; `bins` (n_bins, n_decays): transform over the square root of the length.
+    # `line` (n_bins,): frequencies [rad/s]; `bins` (n_bins, n_decays): transform over the square root of the length,
+    # `free` the same with the background projected out.
 
     def __init__(self, decays: Floats, whole: Complexes, sampling_rate: float, core: tuple[float, float]) -> None:
         # `whole` is the transform of the decays.
@@ -170,8 +171,18 @@ class _Band:
         selected = np.flatnonzero((frequency >= low) & (frequency <= high))
         self.line, self.bins = 2 * np.pi * frequency[selected], spectrum[selected]
         self.centre, self.half = np.pi * (low + high), np.pi * (high - low)
-        self.background = np.polynomial.chebyshev.chebvander((self.line - self.centre) / self.half, _DEGREE)
+        self.take_background(np.polynomial.chebyshev.chebvander((self.line - self.centre) / self.half, _DEGREE))
         self.chart = np.empty((0, 4))
+
+    def take_background(self, background: Floats | Complexes) -> None:
+        """Set the columns (n_bins, n) of everything that is no mode of the band."""
+        self.background = background
+        self._orthonormal = np.linalg.qr(background)[0]
+        self.free = self.without_background(self.bins)
+
+    def without_background(self, columns: Complexes) -> Complexes:
+        """Return columns (n_bins, n) with the background projected out."""
+        return np.asarray(columns - self._orthonormal @ (self._orthonormal.conj().T @ columns))
 
     # -- least squares at every order ---------------------------------------------------------------------
 
@@ -267,7 +278,7 @@ class _Band:
         distance = np.abs(beyond[:, None] - fit.pole).min(axis=1, initial=np.inf)
         beyond = beyond[distance > -2 * beyond.real]
         inverse = 1 / (1j * self.line[:, None] - beyond)
-        self.background = np.concatenate([self.background, inverse / np.linalg.norm(inverse, axis=0)], axis=1)
+        self.take_background(np.concatenate([self.background, inverse / np.linalg.norm(inverse, axis=0)], axis=1))
         return self._pruned(_refined(_Fit(self, fit.pole)))
 
     def in_core(self, pole: Complexes) -> NDArray[np.bool_]:
@@ -339,22 +350,23 @@ class _Fit:
     """Poles in a band, with their amplitudes."""
 
     # `pole` (n_poles,) [1/s]; `blur` (n_poles,): additional standard deviations of modes with non-exponential decay;
-    # `coefficients` (n_poles + background, n_decays); `left` (n_bins, n_decays): residual; `power`: its sum of squares.
+    # `coefficients` (n_poles, n_decays); `left` (n_bins, n_decays): residual; `power`: its sum of squares.
 
     def __init__(self, band: _Band, pole: Complexes, blur: Complexes | None = None) -> None:
         self.band, self.pole = band, pole
         self.blur = np.zeros(pole.size, complex) if blur is None else blur
         inverse = 1 / (1j * band.line[:, None] - pole)
-        # Columns of norm 1, so that orders of magnitude do not matter.
+        # Columns of norm 1, so that orders of magnitude do not matter; the background is projected out (Frisch 1933).
         self.scale = 1 / np.maximum(np.linalg.norm(inverse, axis=0), 1e-300)
-        self.basis = np.concatenate([inverse * self.scale, band.background], axis=1)
-        self.q, self.r = np.linalg.qr(self.basis)
+        self.basis = inverse * self.scale
+        free = band.without_background(self.basis)
+        self.q, self.r = np.linalg.qr(free)
         size = np.abs(np.diag(self.r))
-        target = self.q.conj().T @ band.bins
+        target = self.q.conj().T @ band.free
         # The pseudo-inverse is the costly part, and most fits are steps that need no more than their residual.
-        sound = size.min() > _SINGULAR * size.max()
+        sound = size.min(initial=1.0) > _SINGULAR
         self.coefficients = np.linalg.solve(self.r, target) if sound else self.inverse @ target
-        self.left = band.bins - self.basis @ self.coefficients
+        self.left = band.free - free @ self.coefficients
         self.power = float(np.sum(np.square(np.abs(self.left))))
 
     @cached_property
@@ -377,7 +389,8 @@ class _Fit:
     def freedom(self) -> float:
         """Complex degrees of freedom of the residual."""
         n_bins, n_decays = self.band.bins.shape
-        return float(max(n_decays * (n_bins - self.basis.shape[1]) - self.pole.size, 1))
+        n_columns = self.pole.size + self.band.background.shape[1]
+        return float(max(n_decays * (n_bins - n_columns) - self.pole.size, 1))
 
     @property
     def price(self) -> float:
@@ -398,28 +411,25 @@ class _Fit:
 
     def gains(self) -> Floats:
         """Return the loss of twice the log-likelihood without each pole, (n_poles,)."""
-        row_norms = np.square(np.abs(self.inverse)).sum(axis=1)[: self.pole.size]
-        power = np.square(np.abs(self.coefficients[: self.pole.size])).sum(axis=1)
+        row_norms = np.square(np.abs(self.inverse)).sum(axis=1)
+        power = np.square(np.abs(self.coefficients)).sum(axis=1)
         return np.asarray(2 * power / row_norms / max(self.noise, 1e-300))
 
     def _bends(self) -> Complexes:
         """Return how the basis changes with each pole [s], (n_bins, n_poles)."""
-        return self.basis[:, : self.pole.size] / (1j * self.band.line[:, None] - self.pole)
-
-    def jacobian(self) -> Complexes:
-        """Return slopes (2 n_poles, n_bins, n_decays) in real and imaginary parts of the poles (Kaufman 1975)."""
-        bends = self._bends()
-        bends = bends - self.q @ (self.q.conj().T @ bends)
-        slopes = bends.T[:, :, None] * self.coefficients[: self.pole.size, None, :]
-        return np.concatenate([slopes, 1j * slopes])
+        return np.asarray(self.basis / (1j * self.band.line[:, None] - self.pole))
 
     def equations(self) -> tuple[Floats, Floats]:
-        """Return the curvature (n, n) in the poles' parts and the gradient of each decay (n_decays, n)."""
-        slopes = self.jacobian()
-        flat = slopes.reshape(len(slopes), -1)
-        curvature = (flat.conj() @ flat.T).real
-        pulls = np.einsum("pkj,kj->jp", slopes.conj(), self.left).real
-        return curvature, pulls
+        """Return curvature (n, n) and gradient of each decay (n_decays, n) in real and imaginary parts of the poles."""
+        # The residual of decay j bends by a column times its coefficient (Kaufman 1975), so that products over bins and
+        # over decays separate.
+        bends = self.band.without_background(self._bends())
+        bends = bends - self.q @ (self.q.conj().T @ bends)
+        mirrored, turned = bends.conj().T, self.coefficients.conj()
+        both = (mirrored @ bends) * (turned @ self.coefficients.T)
+        curvature = np.block([[both.real, -both.imag], [both.imag, both.real]])
+        pulls = turned * (mirrored @ self.left)
+        return curvature, np.concatenate([pulls.real, pulls.imag]).T
 
     def covariance(self) -> Floats:
         """Return the covariance of real and imaginary parts of the poles, (2 n_poles, 2 n_poles) [1/s^2]."""
@@ -456,12 +466,12 @@ class _Fit:
         # A sum over n samples of exp(s t) is (1 - exp(s n step)) / (1 - exp((s - j w) step)), near w = Im s it is (1 -
         # exp(s n step)) / ((j w - s) step) plus a smooth term. Half of a cosine is in its mirror image.
         factor = 2 * step * np.sqrt(band.n_samples) / (1 - np.exp(self.pole * band.n_samples * step))
-        variance = self.noise * np.square(np.abs(self.inverse)).sum(axis=1)[:n]
+        variance = self.noise * np.square(np.abs(self.inverse)).sum(axis=1)
         moved = self.inverse @ (self.q.conj().T @ self._bends())
-        covariance, parts = self.covariance(), self.coefficients[:n]
+        covariance, parts = self.covariance(), self.coefficients
         by_pole = np.empty((parts.shape[1], n))
         for decay in range(parts.shape[1]):
-            slope = moved[:n] * parts[:, decay]
+            slope = moved * parts[:, decay]
             directions = np.concatenate([slope, 1j * slope], axis=1)
             by_pole[decay] = np.einsum("ap,pq,aq->a", directions, covariance, directions.conj()).real
         size = np.abs(factor) * self.scale
