@@ -70,6 +70,8 @@ RINGS = 30.0
 _FLOOR = 0.05
 #: A windowed decay is used for this many time constants of the window: later it is rounding, not noise.
 _WINDOWS = 3.0
+#: An exponential window begins within this time of the force, one standard deviation [s].
+_BEGIN = 0.1e-3
 #: Delays of taps within this time are one [s]; so is none. Phases of fewer modes show none.
 _SAME_DELAY, _MIN_PHASES = 1.5e-3, 3
 #: No delay is taken if it leaves less than this fraction of the energy that the delay of the phases leaves.
@@ -336,6 +338,8 @@ def tap_test(  # noqa: PLR0913
         deviation = np.zeros((3, pole.size))
         deviation[:2, : poles.pole.size] = poles.deviation
         deviation[2, fit.kept] = _relative_deviation(fit, poles, len(used))
+        if window_tau is not None:
+            deviation[2, fit.kept] = np.hypot(deviation[2, fit.kept], _BEGIN / window_tau)
         kept_modes = fit.kept[fit.kept < poles.pole.size]
         modes = _modes(pole[kept_modes], fit.value[: kept_modes.size], deviation[:, kept_modes], scaled=True)
         if poles.apart.size > poles.pole.size:
