@@ -131,6 +131,16 @@ def _tapped(folder: Path) -> None:
     _csv(folder / "nan_taps.csv", np.append(samples, np.nan), head)
     (folder / "tap_times.csv").write_text("time_s\n7.5\n")
     (folder / "tap_table.csv").write_text("when\n7.5\n")
+    hits = np.concatenate([quiet, *[80 * (times < 5e-4) * np.sin(2e3 * np.pi * times)] * 2])
+    hits += rng.normal(0, 0.02, hits.size)
+    both = np.stack([np.concatenate([quiet, ring, ring]) + rng.normal(0, 0.02, hits.size), hits], axis=1)
+    titles = "# sampling_rate: 25600 Hz\nacceleration (m/s^2),force (N)"
+    np.savetxt(folder / "hammered.csv", both, "%.4f", ",", header=titles, comments="")
+    (folder / "places.csv").write_text("x_m,y_m\n0.1,0.1\n0.2,0.1\n0.3,0.1\n")
+    (folder / "two_places.csv").write_text("x_m,y_m\n0.1,0.1\n0.2,0.1\n")
+    (folder / "late_places.csv").write_text("time_s,x_m,y_m\n0.1,0.1,0.1\n7.5,0.2,0.1\n")
+    (folder / "half_places.csv").write_text("time_s,x_m\n0.1,0.1\n0.6,0.2\n")
+    (folder / "nowhere.csv").write_text("x_m,y_m\n0.1,here\n0.2,0.1\n")
 
 
 def _spectra(folder: Path) -> None:
@@ -702,12 +712,26 @@ _COMMANDS = r"""
 65 | tap two_taps.csv -o new.csv --contact -1 | contact
 65 | tap two_taps.csv -o new.csv --taps tap_times.csv | 7.5 s
 65 | tap two_taps.csv -o new.csv --taps tap_table.csv | tap_table.csv
+65 | tap two_taps.csv -o new.csv --taps places.csv | --hammer
+65 | tap two_taps.csv -o new.csv --sensor 0.1,0.1 | --taps
+65 | tap hammered.csv --hammer 2 -o new.csv --taps two_places.csv | --sensor
+65 | tap hammered.csv --hammer 2 -o new.csv --taps two_places.csv --sensor here | --sensor
+65 | tap hammered.csv --hammer 2 -o new.csv --taps two_places.csv --sensor 0.1,0.1 --window-tau 30 | --window-tau
+65 | tap hammered.csv --hammer 2 -o new.csv --taps two_places.csv --sensor 0.1,0.1 | 6 places
+65 | tap hammered.csv --hammer 2 -o new.csv --taps places.csv --sensor 0.1,0.1 | got 3 for 2 taps
+65 | tap hammered.csv --hammer 2 -o new.csv --taps late_places.csv --sensor 0.1,0.1 | 7.5 s
+65 | tap hammered.csv --hammer 2 -o new.csv --taps half_places.csv --sensor 0.1,0.1 | half_places.csv
+65 | tap hammered.csv --hammer 2 -o new.csv --taps nowhere.csv --sensor 0.1,0.1 | nowhere.csv, line 2
 65 | tap two_taps.csv -o new.csv --scene reference | reference
 65 | tap two_taps.csv -o new.csv --start-error 0 | --start-error
 65 | tap two_taps.csv -o new.csv --window-tau 0 | --window-tau
 65 | tap two_taps.csv -o new.csv --uff new.uff | --hammer
 73 | tap two_taps.csv -o new.csv --uff new.txt | .uff
 73 | tap two_taps.csv -o modes.csv | modes.csv
+65 | invert two_taps.csv | --modes
+65 | invert two_taps.csv --scene tail_beam --modes modes.csv | --scene
+65 | invert two_taps.csv --scene reference | reference
+65 | invert two_taps.csv --scene tail_beam --band 100 900 | --band
 65 | invert two_taps.csv --modes modes.csv --band 900 100 | band
 65 | invert two_taps.csv --modes modes.csv --band 6000 7000 | --band
 65 | invert two_taps.csv --modes modes.csv --contact 0 | contact

@@ -1,13 +1,16 @@
 """Shapes of a beam without a drawing: a roving hammer on a plate whose modes are sines, made without cgid."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from cgid.calibration import Flaw, roving_test
 from cgid.cli.main import run
+from cgid.cli.options import warn_of_model
 from cgid.errors import BadData
+from cgid.identification.prediction import PredictionSettings, load_model
 from cgid.physics.structure.places import placed
 from cgid.scene import load_scene, parse_scene, synthesise
 from cgid.scene.synthesis.impacts import beam_modes
@@ -213,3 +216,13 @@ def test_tables_of_places_that_do_not_match_are_refused(recording, options, says
     response, force, _, places = recording
     with pytest.raises(BadData, match=says):
         roving_test(response[None], RATE, hammer=force, band=BAND, **{"places": places, "sensor": SENSOR} | options)
+
+
+def test_a_model_of_one_place_says_so(capsys):
+    model = load_model("default-acceleration")
+    arrays = dict(model.arrays) | {"beam.region": np.zeros(4)}
+    arrays["beam.participation"] = arrays["beam.participation"][:, :1, :1]
+    for one in (model, replace(model, arrays=arrays)):
+        warn_of_model("shift.wav", "shift.wav", RATE, one, PredictionSettings())
+    said = [line for line in capsys.readouterr().err.splitlines() if "modes of one place" in line]
+    assert len(said) == 1 and "cgid tap --taps" in said[0]

@@ -680,6 +680,11 @@ def warn_of_model(
             f"{source}: the model corrects the responses of known sensors only; give --sensor NAME if this is one of "
             f"{known}"
         )
+    if model.beam is not None and not model.beam.beam.region.any():
+        warn(
+            f"{source}: the model is of modes of one place: only impacts there are identified; for impacts anywhere "
+            "tap a grid of places (cgid tap --taps places.csv --sensor X,Y), and train on that scene"
+        )
     if model.is_of_few:
         warn(
             f"{source}: the model knows few recordings of each label; its probabilities are valid for recordings like "
