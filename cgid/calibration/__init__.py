@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING
 from cgid._lib.lazy import on_first_use
 
 if TYPE_CHECKING:
+    from cgid.calibration.forces import ImpactForce as ImpactForce
+    from cgid.calibration.forces import forces_in as forces_in
     from cgid.calibration.gain import Calibration as Calibration
     from cgid.calibration.gain import calibrated as calibrated
     from cgid.calibration.modes import SiteCalibration as SiteCalibration
@@ -24,6 +26,7 @@ if TYPE_CHECKING:
 
 #: Module -> the public names that it defines.
 _NAMES = {
+    "forces": ("ImpactForce", "forces_in"),
     "gain": ("Calibration", "calibrated"),
     "modes": ("SiteCalibration", "calibrate", "usable_impacts"),
     "roving": ("RovingTest", "roving_test"),
