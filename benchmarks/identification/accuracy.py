@@ -57,7 +57,7 @@ def main() -> None:
     seconds = time.perf_counter() - start
     told = ", drop height known" if known else ""
     print(f"Scene `{scene.name}`{told}, {n} impacts to train, {n_test} others to judge.\n")
-    print("| | accuracy | ceiling minus it | Brier | calibration error | s |\n|---|---|---|---|---|---|")
+    print("| | accuracy | below the ceiling | Brier | calibration error | training [s] |\n|---|---|---|---|---|---|")
     print(
         f"| ceiling (Bayes' rule; expected {best.accuracy:.4f} ± {best.accuracy_error:.4f}) | "
         f"{best.hits.mean():.4f} | - | {best.brier_score:.4f} | - | {seconds:.0f} |"
