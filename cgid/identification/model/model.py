@@ -771,8 +771,9 @@ class StoredModel(Model):
         except (BadData, InvalidValue) as error:
             # The message may quote long texts of the file.
             reason = textwrap.shorten(str(error), _MAX_MESSAGE_LENGTH, placeholder=" ...")
-            cure = "" if isinstance(error, UnknownFeature) else "; train it again with cgid train"
-            raise BadData(f"{path}: not a valid model: {reason}{cure}") from None
+            if isinstance(error, UnknownFeature):
+                raise BadData(f"{path}: {reason}") from None
+            raise BadData(f"{path}: not a valid model: {reason}; train it again with cgid train") from None
 
     @classmethod
     def from_bytes(cls, content: bytes) -> StoredModel:

@@ -132,8 +132,8 @@ def require_known(name: str) -> None:
         likely = validation.similar(str(name), names, n=5, cutoff=0.3)
         raise UnknownFeature(
             f"feature must be one of the {len(FEATURES)} that `cgid features --list` describes, got {name!r}; most "
-            f"like it are {', '.join(likely) or 'none'}; a feature of your own? name its function first, in "
-            "cgid.measure.features.choose([...])"
+            f"like it are {', '.join(likely) or 'none'}; a feature of your own? In Python, name its function "
+            "first, in cgid.measure.features.choose([...]); for commands, it is an entry point cgid.features"
         )
 
 
