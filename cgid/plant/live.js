@@ -19,7 +19,7 @@ function durationText(seconds) {
 function voidText(data, now, waited) {  // why no decision may be shown
   if (!data) return "no connection to monitor";
   const old = now - data.written, ago = durationText(Math.abs(old));
-  if (data.ended) return old < LATE ? "monitor has ended" : `monitor has ended ${ago} ago`;
+  if (data.ended) return old < LATE ? "monitor has ended" : `monitor ended ${ago} ago`;
   if (waited > LATE) return `no data from monitor for ${durationText(waited)}`;
   if (old < -LATE) return `the clock of this machine is ${ago} behind that of the monitor: set it`;
   if (old <= LATE) return "";
@@ -50,7 +50,7 @@ function groundText(one, old, isVoid) {  // `old` is the age of the data [s]
   const known = isVoid ? `last known: ${words[one.ground]}` : `${words[one.ground]} for ${age(one.ground_since_s)}`;
   const parts = [known + (one.reason ? `: ${one.reason}` : "")];
   if (one.foreign) parts.push(`${one.foreign} unlike the training`);
-  if (one.last_sound_s !== null) parts.push(`last sound sample ${age(one.last_sound_s)} ago`);
+  if (one.last_sound_s !== null) parts.push(`last valid sample ${age(one.last_sound_s)} ago`);
   if (one.last_identified_s !== null) parts.push(`last identified impact ${age(one.last_identified_s)} ago`);
   return parts.join(" · ");
 }

@@ -137,7 +137,7 @@ def _families(supports: list[tuple[Support, Record]], gauge: Any, counter: Any) 
         ("window_impacts", "Identified impacts in the window", lambda one: one["impacts"]),
         ("window_unknown", "Unknown impacts in the window", lambda one: one["unknown"]),
         ("ground_age_seconds", "Time since the ground began", lambda one: age(one, one["ground_since_s"])),
-        ("last_sound_age_seconds", "Time since the last sound sample", lambda one: age(one, one["last_sound_s"])),
+        ("last_sound_age_seconds", "Time since the last valid sample", lambda one: age(one, one["last_sound_s"])),
         (
             "last_identified_age_seconds",
             "Time since the last identified impact",

@@ -82,9 +82,10 @@ class Report:
             yield f"{share.share:.0%}" if share.n_impacts else "-", f"gangue at the end ({interval}{where})"
         for state in self.states if self.threshold is not None else ():
             where = f", channel {state.share.channel}" if len(self.states) > 1 else ""
-            foreign = f", {state.foreign} unlike the training" if state.foreign else ""
-            ground = str(state.ground).replace("_", " ")
-            yield str(state.decision), f"decision at the end ({ground}{foreign}{where})"
+            ground = "" if state.ground == "seen" else str(state.ground).replace("_", " ")
+            foreign = f"{state.foreign} unlike the training" if state.foreign else ""
+            why = ", ".join(part for part in (ground, foreign, where.removeprefix(", ")) if part)
+            yield str(state.decision), "decision at the end" + (f" ({why})" if why else "")
 
     @property
     def has_time_history(self) -> bool:

@@ -133,7 +133,7 @@ def predict(
     Warns
     -----
     UserWarning
-        A channel has no impact, for the reason given, gives no sound samples for five seconds, or has a wrong scale;
+        A channel has no impact, for the reason given, gives no valid samples for five seconds, or has a wrong scale;
         samples that no sensor can give are left out; channels hear the same rocks and are not declared as `same_beam`,
         or one of such channels is left out.
 

@@ -31,7 +31,7 @@ MIN_SHARE_TIME = 0.05
 #: lowest of those tried with which, with and without stated coal, less than one simulated caving cycle in a hundred is
 #: shut more than a window too early (benchmarks/identification/caving_cycle.py --settle).
 COST_LATE, COST_EARLY = 1.0, 6.0
-#: A support is blind after this time without sound samples [s].
+#: A support is blind after this time without valid samples [s].
 BLIND_TIME = 5.0
 #: The rules of settings that are numbers, unless None.
 RULES = {
@@ -156,7 +156,7 @@ class PredictionSettings:
     trained_seam : bool
         The seam is that of the training, so that the gangue fraction takes its rates of errors.
     blind_after : float, optional [s]
-        Time without sound samples after which a support is blind; None: `BLIND_TIME`.
+        Time without valid samples after which a support is blind; None: `BLIND_TIME`.
     give_up : float, optional [s]
         The recording ends where no channel has a sample that a sensor can give for this long; None: it goes on.
     impactors : ExtraColumns, optional
@@ -308,7 +308,7 @@ class PredictionSettings:
 
     @property
     def blinded_after(self) -> float:
-        """Time without sound samples after which a support is blind [s]."""
+        """Time without valid samples after which a support is blind [s]."""
         return BLIND_TIME if self.blind_after is None else self.blind_after
 
     @property
