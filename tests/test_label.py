@@ -288,6 +288,7 @@ def page(site: Any) -> Iterator[Page]:
     opened.wait(ended)
     yield opened
     opened.end()
+    assert opened.process.returncode == 0  # Ctrl-C is how it ends
 
 
 def test_impacts_of_the_page_are_those_of_events(site: Any, page: Page) -> None:

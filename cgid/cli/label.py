@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -116,7 +117,8 @@ def label(
     try:
         say(address)
         say(f"cgid: open it in a browser of this machine; labels go to {path}; Ctrl-C ends the page", err=True)
-        threading.Event().wait()
+        with suppress(KeyboardInterrupt):  # as a page ends
+            threading.Event().wait()
     finally:
         server.request_end()
         bench.end()
