@@ -200,7 +200,8 @@ def factor_to(model: StoredModel, unit: str | None, name: str, mass: float | Non
                 f"state full scale, as in --full-scale '{example}', or with --full-scale '10 V' "
                 f"and the --sensitivity of the sensor; floats may be in a unit as they are: {_unit_options(model)}"
             )
-        raise BadData(
+        # Of sound without a full scale, as of volts without a sensitivity, only an option is missing.
+        raise (MissingOption if quantity == "level" else BadData)(
             f"{name}: the quantity must be the model's, {model.quantity} [{model.unit}], got {quantity} [{unit}]; "
             f"{hint}"
         )
