@@ -499,9 +499,10 @@ def test_what_came_before_a_machine_was_heard_is_no_evidence() -> None:
     # Nothing is decided before a machine could be heard, unless nobody listens.
     assert next(t for t, one in said(MODEL, {}).items() if one.kind == "shut") < HEARD_AFTER
     assert next(t for t, one in said(looking, {}, lines=False).items() if one.kind == "shut") < HEARD_AFTER
-    unheard = said(looking, {})
-    assert all(one.state.decision == Decision.NONE for t, one in unheard.items() if t < HEARD_AFTER)
-    assert any(one.kind == "shut" for one in unheard.values())
+    for lines in (None, True):
+        unheard = said(looking, {}, lines=lines)
+        assert all(one.state.decision == Decision.NONE for t, one in unheard.items() if t < HEARD_AFTER)
+        assert any(one.kind == "shut" for one in unheard.values())
     heard = said(looking, {HEARD_AFTER: HEARD_AFTER, 32.0: 32.0})
     assert not any(one.kind == "shut" for one in heard.values())
     first = heard[5.0].state.share

@@ -197,8 +197,9 @@ class CavingWatch:
         if is_stated and seams is None and isinstance(answers, NoConfusion):
             answers = tested_answers(model, gangue)
         self._sensors, self._channels = sensors, list(supports if channels is None else channels)
-        self._deaf_until = 0.0  # nobody knows yet whether a machine runs
-        if settings.lines is None and model.beam is not None:
+        # Nobody knows yet whether a machine runs; of one that is known to run, the first frames show the lines badly.
+        self._deaf_until = 0.0
+        if settings.lines is not False and model.beam is not None:
             from cgid.recordings.lines import HEARD_AFTER
 
             self._deaf_until = HEARD_AFTER
