@@ -319,7 +319,7 @@ class _ChannelState:
         self.unexplained: deque[float] = deque(maxlen=_RECENT)
         self.ratios: list[float] = []
         self.levels: list[float] = []
-        self.filters, self.again = np.ones(2, bool), True
+        self.filters, self.again = (True, True), True
 
     @property
     def n_next(self) -> int:
@@ -331,22 +331,16 @@ class _ChannelState:
         # A decision seldom changes what has settled on a known beam; else only impacts up to the next one are planned.
         settled = self.n >= _SETTLED and self.again and self.lost < _TESTS
         tests = np.arange(n if settled else min(n, self.n_next)) < self.n_tests
-        return tests[:, None] | self.filters, tests | self.again
+        return tests[:, None] | np.array(self.filters), tests | self.again
 
     def learn(self, unexplained: Floats, misfit: Floats, level: Floats) -> int:
         """Add impacts as they were planned, and return their number, up to a decision that changes the plan."""
         # Their unexplained energy, their misfits for both filters (n, 2), and their noise.
-        filters, again = self.plan(len(level))
-        done = 0
-        while done < len(level):
+        done, before = 0, (self.filters, self.again)
+        while done < len(level) and (self.filters, self.again) == before and not (done and self.n_tests):
             own = slice(done, done + self.n_next)
             self._learn(unexplained[own], misfit[own], level[own])
             done = min(own.stop, len(level))
-            other_filters, other_again = self.plan(len(level) - done)
-            n_planned = len(other_again)
-            changed = (filters[done : done + n_planned] != other_filters).any(axis=1)
-            if (changed | (again[done : done + n_planned] != other_again)).any():
-                break
         return done
 
     def _learn(self, unexplained: Floats, misfit: Floats, level: Floats) -> None:
@@ -369,7 +363,7 @@ class _ChannelState:
         self.again = bool(np.median(self.unexplained) <= _FOREIGN)
         if self.n >= _SETTLED and self.ratios:
             beams = bool(np.median(self.ratios) > 0)
-            self.filters = np.array([not beams, beams])
+            self.filters = not beams, beams
         if self.lost >= _SETTLED:
             self.lost, self.n_tests, self.ratios = 0, _TESTS, []
 

@@ -415,11 +415,9 @@ def _identified(
     sound = np.asarray(np.isfinite(values).all(axis=1))
     time = 0.0 if pre_trigger is None else pre_trigger / sampling_rate
     features, guards = np.split(values[sound], [len(model.features)], axis=1)
-    answers = answers_from(np.hstack([features, known[sound]]), guards, model, settings, sampling_rate)
+    answers = answers_from(np.hstack([features, known[sound]]), guards, model, settings, sampling_rate, time=time)
     identified = [
-        replace(next(answers), time=time)
-        if sound[row]
-        else unmeasured(problems.get(row, "a feature has no finite value"), time)
+        next(answers) if sound[row] else unmeasured(problems.get(row, "a feature has no finite value"), time)
         for row in range(len(frames))
     ]
     if beam is not None and model.extras:
@@ -447,8 +445,9 @@ def answers_from(
     settings: PredictionSettings,
     sampling_rate: float,
     vote: Callable[[Floats, NDArray[np.bool_]], Floats] = lambda probabilities, _: probabilities,
+    time: float = 0.0,
 ) -> Iterator[Answer]:
-    """Yield answers at time 0 from inputs (n, n_inputs) and guards (n, n_guards); `vote` combines successive rows."""
+    """Yield answers at one time from inputs (n, n_inputs) and guards (n, n_guards); `vote` combines successive rows."""
     if not len(inputs):
         return
     novelties = model.novelty(inputs, guards)
@@ -465,7 +464,7 @@ def answers_from(
         novelty = float(novelties[row])
         outside = f"outside of the training (novelty {novelty:.3g}, 1 is the edge)" if novelty > 1 else ""
         yield Answer(
-            time=0.0,
+            time=time,
             label=UNKNOWN if outside else label,
             probabilities=dict(zip(model.labels, probabilities[row].tolist(), strict=True)),
             novelty=novelty,

@@ -11,7 +11,7 @@ import shlex
 from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Generic, NamedTuple, Protocol, TypeVar
+from typing import Any, Generic, NamedTuple, Protocol, TypeVar
 
 import numpy as np
 
@@ -352,7 +352,7 @@ class SameBeam:
         def mean(*_: object) -> Floats:
             return np.stack([mean_of_log_odds(_table([part.answer for part in parts], labels)) for parts in used])
 
-        vote = {} if self._columns else {"vote": mean}
+        vote: dict[str, Any] = {} if self._columns else {"vote": mean}
         inputs = np.hstack([features, known])
         answers = answers_from(inputs, guards, self._model, self._settings, self._rate, **vote)
         for parts, answer in zip(used, answers, strict=True):
