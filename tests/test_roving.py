@@ -7,10 +7,12 @@ import numpy as np
 import pytest
 
 from cgid.calibration import Flaw, roving_test
+from cgid.calibration.matching import matched
 from cgid.cli.main import run
 from cgid.cli.options import warn_of_model
 from cgid.errors import BadData
 from cgid.identification.prediction import PredictionSettings, load_model
+from cgid.physics import STEEL, TailBeam
 from cgid.physics.structure.places import placed
 from cgid.scene import load_scene, parse_scene, synthesise
 from cgid.scene.synthesis.impacts import beam_modes
@@ -62,11 +64,15 @@ def recording():
     return (*tapped(places), places)
 
 
-def test_shapes_between_places_are_those_of_the_plate(recording):
+@pytest.fixture(scope="module")
+def found(recording):
     response, force, times, places = recording
-    found = roving_test(
+    return roving_test(
         response[None], RATE, hammer=force, places=places, sensor=SENSOR, times=times.tolist(), band=BAND
     )
+
+
+def test_shapes_between_places_are_those_of_the_plate(found):
     np.testing.assert_allclose(found.modes.frequency, FREQUENCY[np.argsort(FREQUENCY)], rtol=1e-4)
     rng = np.random.default_rng(1)
     x, y = rng.uniform(0.1, 0.7, 50), rng.uniform(0.1, 0.5, 50)
@@ -79,6 +85,24 @@ def test_shapes_between_places_are_those_of_the_plate(recording):
     own = np.abs(shapes(*SENSOR)[0, np.argsort(FREQUENCY)])
     near_node = own < 0.2 * own.max()
     np.testing.assert_allclose(found.modes.at_sensor[~near_node], own[~near_node], rtol=0.02)
+
+
+def test_modes_of_a_drawing_are_matched_by_their_shapes_too(found):
+    """The plate again, drawn .5 % too thin; then with the shapes of two neighbours exchanged."""
+    plate = TailBeam(
+        material=STEEL,
+        length=SIDES[0],
+        width=SIDES[1],
+        thickness=0.00729,
+        edges="simply-supported",
+        damping_ratio=0.02,
+    )
+    drawn = plate.modes(465.0)
+    _, partner, mac = matched(found, drawn, 0.01)
+    assert partner.tolist() == list(range(len(WAVES))) and mac.min() > 0.99
+    swapped = replace(drawn, at_impact=lambda x, y: drawn.shape(x, y)[..., [0, 1, 2, 4, 3, 5]])
+    _, partner, mac = matched(found, swapped, 0.01)
+    assert partner.tolist() == [0, 1, 2, -1, -1, 5] and (mac[[3, 4]] < 0.1).all()
 
 
 def test_values_are_kept_at_places_and_noise_is_told():
