@@ -107,12 +107,20 @@ def _preview(scene: Any, seed: int, name: str) -> dict[str, Any]:
 
 def _tail_beam(scene: Any) -> dict[str, float]:
     """Return the facts about a scene's tail beam; empty without one."""
-    from cgid.scene.synthesis.impacts import beam_modes
+    import numpy as np
+
+    from cgid.scene.synthesis.impacts import beam_modes, placed_shapes
 
     if scene.tail_beam is None:
         return {}
     frequency = beam_modes(scene).frequency
     summary = {"modes": float(frequency.size), "lowest [Hz]": frequency[0], "highest [Hz]": frequency[-1]}
+    if scene.tail_beam.shapes is not None:
+        left = placed_shapes(scene.tail_beam.modes, scene.tail_beam.shapes).unpredicted
+        summary |= {
+            "places": float(len(scene.tail_beam.shapes)),
+            "median share of a shape that other places do not predict": float(np.median(left)),
+        }
     if scene.panel is None:
         return summary
     summary |= {"mass [kg]": scene.panel.mass, "impedance [kg/s]": scene.panel.impedance}
