@@ -167,6 +167,11 @@ def roving_test(  # noqa: PLR0913
     taps = judged(response, sampling_rate, hits, 0.0, times, source)
     rows = _rows_of(taps, places, times, source)
     used = usable(taps, source)
+    row_of = [rows[tap.time] for tap in used]
+    _, of_tap = np.unique(np.round(places[row_of] / _SAME_PLACE).astype(int), axis=0, return_inverse=True)
+    of_tap = of_tap.ravel()
+    every = np.array([places[row_of][of_tap == k].mean(axis=0) for k in range(of_tap.max() + 1)])
+    _require_enough(every, sensor, source)
     length = min(min(tap.stop - tap.start for tap in used), LONGEST)
     low, high = band_of(band, length / sampling_rate, sampling_rate, source)
     chosen = np.unique(np.linspace(0, len(used) - 1, min(len(used), _DECAYS)).round().astype(int)).tolist()
@@ -182,13 +187,10 @@ def roving_test(  # noqa: PLR0913
     if not alike.all():
         raise BadData(f"{source}: the hammer's delay must be constant; record both on one device")
     gram = gram_of(blows, pole, sampling_rate, DERIVATIVES[quantity], (low, high), rest)
-    _, of_tap = np.unique(np.round(places / _SAME_PLACE).astype(int), axis=0, return_inverse=True)
-    of_tap = of_tap.ravel()[[rows[tap.time] for tap in used]]
     size, ratio = np.abs(pole), -pole.real / np.abs(pole)
     while True:
         known = np.unique(of_tap)
-        points = np.array([places[[rows[tap.time] for tap in used]][of_tap == k].mean(axis=0) for k in known])
-        _require_enough(points, sensor, source)
+        points = every[known]
         kept, value, shape = _shapes(gram, of_tap, known, points, size / (2 * np.pi), ratio)
         if not kept.size or not (kept < poles.pole.size).any():
             raise BadData(
