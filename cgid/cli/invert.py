@@ -22,8 +22,7 @@ if TYPE_CHECKING:
     cls=Command,
     short_help="Recover the force of impacts from the motion of a beam.",
     example="cgid tap taps.csv --channel 1 --hammer 2 --band 60 2000 -o modes.csv\n"
-    "cgid invert taps.csv --channel 1 --hammer 2 --modes modes.csv -o forces.csv\n"
-    "cgid invert shift.wav --scene support.toml -o rocks.csv",
+    "cgid invert taps.csv --channel 1 --hammer 2 --modes modes.csv -o forces.csv",
 )
 @click.argument("recording", type=PATH)
 @click.option(
