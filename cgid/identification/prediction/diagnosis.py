@@ -277,8 +277,10 @@ class ChannelAnswers:
         cause, marked = _cause_of(answer, crowded)
         # Training excludes impacts that begin within the previous event.
         counted = _Counted(answer, cause, marked, bool(answer.probabilities) and not is_soon and not disturbed)
-        if np.isfinite(answer.unexplained) and not (crowded or disturbed):
-            self.unexplained.append(answer.unexplained)
+        if np.isfinite(answer.unexplained) and not disturbed:
+            if not crowded:
+                self.unexplained.append(answer.unexplained)
+            # In the ring-down of an earlier impact, too: in a stream most impacts are.
             if np.isfinite(answer.misshapen):
                 self.misshapen.append(answer.misshapen)
         if np.isfinite(answer.level):
