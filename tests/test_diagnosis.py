@@ -322,6 +322,12 @@ def test_forces_that_no_contact_has_are_told_with_the_way_to_find_out() -> None:
         if told:
             assert lines[0].startswith("the force has a shape that no contact has (6 % of it, median of the last 100")
             assert lines[0].endswith("cgid calibrate 'my file.csv' --unit g --scene tail_beam -o site.toml")
+    # Where most begin while an earlier one rings, the scene of a stream explains them.
+    hints = Hints(BEAM, BEAM_RATE, "my file.csv", ("--unit", "g"))
+    times = 0.03 * np.arange(200) + 0.3 * (np.arange(200) // 3)
+    hints.add([replace(one, time=float(time), misshapen=6.0) for one, time in zip(answers, times, strict=True)])
+    (hint,) = hints.hints()
+    assert hint.line.endswith("cgid calibrate 'my file.csv' --unit g --scene caving -o site.toml")
 
 
 @pytest.mark.long

@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 
 #: The shipped scene with a beam, and its sampling rate [Hz], which recordings for its calibration must have.
 SCENE, SCENE_RATE = "tail_beam", 25_600.0
+#: The scene with the same beam where rocks bounce and ring into each other, as where fewer impacts than this are alone.
+STREAM_SCENE, _ALONE = "caving", 0.8
 #: Name of a scene that the user has to write first.
 OWN_SCENE = "YOUR_BEAM.toml"
 #: Minimum number of impacts to calibrate a scene, and to train on one recording (in blocks of its time, with two
@@ -288,7 +290,9 @@ class Hints(Diagnosis):
             return ()
         name = _unused("site", ".toml", "-modes.csv", ".npz")
         # From another beam the modes of the shipped one are sought for minutes in vain.
-        scene = SCENE if is_of_scene else OWN_SCENE
+        channels = self.channels.values()
+        alone = sum(one.n_usable for one in channels) >= _ALONE * sum(one.n_answers for one in channels)
+        scene = OWN_SCENE if not is_of_scene else SCENE if alone else STREAM_SCENE
         return (
             *(() if is_of_scene else [InWords(f"write {scene}, a scene with the size and sensor of your beam")]),
             shlex.join(["cgid", "calibrate", self._source, *self._for_one(), "--scene", scene, "-o", f"{name}.toml"]),
