@@ -299,6 +299,16 @@ def test_channels_of_several_units_and_the_response_as_a_universal_file(tmp_path
     assert "--unit" in capsys.readouterr().err
 
 
+def test_a_tap_at_the_begin_of_a_long_recording_is_kept():
+    response, force, times = taps(3, gap=0.6, seed=1)
+    first = round((times[0] - 0.02) * RATE)
+    both = np.pad(np.stack([response, force])[:, first:], ((0, 0), (0, round(5 * RATE))))
+    spans = ((at, part[:1], part[1], last) for at, part, last in spans_of([both], round(4 * RATE), round(2.4 * RATE)))
+    splice = Splice(spans, RATE, "long", None, 3)
+    test = tap_test(splice.response, RATE, hammer=splice.force, band=BAND)
+    np.testing.assert_allclose([splice.placed(tap).time for tap in test.taps], times - first / RATE, atol=2e-3)
+
+
 @pytest.mark.parametrize("count", [-2100, -3, 0, 5, 700])
 def test_blocks_are_moved_whatever_their_lengths(count):
     samples = np.arange(1.0, 2001.0)[None]

@@ -90,14 +90,15 @@ class Splice:
         self._piece, most = (_ROVING, np.inf) if n_places else (_PIECE, MINUTE)
         self._listed = None if times is None else np.array(times)
         pieces: list[tuple[int, Floats, Floats | None]] = []
-        total, refused = 0, None
+        total, known, refused = 0, -1, None
         for first, response, force, last in spans:
             if last and not first:
                 pieces = [(0, response, force)]
                 break
-            known = round(_LEAD * sampling_rate) + (pieces[-1][0] if pieces else -1)
             try:
-                pieces += self._taps_in(first, response, force, last, known, source)
+                for onset, piece in list(self._taps_in(first, response, force, last, known, source)):
+                    known = onset + round(_LEAD * sampling_rate) // 2  # the next stretch may find it a little later
+                    pieces.append(piece)
             except BadData as error:  # a stretch without a tap
                 refused = error
             total = sum(piece.shape[1] for _, piece, _ in pieces)
@@ -113,8 +114,8 @@ class Splice:
 
     def _taps_in(
         self, first: int, response: Floats, force: Floats | None, last: bool, known: int, source: str
-    ) -> Iterator[tuple[int, Floats, Floats | None]]:
-        """Yield begin, response and force of the taps of a stretch that come after a sample of the recording."""
+    ) -> Iterator[tuple[int, tuple[int, Floats, Floats | None]]]:
+        """Yield onset, and begin, response and force, of the taps of a stretch after a sample of the recording."""
         lead, longest = round(_LEAD * self.sampling_rate), round(self._piece * self.sampling_rate)
         if force is None:
             events = events_in(response, self.sampling_rate, source, apart=self._listed is None)
@@ -130,7 +131,8 @@ class Splice:
                 continue
             part = slice(max(onset - lead, 0), min(onset + longest, following - lead))
             if part.stop > onset:
-                yield first + part.start, response[:, part].copy(), None if force is None else force[part].copy()
+                piece = response[:, part].copy(), None if force is None else force[part].copy()
+                yield first + onset, (first + part.start, *piece)
 
     def inside(self, times: Sequence[float] | None) -> list[float] | None:
         """Return those times of the recording that are in the splice, as times of it [s]."""

@@ -299,7 +299,7 @@ def _say(test: TapTest, path: Path, scene: str | None, known: Any, alike: Any, a
         say(
             f"{len(test.places)} places: {100 * middle[len(middle) // 2]:.2g} % of a mode is not predicted by other "
             f"places (median), more than {100 * _COARSE:.0f} % of {counted(len(worst), 'mode')}"
-            + (f", from {worst.min():.4g} Hz on: tap a finer grid, or lower --band" if len(worst) else "")
+            + (f", {worst.min():.4g} to {worst.max():.4g} Hz: weak, or the grid is too coarse" if len(worst) else "")
         )
     outside = int((test.response.damping_ratio > LINE_DAMPING / 2).sum())
     split = test.response.frequency.size - outside - test.modes.frequency.size
