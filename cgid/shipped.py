@@ -34,6 +34,7 @@ SCENES = (
     "plate",
     "caving",
     "rock",
+    "corners",
     "anything",
 )
 
