@@ -27,6 +27,7 @@ def shifted_scenes() -> Iterator[tuple[str, Scene]]:
     reference = load_scene(shipped.scene_path("reference"))
     yield "the reference scene", reference
     yield from laws_and_shapes()
+    yield "corners, faces and breaking rock (scene corners)", load_scene(shipped.scene_path("corners"))
     for rate in ("1 MHz", "100 kHz", "50 kHz", "20 kHz"):
         yield f"... sampled at {rate}", varied(reference, sampling_rate=rate, keep_frame=True)
     for noise in (0.0001, 0.001, 0.03, 0.1, 0.3):

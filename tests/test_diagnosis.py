@@ -41,6 +41,7 @@ from cgid.identification.training import train_on_specimens
 from cgid.identification.training.grouped import level_range
 from cgid.identification.training.rows import DEFAULT_VIBRATION_FEATURES, Rows
 from cgid.measure.features.extraction import supported
+from cgid.measure.features.pulses import MAX_UNEXPLAINED
 from cgid.scene import Scene, load_scene, parse_scene, synthesise, varied
 from cgid.scene.output.recordings import parts_of_recording
 from tests import few
@@ -719,10 +720,10 @@ def test_a_model_free_of_levels_answers_alike_at_any_scale(of_labels: Callable[[
     np.testing.assert_allclose(own["p_coal"], scaled["p_coal"], atol=1e-9)
 
 
-def test_pulses_of_labelled_recordings_have_the_guard_of_the_shipped_models(of_labels: Callable[[str], Path]) -> None:
+def test_pulses_of_labelled_recordings_have_the_guard_against_residuals(of_labels: Callable[[str], Path]) -> None:
     """A square is no pulse of a contact, however long and strong."""
     model = StoredModel.load(of_labels("pulse"))
-    assert model.guards == PULSES.guards and model.guard_limits[0] >= PULSES.guard_limits[0]
+    assert model.guards == PULSES.guards and model.guard_limits[0] >= MAX_UNEXPLAINED
     frame = np.random.default_rng(0).normal(0, 5, 1000)
     frame[300:350] += 3e3
     assert identify_frames(frame[None], 1e5, model, pre_trigger=None)[0].label == "unknown"

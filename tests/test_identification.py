@@ -37,6 +37,7 @@ from cgid.identification.training.metrics import evaluate
 from cgid.identification.training.rows import DEFAULT_FEATURES, FEW_FEATURES
 from cgid.identification.training.training import Training, hold_out, measure, train_on_specimens
 from cgid.measure.features.extraction import extract_array
+from cgid.measure.features.pulses import MAX_UNEXPLAINED
 from cgid.scene import Scene, load_scene, parse_scene, synthesise, varied
 from cgid.signals import Signal
 from tests import few
@@ -318,6 +319,25 @@ def test_guard_flags_what_is_larger_than_the_training_and_tells_no_labels_apart(
     np.testing.assert_array_equal(model.novelty(inputs, np.full_like(tilt, -100 * limit)), distance)
     answers = identify_frames(batch.signals, batch.sampling_rate, model, pre_trigger=batch.pre_trigger)
     np.testing.assert_allclose([answer.novelty for answer in answers], by_hand, rtol=1e-12)
+
+
+def test_residuals_of_rock_that_breaks_are_left_to_the_contrast_with_strangers() -> None:
+    breaking = load_scene("corners")
+    breaking = breaking.model_copy(
+        update={"populations": tuple(one for one in breaking.populations if one.breaking_force is not None)}
+    )
+    names = (*DEFAULT_FEATURES, "unexplained")
+    rows = measure(synthesise(breaking, 1024, seed=3), names)
+    strangers = measure(synthesise(load_scene("strangers"), 1024, seed=3), names)
+    told: dict[str, Any] = {"features": DEFAULT_FEATURES, "guards": ("unexplained",)}
+    alone, beside = (train_on_specimens(rows, **told, out_of_distribution=other).model for other in (None, strangers))
+    assert alone.guard_limits == (MAX_UNEXPLAINED,)
+    assert beside.guard_limits[0] > 5 * MAX_UNEXPLAINED
+    unexplained = rows.columns(("unexplained",))
+    flagged = [np.mean(model.novelty(rows.inputs(DEFAULT_FEATURES), unexplained) > 1) for model in (alone, beside)]
+    assert flagged[0] > 0.3 and flagged[1] < 0.15
+    others = beside.novelty(strangers.inputs(DEFAULT_FEATURES), strangers.columns(("unexplained",)))
+    assert np.mean(others > 1) > 0.7
 
 
 @pytest.fixture(scope="module")

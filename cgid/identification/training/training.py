@@ -82,8 +82,9 @@ MANY = 100_000
 #: Lower bounds for the limits of guards that may be 0 in all of the training: 5 % of clipping is accepted, and 1 % of
 #: the energy if the beam differs slightly from the learned one.
 MIN_LIMITS = {"overload": 0.05, "beam_surely_unexplained": 1.0}
-#: Upper bounds: a pulse with a larger residual is not a single impact, whatever the training contains.
-MAX_LIMITS = {"unexplained": MAX_UNEXPLAINED}
+#: Upper bounds: a pulse with a larger residual is not a single impact, whatever the training contains. Rock that breaks
+#: leaves such residuals, too: where a contrast with strangers knows better, so many times as much is left to it.
+MAX_LIMITS, LEFT_TO_CONTRAST = {"unexplained": MAX_UNEXPLAINED}, 10.0
 #: Minimum number of calibration specimens of a label; below it all of them train. A coverage of .95 takes 19.
 MIN_CALIBRATION_SPECIMENS = 20
 
@@ -561,7 +562,7 @@ def _tried_on_left_out(
         metrics | {"prediction_sets": sets},
         record,
         features=names,
-        guards=_guard_limits(guards, rows.columns(guards)[training]),
+        guards=_guard_limits(guards, rows.columns(guards)[training], 1.0 if contrast is None else LEFT_TO_CONTRAST),
         conformal=conformal,
         contrast=contrast,
         beam=rows.beam if any_through_beam(names) else None,
@@ -579,11 +580,11 @@ def _calibrated(
     return Conformal.fit(classifier.predict_proba(inputs[one]), np.searchsorted(classifier.classes_, labels[one]))
 
 
-def _guard_limits(guards: tuple[str, ...], values: Floats) -> dict[str, float]:
+def _guard_limits(guards: tuple[str, ...], values: Floats, widened: float) -> dict[str, float]:
     limits = {
         name: min(
             max(float(np.quantile(column, Neighbourhood.INSIDE)), MIN_LIMITS.get(name, 0.0)),
-            MAX_LIMITS.get(name, np.inf),
+            widened * MAX_LIMITS.get(name, np.inf),
         )
         for name, column in zip(guards, values.T, strict=True)
     }
