@@ -332,10 +332,10 @@ def test_residuals_of_rock_that_breaks_are_left_to_the_contrast_with_strangers()
     told: dict[str, Any] = {"features": DEFAULT_FEATURES, "guards": ("unexplained",)}
     alone, beside = (train_on_specimens(rows, **told, out_of_distribution=other).model for other in (None, strangers))
     assert alone.guard_limits == (MAX_UNEXPLAINED,)
-    assert beside.guard_limits[0] > 5 * MAX_UNEXPLAINED
+    assert beside.guard_limits == (4 * MAX_UNEXPLAINED,)
     unexplained = rows.columns(("unexplained",))
     flagged = [np.mean(model.novelty(rows.inputs(DEFAULT_FEATURES), unexplained) > 1) for model in (alone, beside)]
-    assert flagged[0] > 0.3 and flagged[1] < 0.15
+    assert flagged[0] > 0.3 and flagged[1] < 0.25
     others = beside.novelty(strangers.inputs(DEFAULT_FEATURES), strangers.columns(("unexplained",)))
     assert np.mean(others > 1) > 0.7
 

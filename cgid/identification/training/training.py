@@ -84,7 +84,7 @@ MANY = 100_000
 MIN_LIMITS = {"overload": 0.05, "beam_surely_unexplained": 1.0}
 #: Upper bounds: a pulse with a larger residual is not a single impact, whatever the training contains. Rock that breaks
 #: leaves such residuals, too: where a contrast with strangers knows better, so many times as much is left to it.
-MAX_LIMITS, LEFT_TO_CONTRAST = {"unexplained": MAX_UNEXPLAINED}, 10.0
+MAX_LIMITS, LEFT_TO_CONTRAST = {"unexplained": MAX_UNEXPLAINED}, 4.0
 #: Minimum number of calibration specimens of a label; below it all of them train. A coverage of .95 takes 19.
 MIN_CALIBRATION_SPECIMENS = 20
 
