@@ -87,12 +87,6 @@ class SensorChain:
             poles.append(LowPass(frequency=edge, order=int(self.steep)).poles)
         return replace(beam, filters=np.concatenate(poles), linear_phase=linear)
 
-    def lag(self, beam: Beam) -> float:
-        """Return by how much slow forces come late [samples]."""
-        own = self.behind(beam)
-        both = np.where(own.filters.imag != 0, 2.0, 1.0)
-        return float((both * (-1 / own.filters).real).sum() + own.delay) * beam.sampling_rate
-
     @property
     def linear(self) -> bool:
         """Whether the filter has a linear phase."""
@@ -147,9 +141,7 @@ def learn_chain(scene: Scene, beam: Beam, impacts: ImpactFrames, exact: Collecti
         return None
     inversion = Inversion(_with_every_filter(scene, beam))
     estimate = inversion.invert(impacts.observations(), impacts.start)
-    contact = ContactFit(inversion, _brief(beam)).fit(estimate)
-    before = _median(contact)
-    pulses = np.column_stack([np.log(contact.width), contact.shape, contact.touch])
+    before = _median(ContactFit(inversion, _brief(beam)).fit(estimate))
     soft = stated.logs.copy()
     soft[1] = np.log(_SOFT * rate)
     starts = [stated.logs, soft] if free[1] else [stated.logs]
@@ -157,14 +149,14 @@ def learn_chain(scene: Scene, beam: Beam, impacts: ImpactFrames, exact: Collecti
     limits = np.array([np.minimum(low, stated.logs), np.maximum(high, stated.logs)])
     search = _Search(inversion, estimate, stated.logs, free, limits)
     filters = sorted({stated.steep, *_FIRST}) if free[0] and stated.steep is not None else [stated.steep]
-    tried = search.tried((SensorChain(steep, logs) for logs in starts for steep in filters), stated, pulses)
+    tried = search.tried(SensorChain(steep, logs) for logs in starts for steep in filters)
     best = min(tried, key=lambda one: one.cost)
     known = {one.chain.steep for one in tried}
     while True:
         best = search.descended(best.chain, best.pulses, _STEPS)
         others = [one for one in best.chain.others if free[0] and one not in known]
         known |= set(others)
-        tried = search.tried((replace(best.chain, steep=one) for one in others), best.chain, best.pulses)
+        tried = search.tried(replace(best.chain, steep=one) for one in others)
         better = min(tried, key=lambda one: one.cost, default=best)
         if better.cost >= best.cost:
             break
@@ -245,13 +237,14 @@ class _Search:
                 break
         return now
 
-    def tried(self, chains: Iterable[SensorChain], near: SensorChain, pulses: Floats) -> list[_Fitted]:
-        """Return the best chains near some, from the pulses through another one."""
-        beam, out = self._inversion.beam, []
-        for chain in chains:
-            sooner = np.array([0.0, 0.0, near.lag(beam) - chain.lag(beam)])
-            out.append(self.descended(chain, np.clip(pulses + sooner, *_PULSES), _TRIED))
-        return out
+    def tried(self, chains: Iterable[SensorChain]) -> list[_Fitted]:
+        """Return the best chains near some."""
+        return [self.descended(chain, self._anew(chain), _TRIED) for chain in chains]
+
+    def _anew(self, chain: SensorChain) -> Floats:
+        """Return the pulses through a chain, from the start: those through another one may be in another valley."""
+        contact = ContactFit(self._inversion, chain.behind(self._inversion.beam)).fit(self._estimate)
+        return np.clip(np.column_stack([np.log(contact.width), contact.shape, contact.touch]), *_PULSES)
 
     def _fitted(self, chain: SensorChain, pulses: Floats, n_steps: int) -> _Fitted:
         """Return the pulses that fit best through a chain, near some."""
