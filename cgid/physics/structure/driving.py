@@ -10,6 +10,7 @@ import numpy as np
 from numpy import fft
 from numpy.polynomial import legendre
 from numpy.typing import NDArray
+from scipy.fft import next_fast_len
 
 from cgid._lib.validation import Complex, Floats
 from cgid.errors import InvalidValue
@@ -140,8 +141,10 @@ class Windows:
         for part in smooth:
             for stride in self.strides.tolist():
                 rows, taps = self.stride == stride, part.taps(1 / (sampling_rate * stride))
-                n = force.shape[1] + taps.size
-                force[rows] = fft.irfft(fft.rfft(force[rows], n) * fft.rfft(taps, n), n)[:, : force.shape[1]]
+                n_steps = int(self.count[rows].max()) * stride + 1
+                n = next_fast_len(n_steps + taps.size, real=True)
+                spectrum = fft.rfft(force[rows, :n_steps], n) * fft.rfft(taps, n)
+                force[rows, :n_steps] = fft.irfft(spectrum, n)[:, :n_steps]
         # The mean error of linear interpolation is a twelfth of the second difference.
         drive = force.copy()
         drive[:, 1:-1] -= (force[:, 2:] - 2 * force[:, 1:-1] + force[:, :-2]) / 12
