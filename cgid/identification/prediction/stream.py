@@ -173,7 +173,7 @@ def _impacts(
             heard += [f"{named(row)}: {_UNSTEADY}" for row in (() if lines is None else lines.told())]
             notes, deaf = ({}, {}) if lines is None else (lines.tones(), lines.heard())
             warned = loud
-            if not (ended or heard or deaf or not waiting or len(waiting) >= settings.batch):
+            if not (ended or heard or notes or deaf or not waiting or len(waiting) >= settings.batch):
                 continue
             until: float = detector.known_until
             said: Sequence[str] = ()
