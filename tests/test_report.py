@@ -20,6 +20,7 @@ import numpy as np
 import pytest
 
 from cgid import shipped
+from cgid.cli.main import run
 from cgid.identification.model.model import StoredModel
 from cgid.identification.prediction import Answer
 from cgid.identification.prediction.fraction import ShareWindow, ShutDecision
@@ -289,6 +290,13 @@ def test_the_table_sorts_and_chooses(report: Report, tmp_path: Path) -> None:
     assert ordered["label"] == [*range(1, 31)]
     assert ordered["number"] == [*range(1, 31)]
     assert ordered["chosen"] == [30]
+
+
+def test_a_recording_of_one_impact_has_a_page(tmp_path: Path) -> None:
+    sample, path = shipped.path_of("datasets", "sample.csv"), tmp_path / "one.csv"
+    path.write_text("".join(sample.read_text().splitlines(keepends=True)[:4002]))
+    assert run(["predict", str(path), "--report", str(tmp_path / "one.html")]) == 0
+    assert Page((tmp_path / "one.html").read_text()).rows[-1]
 
 
 def test_report_says_that_a_model_is_no_better_than_chance() -> None:

@@ -513,6 +513,25 @@ def test_what_came_before_a_machine_was_heard_is_no_evidence() -> None:
     )
 
 
+def test_a_recording_read_at_once_is_told_as_a_stream_of_short_blocks() -> None:
+    # A machine is heard at 12.2 s, in the block that ends then or in a later one.
+    rng, settings = np.random.default_rng(8), PredictionSettings(share_step=0.5, hold=1.0, share_time=5.0)
+    answers = flow(rng, 0.05, 8, 0.05) + flow(rng, 8.05, 12, 0.9) + flow(rng, 12.05, 30, 0.05)
+    told = {}
+    for n_blocks in (1, 3, 60):
+        watch, reports = CavingWatch(MODEL, ["1"], settings), []
+        edges = np.linspace(0, 30, n_blocks + 1)
+        for last, until in pairwise(edges.tolist()):
+            due = {"1": 12.2} if last < 12.2 <= until else None
+            reports += watch.feed([one for one in answers if last < one.time <= until], until, due)
+        told[n_blocks] = [(one.kind, one.state.share, one.state.decision) for one in reports]
+        (whole,) = watch.whole(answers, 30.0)
+        assert whole.n_impacts == sum(not 7.2 < one.time <= 12.2 for one in answers)
+        assert whole.share < 0.1
+    assert "shut" in {kind for kind, *_ in told[60]}
+    assert told[1] == told[3] == told[60]
+
+
 def test_a_switch_that_rests_on_tones_is_not_held() -> None:
     rng = np.random.default_rng(7)
     answers = flow(rng, 0, 20, 0.05) + flow(rng, 20, 31, 1.0) + flow(rng, 31.05, 60, 0.05)

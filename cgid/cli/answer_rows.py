@@ -406,6 +406,10 @@ class RecordingRows:
         """The latest record of each support."""
         return self._watch.states()
 
+    def whole(self, duration: float) -> list[Share]:
+        """Return the gangue fraction of each support over the whole recording of this duration [s]."""
+        return self._watch.whole(self.answers, duration)
+
     def name(self, channel: str) -> str:
         """Return source and channel in one word."""
         return self.source if channel == "1" and len(self.channels) == 1 else f"{self.source} channel {channel}"

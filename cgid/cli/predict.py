@@ -54,11 +54,8 @@ def _report(
     rows: RecordingRows,
 ) -> Report:
     """Return the page content of a recording: its pictures, and the printed predictions."""
-    from cgid.identification.prediction.stream import STRATEGIES
-    from cgid.identification.prediction.support import whole_shares
     from cgid.plots.report import Report, model_facts, recording_facts
 
-    weight = STRATEGIES[model.subject].weight(model, rows.settings)
     stated = shlex.join([word for words in given_options() for word in words])
     return Report(
         source=recording.source,
@@ -70,7 +67,7 @@ def _report(
         shares=rows.shares,
         turns=rows.turns,
         states=rows.states,
-        whole=whole_shares(model, rows.answers, rows.settings, weight, overview.duration),
+        whole=rows.whole(overview.duration),
         threshold=rows.threshold,
         warnings=(*recording.warnings, *rows.warnings),
         unit_of_decision=rows.kind,

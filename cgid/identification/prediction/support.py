@@ -216,24 +216,26 @@ class CavingWatch:
             spans = within(shares.lumps, own)
             return Anchor(0.0, spans=spans, least=MIN_LUMPS) if spans else None
 
-        self._supports = {
-            name: _Support(
-                window=ShareWindow(
-                    shares.window,
-                    answers=answers,
-                    weight=weight,
-                    channel=name,
-                    threshold=0.5 if self.threshold is None else self.threshold,
-                    seams=seams,
-                    anchor=anchor(own),
-                    lumps=lumps(own),
-                ),
-                rule=rule,
-                rows=list(own),  # a tuple would index several axes
+        def window(name: str, own: Sequence[int], time: float) -> ShareWindow:
+            return ShareWindow(
+                time,
+                answers=answers,
+                weight=weight,
+                channel=name,
+                threshold=0.5 if self.threshold is None else self.threshold,
+                seams=seams,
+                anchor=anchor(own),
+                lumps=lumps(own),
             )
+
+        self._window = window
+        self._supports = {
+            # A tuple of rows would index several axes.
+            name: _Support(window=window(name, own, shares.window), rule=rule, rows=list(own))
             for name, rule, own in zip(supports, rules, rows or [(row,) for row in range(len(supports))], strict=True)
         }
         self._waiting: deque[Answer] = deque()
+        self._heard: list[tuple[float, str]] = []  # when machines were heard [s]
         self._steps = 0
         self._is_new = False  # whether predictions have come since the last gangue fraction
         self._changes: list[Change] = []
@@ -247,8 +249,8 @@ class CavingWatch:
         are supports with a machine whose tones were left in until a time [s].
         """
         self._waiting.extend(answers)
-        for name, time in (heard or {}).items():
-            self._supports[name].forget(time - _BEFORE_HEARD, time)
+        # A stream of short blocks has reported what came before; so a recording must, too.
+        self._heard += [(time, name) for name, time in (heard or {}).items()]
         reports: list[SupportReport] = []
         while (end := (self._steps + 1) * self._step) <= until:
             self._steps += 1
@@ -295,13 +297,29 @@ class CavingWatch:
         """Return the latest record of each support."""
         return [one.state for one in self._supports.values() if one.state is not None]
 
+    def whole(self, answers: Sequence[Answer], duration: float) -> list[Share]:
+        """Return the gangue fraction of each support with impacts over a whole recording of this duration [s]."""
+        found = []
+        for name, support in self._supports.items():
+            window = self._window(name, support.rows, duration)
+            for answer in answers:
+                if answer.channel == name:
+                    window.add(answer.time, self._probability(answer), answer.pulse)
+            for span in support.forgotten:
+                window.forget(*span)
+            found.append(window.at(duration))
+        return [share for share in found if share.n_impacts]
+
     def _at(self, end: float, *, in_between: bool = False) -> Iterator[SupportReport]:
+        for time, name in [one for one in self._heard if one[0] <= end]:
+            self._supports[name].forget(time - _BEFORE_HEARD, time)
+            self._heard.remove((time, name))
         while self._waiting and self._waiting[0].time <= end:
             answer = self._waiting.popleft()
             self.diagnosis.add((answer,))
             self._is_new = True
             support = self._supports[answer.channel]
-            if not support.forgotten[0] < answer.time <= support.forgotten[1]:
+            if not any(start < answer.time <= end for start, end in support.forgotten):
                 support.window.add(answer.time, self._probability(answer), answer.pulse)
                 support.add_level(answer)
             if answer.label != UNKNOWN:
@@ -350,18 +368,6 @@ class CavingWatch:
         return sum(answer.probabilities[label] for label in self._gangue)
 
 
-def whole_shares(
-    model: StoredModel, answers: Sequence[Answer], settings: PredictionSettings, weight: float, duration: float
-) -> list[Share]:
-    """Return the gangue fraction of each support over a whole recording of this duration [s]; arguments as above."""
-    supports = list(dict.fromkeys(answer.channel for answer in answers))
-    whole = replace(settings, share_time=duration, share_step=duration, hold=None)
-    watch = CavingWatch(model, supports, whole, weight)
-    watch.feed(answers, 0.0)
-    watch.finish(duration)
-    return [state.share for state in watch.states() if state.share.n_impacts]
-
-
 @dataclass
 class _Support:
     """The window, the rule and the latest record of one support; `rows` are its channels."""
@@ -375,7 +381,7 @@ class _Support:
     is_silent: bool = False
     foreign: str = ""
     levels: deque[float] = field(default_factory=lambda: deque(maxlen=OF_ANCHOR))
-    forgotten: tuple[float, float] = (math.inf, math.inf)  # impacts after the first time and up to the second [s]
+    forgotten: list[tuple[float, float]] = field(default_factory=list)  # impacts after a time and up to another [s]
 
     def add_level(self, answer: Answer) -> None:
         """Keep the level of an impact that was added to the window, if it has one."""
@@ -386,7 +392,7 @@ class _Support:
 
     def forget(self, start: float, end: float) -> None:
         """Forget what came after `start` and up to `end` [s]: it is no evidence."""
-        self.forgotten = start, end
+        self.forgotten.append((start, end))
         self.window.forget(start, end)
         if self.rule is not None:
             self.rule.release()
