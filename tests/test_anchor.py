@@ -361,7 +361,7 @@ def test_a_table_labels_the_coal_of_a_recording(
     by_table, until = (shares(*how)[0] for how in (("--labelled", str(table)), ("--coal-until", "1")))
     assert by_table == until and {line["basis"] for line in by_table} == {"anchor_pending", "anchor"}
     table.write_text(f"{head}{file},0,1,coal,\n{file},9,10,coal,\n")
-    assert "1 row begin after it" in shares("--labelled", str(table))[1]
+    assert "got 1 row after it" in shares("--labelled", str(table))[1]
     table.write_text(f"{head}{file},0,0.05,coal,\n")
     assert "the labelled coal must give at least 10" in shares("--labelled", str(table))[1]
 
@@ -403,6 +403,11 @@ def test_lumps_need_stated_coal_and_a_model_that_knows_them(folder: Path) -> Non
         PredictionSettings(lumps=((1.0, 2.0),))
     with pytest.raises(InvalidValue, match="a span of gangue must rise"):
         PredictionSettings(lumps=((2.0, 1.0),), coal_until=1.0)
+    with pytest.raises(InvalidValue, match="labelled gangue must begin after the 3 s of coal alone, got 2 s"):
+        PredictionSettings(lumps=((4.0, 5.0), (2.0, 3.5)), coal_until=3.0)
+    for bad in ((4.0, 5.0), [(4.0, "5")], "4 to 5", 4.0):
+        with pytest.raises(InvalidValue, match="spans of gangue must be begin and end each"):
+            PredictionSettings(lumps=bad, coal_until=3.0)
     model = StoredModel.load(folder / "any.npz")
     older = {name: one for name, one in model.arrays.items() if "sharpened" not in name and "lumps" not in name}
     settings = PredictionSettings(lumps=((1.0, 2.0),), coal_until=1.0)
@@ -429,7 +434,7 @@ def test_a_table_without_coal_of_the_recording_is_refused(
     assert run([*given, "--coal-until", "1"]) == 65
     assert "coal_until and labelled coal must not be given together" in capsys.readouterr().err
     for wrong in (3.0, [(1.0,)], [(0.0, "end")], [(2.0, 1.0)], [(-1.0, 1.0)]):
-        with pytest.raises(InvalidValue, match=r"span of coal"):
+        with pytest.raises(InvalidValue, match=r"spans? of coal"):
             PredictionSettings(coal=wrong)  # type: ignore[arg-type]
 
 

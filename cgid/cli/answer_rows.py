@@ -333,7 +333,7 @@ class RecordingRows:
             if late := sum(one.start > last.until for one in spans):
                 self._warn(
                     f"{self.source}: labelled {label} must be within the recording of {last.until:.6g} s, "
-                    f"{counted(late, 'row')} begin after it"
+                    f"got {counted(late, 'row')} after it"
                 )
         if self.tally.total > 1 or self._live:
             self.lines.summary(self.source, self.tally, last.until, start_time)

@@ -226,6 +226,11 @@ class PredictionSettings:
             raise InvalidValue(
                 "labelled gangue must come with stated coal, which tells the seam; label coal, or give --coal-until"
             )
+        if (first := min((one.start for one in self.lumps), default=np.inf)) < (self.coal_until or 0.0):
+            raise InvalidValue(
+                f"labelled gangue must begin after the {self.coal_until:g} s of coal alone, got {first:g} s; shorten "
+                "--coal-until, or leave the row out"
+            )
         if self.class_conditional and self.coverage is None:
             raise InvalidValue("class_conditional must come with a coverage; give --coverage, such as --coverage 0.9")
 
@@ -333,13 +338,12 @@ def require_spans(spans: Any, label: str) -> tuple[LabelledSpan, ...]:
     """
     found = []
     for one in spans if isinstance(spans, list | tuple) else [spans]:
-        listed = one if isinstance(one, list | tuple) else ()
-        start, end = listed[:2] if len(listed) in (2, 3) else (None, None)
-        for name, value in (("begin", start), ("end", end)):
-            validation.instance(f"the {name} of a span of {label} [s]", value, int, float, np.number)
+        start, end, *channel = one if isinstance(one, list | tuple) and len(one) in (2, 3) else (None, None)
+        if not all(isinstance(value, int | float | np.number) for value in (start, end)):
+            raise InvalidValue(f"spans of {label} must be begin and end each [s], as in [(0, 30)], got {shown(spans)}")
         if not 0 <= start < end:
             raise InvalidValue(f"a span of {label} must rise from 0 s, got {start:g} s to {end:g} s; correct it")
-        found.append(LabelledSpan(float(start), float(end), *map(str, listed[2:])))
+        found.append(LabelledSpan(float(start), float(end), *map(str, channel)))
     return tuple(found)
 
 

@@ -520,7 +520,7 @@ def labelled_in(
     if not any(one.label.casefold() in known or not needs_coal for one in rows):
         raise BadData(
             f"{manifest.source}: some row of {recording} must be labelled {' or '.join(sorted(known))}, none is; label "
-            "what was coal alone, or leave out --labelled"
+            "what was coal alone, state it by --coal-until, or leave out --labelled"
         )
     by_name = {str(number): name for number, name in enumerate(channels, 1)} | {name: name for name in channels}
     asked = {str(channel) for one in rows for channel in one.channels or ()}
