@@ -247,6 +247,12 @@ def test_estimates_of_impactors_take_signals_and_batches(dataset: cgid.Dataset) 
     assert len(cgid.estimate_impactors(batch, among="reference").median("mass")) == 20
     with pytest.raises(MissingOption, match="among"):
         cgid.estimate_impactors(batch)
+    for call in (cgid.extract, cgid.estimate_impactors):
+        for wrong in ("sample.csv", dataset.path, *([dataset] if call is cgid.estimate_impactors else [])):
+            with pytest.raises(InvalidValue, match="must be an array, a Signal or a Batch"):
+                call(wrong)
+        with pytest.raises(MissingOption, match="sampling rate"):
+            call(row)
 
 
 def test_features_of_a_dataset_are_those_of_its_batches(dataset: cgid.Dataset) -> None:

@@ -9,12 +9,13 @@ import warnings
 from collections import Counter
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Literal, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cgid.errors import InvalidValue
+from cgid.errors import InvalidValue, MissingOption
 
 Floats = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -152,6 +153,18 @@ def number(name: str, value: ArrayLike, unit: str = "", rule: Callable[[str, Arr
 def require_rate(sampling_rate: float) -> float:
     """Return one sampling rate [Hz] within `RATES`, or raise `InvalidValue`."""
     return number("sampling_rate", sampling_rate, "Hz", rates)
+
+
+def given_rate(samples: Any, sampling_rate: float | None) -> float:
+    """Return the sampling rate of an array; raises `MissingOption` without one, `InvalidValue` for other objects."""
+    if isinstance(samples, str | Path) or hasattr(samples, "batches"):
+        raise InvalidValue(
+            f"samples must be an array, a Signal or a Batch, got {shown(samples)}; give one of cgid.read_recording, or "
+            "of batches() of a dataset"
+        )
+    if sampling_rate is None:
+        raise MissingOption("samples: an array has no sampling rate; give sampling_rate in Hz")
+    return sampling_rate
 
 
 def ascending(name: str, values: Floats, unit: str = "") -> Floats:

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cgid._lib.validation import Floats, require_rate
+from cgid._lib.validation import Floats, given_rate, require_rate
 from cgid.errors import InvalidValue, MissingOption
 from cgid.identification.inversion.through_beam import ThroughBeam
 from cgid.impactor.estimation import estimate
@@ -95,8 +95,7 @@ def estimate_impactors(
         samples, own_rate, own_start = _in_si(samples)
         sampling_rate = own_rate if sampling_rate is None else sampling_rate
         pre_trigger = own_start if pre_trigger is None else pre_trigger
-    if sampling_rate is None:
-        raise MissingOption("samples: an array has no sampling rate; give sampling_rate in Hz")
+    sampling_rate = given_rate(samples, sampling_rate)
     if among is None:
         raise MissingOption("among: the possible impactors must be known; give a scene, as in among='reference'")
     if isinstance(among, Material):

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from cgid._lib import validation
 from cgid._lib.validation import Floats, require_rate
-from cgid.errors import BadData, InvalidValue, MissingOption
+from cgid.errors import BadData, InvalidValue
 from cgid.measure.features.own import outside_features, own_feature
 from cgid.measure.features.pulses import FAINT, PULSE_FEATURES, PulseBatch
 from cgid.measure.features.table import Feature, FeatureTable, ImpactKind, Kind
@@ -230,8 +230,7 @@ def extract(
         own, samples = samples, samples.signals if isinstance(samples, Batch) else samples.samples
         sampling_rate = own.sampling_rate if sampling_rate is None else sampling_rate
         pre_trigger = own.pre_trigger if pre_trigger is None else pre_trigger
-    if sampling_rate is None:
-        raise MissingOption("samples: an array has no sampling rate; give sampling_rate in Hz")
+    sampling_rate = validation.given_rate(samples, sampling_rate)
     values = extract_array(
         samples, sampling_rate, names, pre_trigger=pre_trigger, remove_baseline=remove_baseline, invalid=invalid
     )
