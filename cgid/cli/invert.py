@@ -17,6 +17,9 @@ from cgid.errors import InvalidValue
 if TYPE_CHECKING:
     from cgid.calibration.forces import ImpactForce
 
+#: Where more than this fraction of the amplitude is left, forces are those of another beam.
+_WRONG = 0.5
+
 
 @click.command(
     cls=Command,
@@ -80,6 +83,12 @@ def invert(
             warn(f"impact at {row['time']:.4g} s: the response is clipped, its force is wrong; use a larger range")
         if row["peak"] <= 0:
             warn(f"impact at {row['time']:.4g} s: the force pulls; is the signal inverted (--invert), or elsewhere?")
+    left = sorted(row["unexplained"] for row in rows)[len(rows) // 2]
+    if left > _WRONG:
+        warn(
+            f"{recording}: the modes must explain most of the vibration, {100 * left:.0f} % is left (median), so forces "
+            "are wrong; check the beam, the sensor and the sampling rate of the recorder"
+        )
     if path is not None:
         title = "impact,time [s],force [N],deviation [N]" + ("" if hammer is None else ",measured [N]")
         title += ",x [m],y [m]" if scene_name is not None else ""
