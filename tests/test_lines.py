@@ -268,6 +268,16 @@ def test_a_machine_that_is_known_to_run_is_taken_out_from_the_begin() -> None:
     assert known[first].std() < 0.3 * samples[first].std()
 
 
+@pytest.mark.parametrize("size", [6400, 128_000])
+def test_tones_are_noted_however_long_the_blocks_are(size: int) -> None:
+    samples, model = loud()[0][:1, :128_000], load_model("default-acceleration")
+    for lines in (None, True):
+        blocks = (samples[:, first : first + size] for first in range(0, samples.shape[1], size))
+        steps = list(identify_blocks(blocks, RATE, model, ["1"], PredictionSettings(lines=lines), "belt"))
+        (note,) = (note for step in steps for note in step.notes)
+        assert note.startswith("belt: tones of a machine are taken out")
+
+
 def test_a_machine_is_heard_each_time_it_begins() -> None:
     n, start = round(12 * RATE), 4.0
     samples = np.stack([noise(12), noise(12, 1), noise(12, 2)])
