@@ -432,8 +432,9 @@ def test_harmful_models_are_refused(harm: str, trained: Trained, tmp_path: Path)
     model = trained[family].model
     changes = {name: change(model.arrays[name])} if change else {"header": HEADER_HARM[harm]}
     (tmp_path / "m.npz").write_bytes(rewritten(model, **changes))
-    with pytest.raises(BadData, match=r"not a valid model: (?!.*SHA-256)"):
+    with pytest.raises(BadData) as refused:
         StoredModel.load(tmp_path / "m.npz")
+    assert "SHA-256" not in str(refused.value)
 
 
 # -- training ---------------------------------------------------------------------------------------------
