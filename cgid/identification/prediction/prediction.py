@@ -245,7 +245,8 @@ def _measured(samples: Any, sampling_rate: float | None, unit: str | None, chain
 
 def _signals(samples: Any, sampling_rate: float | None) -> list[Signal]:
     """Return the channels of samples (n_samples,) or (n_samples, n_channels), without unit."""
-    sampling_rate = validation.given_rate(samples, sampling_rate)
+    if sampling_rate is None:
+        raise MissingOption("samples: an array has no sampling rate; give sampling_rate in Hz")
     names = getattr(samples, "columns", None)
     columns = validation.plain("samples", samples)
     if columns.ndim == 1:
