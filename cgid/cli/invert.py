@@ -86,8 +86,8 @@ def invert(
     left = sorted(row["unexplained"] for row in rows)[len(rows) // 2]
     if left > _WRONG:
         warn(
-            f"{recording}: the modes must explain most of the vibration, {100 * left:.0f} % is left (median), so forces "
-            "are wrong; check the beam, the sensor and the sampling rate of the recorder"
+            f"{recording}: the modes must explain most of the vibration, {100 * left:.0f} % is left (median), so "
+            "forces are wrong; check the beam, the sensor and the sampling rate of the recorder"
         )
     if path is not None:
         title = "impact,time [s],force [N],deviation [N]" + ("" if hammer is None else ",measured [N]")
