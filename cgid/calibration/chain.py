@@ -244,7 +244,8 @@ class _Search:
     def _anew(self, chain: SensorChain) -> Floats:
         """Return the pulses through a chain, from the start: those through another one may be in another valley."""
         contact = ContactFit(self._inversion, chain.behind(self._inversion.beam)).fit(self._estimate)
-        return np.clip(np.column_stack([np.log(contact.width), contact.shape, contact.touch]), *_PULSES)
+        pulses = np.column_stack([np.log(contact.width), contact.shape, contact.touch])
+        return np.asarray(np.clip(pulses, *_PULSES))
 
     def _fitted(self, chain: SensorChain, pulses: Floats, n_steps: int) -> _Fitted:
         """Return the pulses that fit best through a chain, near some."""
