@@ -234,6 +234,7 @@ def test_taps_at_one_place_are_averaged(recording):
         ({"places": grid()[:-1]}, "a row for each tap"),
         ({"sensor": (0.7, 2.0)}, "next to the sensor"),
         ({"places": np.repeat(grid()[:1], len(grid()), axis=0)}, "6 places"),
+        ({"times": [0.2, 0.2, *(0.2 + GAP * np.arange(2, len(grid()))).tolist()]}, "a tap of its own"),
     ],
 )
 def test_tables_of_places_that_do_not_match_are_refused(recording, options, says):

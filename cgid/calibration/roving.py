@@ -254,8 +254,14 @@ def _rows_of(taps: Sequence[Tap], places: Floats, times: Sequence[float] | None,
                 f"{counted(len(taps), 'tap')}; correct it, or add the column time_s"
             )
         return {tap.time: row for row, tap in enumerate(taps)}
-    apart = np.abs(np.array(times)[:, None] - [tap.time for tap in taps])
-    return {taps[k].time: row for row, k in enumerate(apart.argmin(axis=1).tolist())}
+    nearest = np.abs(np.array(times)[:, None] - [tap.time for tap in taps]).argmin(axis=1)
+    tap, count = np.unique(nearest, return_counts=True)
+    if (count > 1).any():
+        raise BadData(
+            f"{source}: each row of the table of taps must have a tap of its own, the tap at "
+            f"{taps[tap[count.argmax()]].time:.4g} s has {count.max()}; correct time_s"
+        )
+    return {taps[k].time: row for row, k in enumerate(nearest.tolist())}
 
 
 def _require_enough(points: Floats, sensor: tuple[float, float], source: str) -> None:
