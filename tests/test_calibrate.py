@@ -523,16 +523,16 @@ def test_a_filter_of_linear_phase_is_looked_through(known):
 @pytest.mark.long
 def test_a_filter_of_linear_phase_is_learned():
     """The taps are those of scipy, its delay is cut off; the scene has a Butterworth filter."""
-    scene = panel()
+    scene = load_scene("tail_beam")
     content = json.loads(scene.text)
     content["sensor"].pop("anti_alias")
-    content["sampling"] = {"sampling_rate": 2 * RATE, "samples": 1024, "pre_trigger": 2 * BEFORE}
-    motion = frames(parse_scene(content), 40, seed=5)
-    taps = signal.firwin(129, 0.3, fs=2.0, window=("kaiser", 9.0))
+    content["sampling"] |= {"sampling_rate": 51_200.0, "samples": 4096, "pre_trigger": 256}
+    motion = np.concatenate([batch.signals for batch in synthesise(parse_scene(content), 40, 5)])
+    taps = signal.firwin(129, 0.2, fs=1.0, window=("kaiser", 9.0))
     blows = signal.fftconvolve(motion, taps[None], mode="same", axes=1)[:, ::2]
-    found = calibrate(scene, blows, RATE, BEFORE, exact=("sensor", "mounting"), start_error=1e-3)
+    found = calibrate(scene, blows, 25_600.0, 128, exact=("sensor", "mounting"), start_error=1e-3)
     assert found.scene.sensor.anti_alias.kind == "linear-phase" and found.outside < 0.02
-    assert found.scene.sensor.anti_alias.frequency == pytest.approx(0.3 * RATE, rel=0.02)
+    assert found.scene.sensor.anti_alias.frequency == pytest.approx(10_240, rel=0.02)
 
 
 @pytest.mark.long
