@@ -43,6 +43,11 @@ def lines_of(band: tuple[float, float]) -> Complex:
     return resonator_poles([_BELOW * band[0], *(above * band[1] for above in _ABOVE)], LINE_DAMPING)
 
 
+def are_lines(damping_ratio: Floats) -> NDArray[np.bool_]:
+    """Return which rows of a response stand for modes outside of its band."""
+    return np.asarray(damping_ratio > LINE_DAMPING / 2)
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Blow:
     """The force of a tap and the vibration from its start."""

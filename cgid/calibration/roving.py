@@ -20,7 +20,7 @@ from cgid._lib import validation
 from cgid._lib.files import check_new, write_whole
 from cgid._lib.terminal import counted
 from cgid._lib.validation import Floats
-from cgid.calibration.joint import LINE_DAMPING, Gram, gram_of, lines_of
+from cgid.calibration.joint import Gram, are_lines, gram_of, lines_of
 from cgid.calibration.poles import poles_of
 from cgid.calibration.taps import (
     EXACT,
@@ -81,12 +81,12 @@ class RovingTest(TapTest):
     @property
     def unpredicted(self) -> Floats:
         """Fraction of the amplitude of each mode that other places do not predict, root mean square, (n_modes,)."""
-        return self.placed.unpredicted[self.response.damping_ratio < LINE_DAMPING / 2]
+        return self.placed.unpredicted[~are_lines(self.response.damping_ratio)]
 
     @property
     def mode_shapes(self) -> Floats:
         """Shapes of `modes` at the places, over their root mean square, (n_places, n_modes)."""
-        return self.shapes[:, self.response.damping_ratio < LINE_DAMPING / 2]
+        return self.shapes[:, ~are_lines(self.response.damping_ratio)]
 
     def shapes_path(self, path: str | Path) -> Path:
         """Return the path of the table of shapes beside a table of modes."""

@@ -273,7 +273,7 @@ def _spans(recording: Any, hammer: Any, factor: float, pull: float, overlap: flo
 
 def _say(test: TapTest, path: Path, scene: str | None, known: Any, alike: Any, as_json: bool) -> None:
     """Print the modes, and how to use them; those matched with a scene's, and how alike both are."""
-    from cgid.calibration.joint import LINE_DAMPING
+    from cgid.calibration.joint import are_lines
     from cgid.calibration.matching import LEAST_MAC
     from cgid.calibration.roving import RovingTest
 
@@ -301,7 +301,7 @@ def _say(test: TapTest, path: Path, scene: str | None, known: Any, alike: Any, a
             f"places (median), more than {100 * _COARSE:.0f} % of {counted(len(worst), 'mode')}"
             + (f", {worst.min():.4g} to {worst.max():.4g} Hz: weak, or the grid is too coarse" if len(worst) else "")
         )
-    outside = int((test.response.damping_ratio > LINE_DAMPING / 2).sum())
+    outside = int(are_lines(test.response.damping_ratio).sum())
     split = test.response.frequency.size - outside - test.modes.frequency.size
     if outside:
         and_split = f", {split} for decays that are not exponential" if split > 0 else ""
