@@ -92,9 +92,9 @@ def estimate_impactors(
     [3.6, 3.57, 3.62]
     """
     if isinstance(samples, Signal | Batch):
-        samples, own_rate, own_start = _in_si(samples)
-        sampling_rate = own_rate if sampling_rate is None else sampling_rate
-        pre_trigger = own_start if pre_trigger is None else pre_trigger
+        sampling_rate = samples.sampling_rate if sampling_rate is None else sampling_rate
+        pre_trigger = samples.pre_trigger if pre_trigger is None else pre_trigger
+        samples = samples.in_si().samples if isinstance(samples, Signal) else _rows_in_si(samples)
     sampling_rate = given_rate(samples, sampling_rate)
     if among is None:
         raise MissingOption("among: the possible impactors must be known; give a scene, as in among='reference'")
@@ -114,12 +114,9 @@ def estimate_impactors(
     return among.posterior(_of_forces(samples, sampling_rate, pre_trigger, options))
 
 
-def _in_si(given: Signal | Batch) -> tuple[NDArray[Any], float, int | None]:
-    """Return the samples of a signal or batch in the SI unit of their quantity, their rate and samples before onset."""
-    rows = given.signals if isinstance(given, Batch) else given.samples
-    quantity = None if given.unit is None else quantity_of(given.unit)
-    factor = 1.0 if quantity is None else UNITS[quantity][str(given.unit)]
-    return rows if factor == 1 else rows * factor, given.sampling_rate, given.pre_trigger
+def _rows_in_si(batch: Batch) -> NDArray[Any]:
+    factor = UNITS[quantity_of(batch.unit)][batch.unit]
+    return batch.signals if factor == 1 else np.asarray(batch.signals * factor)
 
 
 def _of_forces(
