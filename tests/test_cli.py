@@ -160,9 +160,10 @@ def test_info_says_what_a_table_of_events_holds(tmp_path: Path, capsys: pytest.C
     assert run(["info", str(tmp_path / "m.toml"), "--json"]) == 0
     content = json.loads(capsys.readouterr().out)
     assert [content[name] for name in ("kind", "rows", "labels")] == ["manifest", 1, {"coal": 1}]
-    assert run(["info", str(ROOT / "datasets" / "caving.toml"), "--json"]) == 0
-    content = json.loads(capsys.readouterr().out)
-    assert (content["kind"], content["name"]) == ("scene", "caving")
+    for scene in (str(ROOT / "datasets" / "caving.toml"), "caving"):
+        assert run(["info", scene, "--json"]) == 0
+        content = json.loads(capsys.readouterr().out)
+        assert (content["kind"], content["name"]) == ("scene", "caving")
     # Without these columns it is a recording, which has no numbers.
     table.write_text("file,text\na.wav,coal\n")
     assert run(["info", str(table)]) == 65

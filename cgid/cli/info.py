@@ -42,14 +42,18 @@ _LOCAL_HEAD, _HEADER = 30, b"header.npy"
 @same_beam_option
 @json_option
 def info(file: str, as_json: bool, same_beam: tuple[str, ...], reading: ReadingOptions) -> int:
-    """Describe FILE: a dataset, table, model, manifest, scene or recording, or each recording of a folder."""
+    """Describe FILE: a dataset, table, model, manifest, scene or recording, or each recording of a folder.
+
+    Shipped models and scenes have names, such as default or caving.
+    """
     from cgid import shipped
     from cgid.identification.prediction.settings import require_groups
     from cgid.identification.training.manifest import recordings_of
 
     beams = require_groups(same_beam)
-    if file.partition("@")[0] in shipped.MODELS and not Path(file).exists():
-        file = str(shipped.model_path(file))
+    if not Path(file).exists():
+        for names, path_of in ((shipped.MODELS, shipped.model_path), (shipped.SCENES, shipped.scene_path)):
+            file = str(path_of(file)) if file.partition("@")[0] in names else file
     files = recordings_of([file])
     reading.require_files(files)
     errors = FileErrors(strict=len(files) == 1)
