@@ -6,6 +6,7 @@ import json
 import numpy as np
 import pytest
 
+from cgid.calibration import forces_in
 from cgid.cli.main import run
 from cgid.errors import BadData, InvalidValue
 from cgid.identification.inversion.recovered import errors_of, recover_force
@@ -88,6 +89,19 @@ def test_what_cannot_be_inverted_is_refused(recorded, options, message):
     onsets = options.pop("onsets", times)
     with pytest.raises((BadData, InvalidValue), match=message):
         recover_force(response[None], RATE, modes_of(), onsets, **options)
+
+
+def test_an_impact_without_vibration_costs_its_own_row_alone(recorded):
+    """The recording ends just behind the last tap; its stretch begins 10 s into it."""
+    response, _, times = recorded
+    span = (round(10 * RATE), response[None, : round((times[-1] + 0.03) * RATE)], None, True)
+    told: list[str] = []
+    found = list(forces_in([span], RATE, modes_of(), told=told.append))
+    np.testing.assert_allclose([one.found.time[0] for one in found], 10 + times[:2], atol=1e-3)
+    assert len(told) == 1
+    assert f"impact at {10 + times[2]:.4g} s" in told[0]
+    with pytest.raises(BadData, match=f"impact at {10 + times[2]:.4g} s"):
+        list(forces_in([span], RATE, modes_of()))
 
 
 def test_command(recorded, tmp_path, capsys, monkeypatch):

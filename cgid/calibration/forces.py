@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,7 +11,7 @@ from cgid._lib.validation import Floats
 from cgid.calibration.splice import Span
 from cgid.calibration.taps import events_in, hammer_force, is_clipped
 from cgid.errors import BadData
-from cgid.identification.inversion.recovered import CONTACT, RecoveredForce, errors_of, recover_force
+from cgid.identification.inversion.recovered import CONTACT, RecoveredForce, errors_of, recover_each
 from cgid.measure.modal.beam import Beam
 from cgid.measure.modal.modes import Modes
 
@@ -50,6 +50,7 @@ def forces_in(
     band: tuple[float, float] | None = None,
     contact: float = CONTACT,
     source: str = "signal",
+    told: Callable[[str], None] | None = None,
 ) -> Iterator[ImpactForce]:
     """Yield the force of each impact of a recording, in order of time.
 
@@ -64,6 +65,8 @@ def forces_in(
         As of `cgid.identification.inversion.recover_force`.
     source : str
         Name of the recording in errors.
+    told : callable, optional
+        Receives one line about each impact whose force cannot be found; by default the first one raises.
 
     Yields
     ------
@@ -72,9 +75,10 @@ def forces_in(
     Raises
     ------
     InvalidValue, BadData
-        There is no impact; or as of `recover_force`.
+        There is no impact whose force can be found; or as of `recover_force`.
     """
-    done, silent, n_found = 0, None, 0
+    done, n_found = 0, 0
+    why_none = BadData(f"{source}: must contain an impact, got none; record longer")
     for first, response, force, last in spans:
         try:
             if force is None:
@@ -82,14 +86,15 @@ def forces_in(
             else:
                 measured, events = hammer_force(force, sampling_rate, source)
         except BadData as error:
-            silent = error
+            why_none = error
             continue
         # The vibration of the last impacts goes on in the next stretch, which also begins with them.
         rings = round(OVERLAP / 2 * sampling_rate)
         end = response.shape[1] - (0 if last else rings)
         onsets = [event.onset for event in events if done - first <= event.onset < end]
         limits = response.max(axis=1), response.min(axis=1)
-        found = recover_force(
+        failed: list[BadData] = []
+        found = recover_each(
             response,
             sampling_rate,
             modes,
@@ -97,8 +102,16 @@ def forces_in(
             quantity=quantity,
             band=band,
             contact=contact,
+            begin=first / sampling_rate,
+            told=failed.append,
         )
+        for why_none in failed:
+            if told is None:
+                raise why_none
+            told(f"{source}: {why_none}")
         for onset, one in zip(onsets, found, strict=True):
+            if one is None:
+                continue
             part = response[:, round(onset) : round(one.time[-1] * sampling_rate) + rings]
             out = ImpactForce(found=one, clipped=is_clipped(part, *limits))
             if measured is not None:
@@ -108,4 +121,4 @@ def forces_in(
             yield replace(out, found=replace(one, time=one.time + first / sampling_rate))
         done = first + end
     if not n_found:
-        raise silent or BadData(f"{source}: must contain an impact, got none; record longer")
+        raise why_none

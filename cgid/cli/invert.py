@@ -74,7 +74,7 @@ def invert(
     rows: list[dict[str, Any]] = []
     text: list[str] = []
     options: dict[str, Any] = {"quantity": quantity, "band": band or None, "contact": contact * 1e-3}
-    for one in forces_in(spans, rate, modes, source=recording, **options):
+    for one in forces_in(spans, rate, modes, source=recording, told=warn, **options):
         rows.append(_row(one))
         if path is not None:
             text += _lines(len(rows), one)

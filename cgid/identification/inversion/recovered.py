@@ -9,9 +9,10 @@ where these resonate, so the deviations come from the residual itself: parts of 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -186,73 +187,109 @@ def recover_force(
     BadData
         The modes are not in the band of the recording, or an impact leaves too little of it.
     """
+    options: dict[str, Any] = {"quantity": quantity, "band": band, "contact": contact}
+    return [one for one in recover_each(response, sampling_rate, modes, onsets, **options) if one is not None]
+
+
+def _stop(error: BadData) -> None:
+    raise error
+
+
+def recover_each(
+    response: Floats,
+    sampling_rate: float,
+    modes: Modes | Sequence[Modes] | Beam,
+    onsets: Sequence[float],
+    *,
+    quantity: str = "acceleration",
+    band: tuple[float, float] | None = None,
+    contact: float = CONTACT,
+    begin: float = 0.0,
+    told: Callable[[BadData], None] = _stop,
+) -> list[RecoveredForce | None]:
+    """Return what `recover_force` returns, and None for an impact whose error is told instead of raised.
+
+    Errors name times from `begin` [s] on, when the response begins.
+    """
     derivatives = _MOTIONS.index(validation.choice("quantity", quantity, _MOTIONS))
     contact = validation.number("contact", contact, "s", validation.positive)
-    if isinstance(modes, Beam):
-        return _anywhere(np.atleast_2d(np.asarray(response, np.float64)), sampling_rate, modes, onsets, derivatives)
-    every = [modes] if isinstance(modes, Modes) else list(modes)
     response = np.atleast_2d(np.asarray(response, np.float64))
+    onset = np.sort(np.asarray(onsets, np.float64))
+    if isinstance(modes, Beam):
+        return _anywhere(response, sampling_rate, modes, onset, derivatives, begin, told)
+    every = [modes] if isinstance(modes, Modes) else list(modes)
     if len(every) != len(response):
         raise InvalidValue(
             f"modes must be one table for each channel, got {len(every)} for {len(response)}; choose channels by "
             "--channel, or name a table for each"
         )
     band = _band_of(every, band, sampling_rate)
-    onset = np.round(np.sort(np.asarray(onsets, np.float64)) * sampling_rate).astype(int)
-    ends = [*onset[1:].tolist(), response.shape[1]]
-    found: list[RecoveredForce] = []
-    for first, end in zip((onset - round(_BEFORE * sampling_rate)).tolist(), ends, strict=True):
-        first, last = max(first, 0), min(end - round(_BEFORE * sampling_rate), first + round(_LONGEST * sampling_rate))
+    before = round(_BEFORE * sampling_rate)
+    starts = (np.round(onset * sampling_rate).astype(int) - before).tolist()
+    out: list[RecoveredForce | None] = []
+    for at, first, end in zip(onset.tolist(), starts, [*starts[1:], response.shape[1] - before], strict=True):
+        first, last = max(first, 0), min(end, first + round(_LONGEST * sampling_rate))
         n_bins = bins_in(max(last - first, 1), sampling_rate, band).size
         if n_bins < 4 * _PARTS:
-            raise BadData(
-                f"impact at {first / sampling_rate:.4g} s: must be followed by {4 * _PARTS / (band[1] - band[0]):.2g} "
-                f"s of vibration, got {max(last - first, 0) / sampling_rate:.2g} s; leave more time between impacts"
+            error = BadData(
+                f"impact at {begin + at:.4g} s: must be followed by "
+                f"{4 * _PARTS / (band[1] - band[0]):.2g} s of vibration, got "
+                f"{max(last - first, 0) / sampling_rate:.2g} s; leave more time between impacts"
             )
+            told(error)
+            out.append(None)
+            continue
+        found = [one for one in out if one is not None]
         vibrations = [
             _Vibration(row[first:last], own, sampling_rate, derivatives, band, first, found)
             for row, own in zip(response, every, strict=True)
         ]
-        found.append(_recovered(vibrations, first, round((contact + _BEFORE) * sampling_rate)))
-    return found
+        out.append(_recovered(vibrations, first, round((contact + _BEFORE) * sampling_rate)))
+    return out
 
 
 def _anywhere(
-    response: Floats, sampling_rate: float, beam: Beam, onsets: Sequence[float], derivatives: int
-) -> list[RecoveredForce]:
+    response: Floats,
+    sampling_rate: float,
+    beam: Beam,
+    onset: Floats,
+    derivatives: int,
+    begin: float,
+    told: Callable[[BadData], None],
+) -> list[RecoveredForce | None]:
     """Return the force of each impact on a beam, with its place."""
     if len(response) != beam.n_sensors or derivatives != beam.derivatives:
         raise InvalidValue(
             f"response must be {beam.n_sensors} channels of {_MOTIONS[beam.derivatives]} for this beam, got "
             f"{len(response)} of {_MOTIONS[derivatives]}; choose channels by --channel"
         )
-    if not len(onsets):
-        return []
     before, n = (round(time * sampling_rate) for time in (_QUIET_TIME, _QUIET_TIME + 1.6 * SPAN_TIME))
-    first = np.round(np.sort(np.asarray(onsets, np.float64)) * sampling_rate).astype(int) - before
-    if first[0] < 0 or first[-1] + n > response.shape[1]:
-        at = first[0] if first[0] < 0 else first[-1]
-        raise BadData(
-            f"impact at {(at + before) / sampling_rate:.4g} s: must have {1e3 * _QUIET_TIME:g} ms before and "
+    first = np.round(onset * sampling_rate).astype(int) - before
+    inside = (first >= 0) & (first + n <= response.shape[1])
+    for at in onset[~inside].tolist():
+        error = BadData(
+            f"impact at {begin + at:.4g} s: must have {1e3 * _QUIET_TIME:g} ms before and "
             f"{1e3 * (n - before) / sampling_rate:g} ms after it; record longer"
         )
+        told(error)
+    out: list[RecoveredForce | None] = [None] * len(first)
+    if not inside.any():
+        return out
+    first = first[inside]
     frames = np.stack([row[start : start + n] for start in first.tolist() for row in response])
     found, contact = ThroughBeam(beam).look(VibrationBatch(frames, sampling_rate, before))
-    out = []
-    for row, start in enumerate(first.tolist()):
+    for row, (at, start) in enumerate(zip(np.flatnonzero(inside).tolist(), first.tolist(), strict=True)):
         touch = start / sampling_rate + (found.start[row] + contact.touch[row]) / beam.sampling_rate
         logs = np.array([np.log(contact.peak[row]), np.log(contact.width[row]), contact.shape[row]])
         time, force = _pulse(logs, None, sampling_rate)
         slopes = np.stack([_pulse(logs + step, time, sampling_rate)[1] - force for step in _STEP * np.eye(3)]) / _STEP
-        out.append(
-            RecoveredForce(
-                time=touch + time,
-                force=force,
-                covariance=slopes.T @ contact.covariance[row] @ slopes,
-                unexplained=float(np.sqrt(found.unexplained[row])),
-                place=(float(found.x[row]), float(found.y[row])),
-                place_deviation=(float(found.place_deviation[row, 0]), float(found.place_deviation[row, 1])),
-            )
+        out[at] = RecoveredForce(
+            time=touch + time,
+            force=force,
+            covariance=slopes.T @ contact.covariance[row] @ slopes,
+            unexplained=float(np.sqrt(found.unexplained[row])),
+            place=(float(found.x[row]), float(found.y[row])),
+            place_deviation=(float(found.place_deviation[row, 0]), float(found.place_deviation[row, 1])),
         )
     return out
 
