@@ -185,6 +185,9 @@ def test_forces_of_impacts_at_unknown_places(folder, monkeypatch, capsys):
     assert rows[0] == "impact,time [s],force [N],deviation [N],measured [N],x [m],y [m]"
     assert run([*command, "--overwrite"]) == 0
     assert "x [mm]" in capsys.readouterr().out
+    # Participations of the table are means over its places, so that forces through it alone would be wrong.
+    assert run(["invert", *given, "--modes", "taps-modes.csv"]) == 65
+    assert "--scene" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

@@ -39,7 +39,7 @@ from cgid.calibration.taps import (
     usable,
 )
 from cgid.errors import BadData, InvalidValue
-from cgid.measure.modal.modes import Modes, text_of_shapes, text_of_table
+from cgid.measure.modal.modes import Modes, shapes_beside, text_of_shapes, text_of_table
 from cgid.physics.structure.places import PlacedShapes, placed
 from cgid.physics.structure.response import DERIVATIVES
 
@@ -88,17 +88,12 @@ class RovingTest(TapTest):
         """Shapes of `modes` at the places, over their root mean square, (n_places, n_modes)."""
         return self.shapes[:, ~are_lines(self.response.damping_ratio)]
 
-    def shapes_path(self, path: str | Path) -> Path:
-        """Return the path of the table of shapes beside a table of modes."""
-        path = Path(path)
-        return path.with_name(f"{path.stem}-shapes.csv")
-
     def save(self, path: str | Path, *, overwrite: bool = False) -> Path:
         """Write tables for `tail_beam.modes` and `tail_beam.learned`, and next to it one for `tail_beam.shapes`.
 
         The deviation of a participation is that of the shape between places.
         """
-        beside = check_new(self.shapes_path(path), "a table of shapes", (".csv",), overwrite=overwrite)
+        beside = check_new(shapes_beside(path), "a table of shapes", (".csv",), overwrite=overwrite)
         at_impact = np.asarray(self.response.at_impact)
         root = np.asarray(self.response.at_sensor) / at_impact
         columns = {

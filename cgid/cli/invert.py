@@ -122,8 +122,14 @@ def _modes_of(tables: tuple[str, ...], scene_name: str | None, band: tuple[float
             "scene for impacts anywhere on its beam; choose one"
         )
     if scene_name is None:
-        from cgid.measure.modal.modes import read_modes
+        from cgid.measure.modal.modes import read_modes, shapes_beside
 
+        for shapes in map(shapes_beside, tables):
+            if shapes.exists():
+                raise InvalidValue(
+                    f"--modes must be a table of taps at one place, {shapes} beside it says that a hammer roved; name "
+                    "both in a scene, and give that as --scene"
+                )
         return [read_modes(table) for table in tables]
     if band:
         raise InvalidValue("--band must be left out with --scene, whose sensor has the band; change it there")

@@ -276,6 +276,7 @@ def _say(test: TapTest, path: Path, scene: str | None, known: Any, alike: Any, a
     from cgid.calibration.joint import are_lines
     from cgid.calibration.matching import LEAST_MAC
     from cgid.calibration.roving import RovingTest
+    from cgid.measure.modal.modes import shapes_beside
 
     content = _content(test, path, known, alike)
     if as_json:
@@ -318,7 +319,7 @@ def _say(test: TapTest, path: Path, scene: str | None, known: Any, alike: Any, a
         (x_low, y_low), (x_high, y_high) = test.places.min(axis=0), test.places.max(axis=0)
         say(
             f'cgid: hint: name the tables in a scene, modes = "{path.name}", learned = "{path.name}" and shapes = '
-            f'"{test.shapes_path(path).name}" below [tail_beam] in place of its panel, with impact_point from '
+            f'"{shapes_beside(path).name}" below [tail_beam] in place of its panel, with impact_point from '
             f"{x_low:g} to {x_high:g} m and {y_low:g} to {y_high:g} m, then cgid check support.toml",
             err=True,
         )

@@ -385,6 +385,12 @@ def rows_of_shapes(path: str | Path) -> list[dict[str, Any]]:
     return [{"x": row["x"], "y": row["y"], "shape": [row[name] for name in list(columns)[2:]]} for row in rows]
 
 
+def shapes_beside(path: str | Path) -> Path:
+    """Return the path of the table of shapes that a roving hammer gives beside a table of modes."""
+    path = Path(path)
+    return path.with_name(f"{path.stem}-shapes.csv")
+
+
 def text_of_shapes(places: Floats, shapes: Floats) -> str:
     """Return the text of a table of shapes (n_places, n_modes) at places (n_places, 2) [m]."""
     titles = ["x [m]", "y [m]", *(f"shape_{k + 1} [1]" for k in range(shapes.shape[1]))]
