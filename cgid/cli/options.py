@@ -503,9 +503,8 @@ answering_options = _options(
     click.option(
         "--lines/--no-lines",
         default=None,
-        help="Remove machine tones from accelerations of a beam from the first sample on, or keep them; by "
-        "default they "
-        "are removed once they are detected, after two seconds.",
+        help="Remove machine tones from accelerations of a beam from the first sample on, or keep them; by default "
+        "they are removed once they are detected, after two seconds.",
     ),
     click.option(
         "--window", "share_time", type=float, help="Set the window of the gangue fraction [s], by default 10."
