@@ -21,11 +21,11 @@ from numpy.typing import NDArray
 
 from cgid._lib.validation import Complex, Floats
 from cgid.measure.modal.finite import Stretch, bins_in
-from cgid.measure.modal.modes import resonator_poles
+from cgid.measure.modal.modes import LINE_DAMPING, resonator_poles
 
 #: The mass line is a mode at this fraction of the lowest frequency of the band, the stiffness lines are at these
 #: multiples of the highest: modes near the band bend the response more than those far away. Their damping ratio.
-_BELOW, _ABOVE, LINE_DAMPING = 0.1, (1.5, 4.0), 0.5
+_BELOW, _ABOVE = 0.1, (1.5, 4.0)
 #: A windowed vibration is used for this many time constants of the window.
 _WINDOWS = 2.0
 #: Bins of a tap processed at once.
@@ -41,11 +41,6 @@ Indices = NDArray[np.intp]
 def lines_of(band: tuple[float, float]) -> Complex:
     """Return the poles of the mass line and the stiffness lines of a band [Hz] [1/s]."""
     return resonator_poles([_BELOW * band[0], *(above * band[1] for above in _ABOVE)], LINE_DAMPING)
-
-
-def are_lines(damping_ratio: Floats) -> NDArray[np.bool_]:
-    """Return which rows of a response stand for modes outside of its band."""
-    return np.asarray(damping_ratio > LINE_DAMPING / 2)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

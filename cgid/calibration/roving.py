@@ -20,7 +20,7 @@ from cgid._lib import validation
 from cgid._lib.files import check_new, write_whole
 from cgid._lib.terminal import counted
 from cgid._lib.validation import Floats
-from cgid.calibration.joint import Gram, are_lines, gram_of, lines_of
+from cgid.calibration.joint import Gram, gram_of, lines_of
 from cgid.calibration.poles import poles_of
 from cgid.calibration.taps import (
     EXACT,
@@ -39,7 +39,7 @@ from cgid.calibration.taps import (
     usable,
 )
 from cgid.errors import BadData, InvalidValue
-from cgid.measure.modal.modes import Modes, shapes_beside, text_of_shapes, text_of_table
+from cgid.measure.modal.modes import Modes, are_lines, shapes_beside, text_of_shapes, text_of_table
 from cgid.physics.structure.places import PlacedShapes, placed
 from cgid.physics.structure.response import DERIVATIVES
 

@@ -32,13 +32,13 @@ from cgid.calibration.agreement import (
     starts_late,
 )
 from cgid.calibration.frequency_response import FrequencyResponse
-from cgid.calibration.joint import LINE_DAMPING, Blow, Participations, fitted, gram_of, lines_of
+from cgid.calibration.joint import Blow, Participations, fitted, gram_of, lines_of
 from cgid.calibration.poles import Complexes, Poles, poles_of
 from cgid.errors import BadData, InvalidValue
 from cgid.identification.detection.detector import ImpactDetector
 from cgid.identification.detection.events import Event
 from cgid.measure.modal.finite import Stretch
-from cgid.measure.modal.modes import COMPLEX_COLUMNS, Modes, residues, text_of_table
+from cgid.measure.modal.modes import COMPLEX_COLUMNS, LINE_DAMPING, Modes, residues, text_of_table
 from cgid.physics.structure.response import DERIVATIVES
 from cgid.units import UNITS, quantity_of
 

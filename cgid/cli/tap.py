@@ -273,10 +273,9 @@ def _spans(recording: Any, hammer: Any, factor: float, pull: float, overlap: flo
 
 def _say(test: TapTest, path: Path, scene: str | None, known: Any, alike: Any, as_json: bool) -> None:
     """Print the modes, and how to use them; those matched with a scene's, and how alike both are."""
-    from cgid.calibration.joint import are_lines
     from cgid.calibration.matching import LEAST_MAC
     from cgid.calibration.roving import RovingTest
-    from cgid.measure.modal.modes import shapes_beside
+    from cgid.measure.modal.modes import are_lines, shapes_beside
 
     content = _content(test, path, known, alike)
     if as_json:

@@ -24,13 +24,12 @@ from cgid.measure.features.vibration import VibrationBatch
 from cgid.measure.fit import family
 from cgid.measure.modal.beam import FINE, SPAN_TIME, Beam
 from cgid.measure.modal.finite import Stretch, bins_in
-from cgid.measure.modal.modes import Modes
+from cgid.measure.modal.modes import LINE_DAMPING, Modes, are_lines
 
 #: Motions, by how often the displacement is differentiated.
 _MOTIONS = ("displacement", "velocity", "acceleration")
-#: Rows of a table with a higher damping ratio are the mass line and the stiffness line; the band reaches beyond its
-#: other modes by this factor.
-_MODE_DAMPING, _BEYOND = 0.2, 1.1
+#: The band reaches beyond the modes by this factor.
+_BEYOND = 1.1
 #: The force may begin this long before a detected onset, and is looked for this long after it [s].
 _BEFORE, CONTACT = 1e-3, 6e-3
 #: Longest vibration that is used [s]; where the place is unknown, of noise before an impact.
@@ -313,9 +312,11 @@ def _pulse(logs: Floats, time: Floats | None, sampling_rate: float) -> tuple[Flo
 
 def _band_of(modes: Sequence[Modes], band: tuple[float, float] | None, sampling_rate: float) -> tuple[float, float]:
     """Return the band [Hz], that of the modes if not given, within that of the recording."""
-    frequency = np.concatenate([own.frequency[own.damping_ratio < _MODE_DAMPING] for own in modes])
+    frequency = np.concatenate([own.frequency[~are_lines(own.damping_ratio)] for own in modes])
     if not frequency.size:
-        raise BadData(f"modes must contain one with a damping ratio below {_MODE_DAMPING:g}; name a table of cgid tap")
+        raise BadData(
+            f"modes must contain one with a damping ratio below {LINE_DAMPING / 2:g}; name a table of cgid tap"
+        )
     low, high = band or (frequency.min() / _BEYOND, frequency.max() * _BEYOND)
     if band is None:
         high = min(high, 0.45 * sampling_rate)

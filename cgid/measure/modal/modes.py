@@ -39,6 +39,8 @@ COMPLEX_COLUMNS = {"in_phase": "1/kg", "quadrature": "1/kg"}
 #: A participation is at least this [1/kg], so that shapes are finite. Modes are compared at frequencies so many
 #: half-widths from each.
 _LEAST, _BESIDE = 1e-12, (0.0, 0.5, 1.0, 2.0, 4.0, 8.0)
+#: Damping ratio of the rows of a measured response that stand for modes outside of its band.
+LINE_DAMPING = 0.5
 #: Limits of a damping ratio that is corrected.
 _MIN_DAMPING, _MAX_DAMPING = 1e-4, 0.7
 #: Largest file of modes [bytes].
@@ -383,6 +385,11 @@ def rows_of_shapes(path: str | Path) -> list[dict[str, Any]]:
     indices = _column_indices(path, titles, columns)
     rows = [_row(f"{path}, line {number}", cells, indices) for number, cells in lines[1:]]
     return [{"x": row["x"], "y": row["y"], "shape": [row[name] for name in list(columns)[2:]]} for row in rows]
+
+
+def are_lines(damping_ratio: Floats) -> NDArray[np.bool_]:
+    """Return which rows of a table stand for modes outside of its band, the mass line and the stiffness lines."""
+    return np.asarray(damping_ratio > LINE_DAMPING / 2)
 
 
 def shapes_beside(path: str | Path) -> Path:

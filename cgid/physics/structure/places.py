@@ -18,7 +18,7 @@ from scipy.spatial.distance import cdist
 from scipy.special import j0
 
 from cgid._lib.validation import Floats
-from cgid.measure.modal.modes import NodeShapes, nodes
+from cgid.measure.modal.modes import NodeShapes, are_lines, nodes
 
 __all__ = ["PlacedShapes", "placed"]
 
@@ -33,8 +33,6 @@ _NEAR = 1.3
 _CHOOSING = 120
 #: Chebyshev nodes to a wave, and beyond.
 _NODES_A_WAVE, _NODES = 4.0, 9
-#: A mode of a higher damping ratio stands for those outside of a band: it has no wave number.
-_NO_MODE = 0.2
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,7 +71,7 @@ def placed(places: Floats, values: Floats, frequency: Floats, damping_ratio: Flo
     """Return the shapes of modes from values (n_places, n_modes) at places (n_places, 2) [m]."""
     level = np.maximum(np.sqrt(np.mean(np.square(values), axis=0)), 1e-300)
     of_mode = values / level
-    is_mode = damping_ratio < _NO_MODE
+    is_mode = ~are_lines(damping_ratio)  # the others have no wave number
     wave, fade, nugget = _correlations(places, of_mode, frequency, is_mode)
     low, high = places.min(axis=0), places.max(axis=0)
     shortest = 2 * np.pi / float((wave + 2 / fade).max())
