@@ -162,11 +162,15 @@ def streams(n_streams: int, seed: int, beam: Beam) -> list[StreamRows]:
     return rows_of_streams(scenes, seed, (*BEAM_FEATURES, *BEAM_GUARDS), beam)
 
 
-def strangers(n: int, seed: int) -> Rows:
-    """Return rows of anything, on the rig of `reference` and on many others."""
+def stranger_scenes(n: int) -> list[tuple[Scene, int]]:
+    """Return the scenes of anything with the number of impacts of each, on the rig of `reference` and on others."""
     anything = shipped_scene("anything")
-    scenes = [(anything, n // 2), *on_rigs(anything, n // 2)]
-    made = (synthesise(scene, own, seed + number) for number, (scene, own) in enumerate(scenes))
+    return [(anything, n // 2), *on_rigs(anything, n // 2)]
+
+
+def strangers(n: int, seed: int) -> Rows:
+    """Return rows of anything."""
+    made = (synthesise(scene, own, seed + number) for number, (scene, own) in enumerate(stranger_scenes(n)))
     return measure(chain.from_iterable(made), (*DEFAULT_FEATURES, *DEFAULT_GUARDS))
 
 

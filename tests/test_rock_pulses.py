@@ -203,11 +203,11 @@ def test_figures_of_answers_by_hand():
 def test_rows_of_a_scene_come_apart_by_law(reference_scene):
     crushed = tuple(one.model_copy(update={"dissipation": "walton-braun"}) for one in reference_scene.populations)
     scene = reference_scene.model_copy(update={"populations": (*reference_scene.populations, *crushed)})
-    rows = rock.scene_rows(scene, 64, ("fitted_restitution", "misfit"))
-    assert list(rows) == ["hunt-crossley", "walton-braun"]
-    misfit = {law: np.median(own.columns(("misfit",))) for law, own in rows.items()}
+    rows = rock.rows_by_law([(scene, 128)], ("fitted_restitution", "misfit"), 1)
+    assert [law for law, _ in rows] == ["hunt-crossley", "walton-braun"]
+    misfit = {law: np.median(own.columns(("misfit",))) for law, own in rows}
     assert misfit["hunt-crossley"] < 1.3 < misfit["walton-braun"]
-    both = rock.joined(list(rows.values()))
+    both = rock.joined([own for _, own in rows])
     assert len(both.labels) == 128
     assert len(np.unique(both.group)) == 128
     assert np.bincount(both.source).tolist() == [64, 64]
