@@ -12,6 +12,7 @@ posterior if the pulse were known exactly, and, if the material were known, by t
 
 import argparse
 import json
+import sys
 import time
 import warnings
 from collections import Counter
@@ -128,8 +129,8 @@ def case(name: str, among: str, n: int, chosen: str = "all") -> None:
     print(head + "".join("| " + " / ".join(f"{one:.3f}" for one in share[q]) + " " for q in QUANTITIES) + "|")
     wide = np.mean([text.startswith("wide") for text in found.reason[known].tolist()])
     why = Counter(" ".join(text.split(":")[0].split()[:6]) for text in found.reason[rows & ~known].tolist())
-    notes = f"<!-- wide: {wide:.3f}; none: {dict(why.most_common(3))}; fit {1e6 * fitting:.0f} us"
-    print(f"{notes}, posterior {1e6 * taken:.0f} us an impact -->")
+    notes = f"{name}, {chosen}: wide {wide:.3f}; none: {dict(why.most_common(3))}; fit {1e6 * fitting:.0f} us"
+    print(f"{notes}, posterior {1e6 * taken:.0f} us an impact", file=sys.stderr)
     WIDTHS[name, among, chosen] = [
         (
             float(np.divide(*np.quantile(population.prior(q), [0.9, 0.1]))),
@@ -290,13 +291,16 @@ def masses(n: int, name: str = "caving") -> None:
     known = np.isfinite(own.median("mass"))
     groups = {"all": known, "not yet bounced": known & (hit["bounce"] == 0), "rebounds": known & (hit["bounce"] > 0)}
     groups |= {"1.5 kg and heavier": known & (hit["mass"] > 1.5)}
+    print("\n| impacts | number | mass 50 / 80 / 95 % | radius | speed | 90 % below / above the truth |")
+    print("|---|---|---|---|---|---|")
     for label, rows in groups.items():
-        share = {q: " / ".join(f"{x:.3f}" for x in v) for q, v in covered(own, hit, rows).items()}
+        share = covered(own, hit, rows)
+        cells = "".join("| " + " / ".join(f"{one:.3f}" for one in share[q]) + " " for q in QUANTITIES)
         low, high = own.interval("mass", 0.9)
         below, above = np.mean((high < hit["mass"])[rows]), np.mean((low > hit["mass"])[rows])
-        print(f"matched impacts, {label}: {rows.sum()}, {share}, told too light {below:.3f}, too heavy {above:.3f}")
+        print(f"| {label} | {rows.sum()} {cells}| {below:.3f} / {above:.3f} |")
     found, true = held[0][:2]
-    print("| mass [kg] | true | found | corrected | 90 % | share found |\n|---|---|---|---|---|---|")
+    print("\n| mass [kg] | true | found | corrected | 90 % | share found |\n|---|---|---|---|---|---|")
     for k in range(len(true)):
         print(
             f"| {found.edges[k]:.3g} to {found.edges[k + 1]:.3g} | {true[k]} | {found.detected[k]:.0f} "
