@@ -374,6 +374,19 @@ def test_signals_are_those_of_cgid_generate(made: Path, tmp_path: Path) -> None:
     assert np.isnan(crossing) and truth.streams["caving-constant"][0].time.size > 60
 
 
+@pytest.mark.long
+@pytest.mark.parametrize("name", ["tail_beam", "laws", "force-pink"])
+def test_public_sets_are_those_whose_sums_are_kept(name: str) -> None:
+    one = ALL[name]
+    stream = io.BytesIO()
+    np.save(stream, sets._frames(one, sets.PUBLIC_SEED + one.number, one.signals["test"])[0])
+    kept = dict(line.split("  ")[::-1] for line in sets.KEPT_SUMS.read_text().splitlines())
+    assert hashlib.sha256(stream.getvalue()).hexdigest() == kept[f"signals/{name}-test.npy"], (
+        "make refuses its own sets: if a change is meant to move their signals, make them, keep the new sums, and "
+        "judge the entries again"
+    )
+
+
 def test_a_private_seed_changes_the_test_parts_alone_and_entrants_get_no_truth(made: Path) -> None:
     private = made.with_name("private")
     names = sorted(path.name for path in (made / "signals").iterdir())
