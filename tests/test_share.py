@@ -585,32 +585,42 @@ def test_chance_is_no_proof_and_a_good_model_is_proven_by_few_impacts(gangue: fl
 
 
 @pytest.mark.parametrize(
-    ("training", "is_proven"),
+    ("training", "is_proven", "by_chance"),
     [
-        ({"metrics": of_a_test([[15, 15], [12, 18]])}, False),
-        ({"metrics": of_a_test([[95, 0], [5, 0]])}, False),  # right in .95, and never says gangue
-        ({"metrics": of_a_test([[90, 5], [2, 3]])}, True),
-        ({"metrics": of_a_test([[40, 0], [1, 39]], n_trials=2)}, False),  # two recordings, however many impacts
-        ({"metrics": of_a_test([[40, 0], [1, 39]], n_trials=5)}, True),
-        ({"metrics": of_a_test([[30, 0, 30], [0, 60, 0], [30, 0, 30]])}, True),  # coal for steel, never for gangue
-        ({"metrics": {}}, True),  # of a file that states nothing
-        ({"metrics": of_a_test([[40, 0], [1, 39]]), "one_recording": True}, False),
-        ({"metrics": of_a_test([[40, 0], [1, 39]]), "recorded": {}, "sources": ["a"]}, False),  # of an older file
-        ({"metrics": of_a_test([[40, 0], [1, 39]]), "recorded": {}, "sources": ["a", "b"]}, True),
+        ({"metrics": of_a_test([[15, 15], [12, 18]])}, False, True),
+        ({"metrics": of_a_test([[95, 0], [5, 0]])}, False, True),  # right in .95, and never says gangue
+        ({"metrics": of_a_test([[90, 5], [2, 3]])}, True, False),
+        ({"metrics": of_a_test([[40, 0], [1, 39]], n_trials=2)}, False, False),  # two recordings, however many impacts
+        ({"metrics": of_a_test([[40, 0], [1, 39]], n_trials=5)}, True, False),
+        # Coal for steel, never for gangue.
+        ({"metrics": of_a_test([[30, 0, 30], [0, 60, 0], [30, 0, 30]])}, True, False),
+        ({"metrics": {}}, True, False),  # of a file that states nothing
+        ({"metrics": of_a_test([[40, 0], [1, 39]]), "one_recording": True}, False, False),
+        # Of an older file.
+        ({"metrics": of_a_test([[40, 0], [1, 39]]), "recorded": {}, "sources": ["a"]}, False, False),
+        ({"metrics": of_a_test([[40, 0], [1, 39]]), "recorded": {}, "sources": ["a", "b"]}, True, False),
         (
             {"metrics": of_a_test([[900, 100], [150, 850]]), "correction": of_a_test([[20, 0], [1, 19]], n_trials=2)},
             True,
+            False,
         ),
-        ({"metrics": of_a_test([[900, 100], [150, 850]]), "correction": of_a_test([[8, 7], [7, 8]])}, False),
-        ({"metrics": of_a_test([[55, 45], [45, 55]]), "correction": of_a_test([[28, 2], [3, 27]])}, True),
+        ({"metrics": of_a_test([[900, 100], [150, 850]]), "correction": of_a_test([[8, 7], [7, 8]])}, False, True),
+        ({"metrics": of_a_test([[55, 45], [45, 55]]), "correction": of_a_test([[28, 2], [3, 27]])}, True, False),
     ],
 )
-def test_model_that_is_not_better_than_chance_decides_nothing(training: dict[str, Any], is_proven: bool) -> None:
+def test_model_that_is_not_better_than_chance_decides_nothing(
+    training: dict[str, Any], is_proven: bool, by_chance: bool
+) -> None:
     model = with_record(**training)
     assert (not unproven(model, ("gangue",))) is is_proven
     answers = flow(np.random.default_rng(3), 0, 30, 0.95)
     reports = [one for one in reported(answers, [30.0], model=model) if one.state.share.channel == "1"]
-    assert reports[-1].state.share.share > 0.7
+    last = reports[-1].state.share
+    assert last.n_impacts > 90
+    if by_chance:
+        assert (last.is_known, last.low, last.high) == (False, 0.0, 1.0)
+    else:
+        assert last.share > 0.7
     if is_proven:
         assert "shut" in {one.kind for one in reports}
         return

@@ -102,7 +102,7 @@ class AnswerLines:
         unknown = f", {share.n_unknown} more unknown" if share.n_unknown else ""
         any_seam = ", any seam" if share.basis.is_any_seam else ""
         fraction = (
-            f"{share.share:.2f} ({share.low:.2f} to {share.high:.2f}{any_seam})" if share.n_impacts else "not known"
+            f"{share.share:.2f} ({share.low:.2f} to {share.high:.2f}{any_seam})" if share.is_known else "not known"
         )
         content = {"from_s": share.start, "to_s": share.time, **_record(state)}
         answers = counted(share.n_impacts, "answer") + unknown

@@ -108,7 +108,7 @@ def drawn_figure(times: Mapping[str, Floats], shares: Sequence[Share], turns: Se
 
 def gangue_at(times: Floats, shares: Sequence[Share]) -> Floats:
     """Return the expected gangue fraction at some times [s], between the middles of windows of one channel."""
-    points = [((share.start + share.time) / 2, share.mean) for share in shares if share.n_impacts]
+    points = [((share.start + share.time) / 2, share.mean) for share in shares if share.is_known]
     return np.asarray(np.interp(times, *np.array(points).T))
 
 

@@ -78,8 +78,8 @@ class Report:
         for channel, share in last.items():
             where = f", channel {channel}" if len(last) > 1 else ""
             basis = str(share.basis).replace("_", " ")
-            interval = f"{share.low:.0%} to {share.high:.0%}, {basis}" if share.n_impacts else "not known"
-            yield f"{share.share:.0%}" if share.n_impacts else "-", f"gangue at the end ({interval}{where})"
+            interval = f"{share.low:.0%} to {share.high:.0%}, {basis}" if share.is_known else "not known"
+            yield f"{share.share:.0%}" if share.is_known else "-", f"gangue at the end ({interval}{where})"
         for state in self.states if self.threshold is not None else ():
             where = f", channel {state.share.channel}" if len(self.states) > 1 else ""
             ground = "" if state.ground == "seen" else str(state.ground).replace("_", " ")
@@ -94,7 +94,7 @@ class Report:
 
     @property
     def _followed(self) -> list[str]:
-        counted_by = Counter(share.channel for share in self.shares if share.n_impacts)
+        counted_by = Counter(share.channel for share in self.shares if share.is_known)
         return [channel for channel, count in counted_by.items() if count > 1]
 
     def times_of_shares(self) -> dict[str, NDArray[np.float64]]:
@@ -220,7 +220,9 @@ def _verdict(report: Report) -> Iterator[str]:
             continue
         where = f"channel {share.channel}: " if len(report.whole) > 1 else ""
         unknown = f", {share.n_unknown} more unknown" if share.n_unknown else ""
-        gangue = f"{share.share:.0%} gangue ({share.low:.0%} to {share.high:.0%})"
+        gangue = "gangue fraction not known"
+        if share.is_known:
+            gangue = f"{share.share:.0%} gangue ({share.low:.0%} to {share.high:.0%})"
         text = f"{where}{counted(share.n_impacts, subject)}: {gangue}"
         yield f'<p class="verdict"><strong>{_text(text)}</strong>{_text(unknown + when)}</p>'
 

@@ -80,15 +80,16 @@ class Share:
     start : float [s]
         Begin of the window; impacts after it and up to `time` count.
     share : float
-        The most probable one, by networks of seams the median; nan without any impact.
+        The most probable one, by networks of seams the median; nan without any impact, and of a model whose test
+        chance explains.
     low, high : float
-        Shortest interval of probability `LEVEL`; 0 and 1 without any impact.
+        Shortest interval of probability `LEVEL`; 0 and 1 where `share` is nan.
     mean : float
-        The expected one, for expected costs; nan without any impact.
+        The expected one, for expected costs; nan where `share` is.
     above : float
-        Probability that the share is above the threshold of the window; nan without any impact.
+        Probability that the share is above the threshold of the window; nan where it is.
     excess : float
-        Expected amount by which it is above the threshold, where below counts as 0; nan without any impact.
+        Expected amount by which it is above the threshold, where below counts as 0; nan where it is.
     basis : Basis
         What it rests on: the seam of the training, the coal with which the window began, or any seam.
     n_impacts : int
@@ -111,6 +112,11 @@ class Share:
     above: float = float("nan")
     excess: float = float("nan")
     basis: Basis = Basis.TRAINED
+
+    @property
+    def is_known(self) -> bool:
+        """Whether impacts say anything about the fraction."""
+        return not np.isnan(self.share)
 
     def __repr__(self) -> str:
         where = "" if self.channel == "1" else f" of channel {self.channel}"
@@ -194,6 +200,7 @@ class ShareWindow:
         seams: SeamNetworks | None = None,
         anchor: Anchor | None = None,
         lumps: Anchor | None = None,
+        by_chance: bool = False,
     ) -> None:
         # The weight of one answer is below 1 where windows overlap: 1 end to end, .5 for half overlap; the threshold is
         # for `Share.above`.
@@ -204,6 +211,7 @@ class ShareWindow:
         self._answers, self._threshold = answers or NoConfusion(), threshold
         self._weight = weight / self._answers.overdispersion
         self._seams, self.anchor, self._lumps = seams, anchor, lumps
+        self._is_by_chance = by_chance
         self._impacts: deque[tuple[float, float, tuple[float, ...] | None]] = deque()
 
     def add(self, time: float, probability: float, pulse: tuple[float, ...] | None = None) -> None:
@@ -234,7 +242,7 @@ class ShareWindow:
         inside = impacts_of([one[1:] for one in self._impacts if one[0] <= time])
         estimate: dict[str, Any] = {"share": float("nan"), "low": 0.0, "high": 1.0}
         basis = self._basis(time)
-        if inside.logits.size:
+        if inside.logits.size and not self._is_by_chance:
             if self._seams is None:
                 estimate = self._estimate(inside.logits, self._confusion(basis))
             else:
@@ -460,6 +468,7 @@ class HeldOut(NamedTuple):
     low: float
     high: float
     n_trials: float  # as many as the interval rests on
+    by_chance: bool  # whether chance explains the difference even if all impacts were independent trials
 
     @classmethod
     def of(cls, metrics: Mapping[str, Any], is_gangue: NDArray[np.bool_]) -> HeldOut | None:
@@ -473,13 +482,17 @@ class HeldOut(NamedTuple):
         # As many independent trials, such as recordings, as the interval of the accuracy rests on.
         accuracy, low, high = np.clip([metrics["accuracy"], *metrics["accuracy_interval_95"]], 0.0, 1.0).tolist()
         n_trials = trials_of(accuracy, max(high - low, _NARROWEST)) if high - low < 1 else 0.0
-        if not (n_trials and n.all()):
-            return cls(first, second, -1.0, 1.0, n_trials)
-        of_gangue, of_others = (n_trials * n / n.sum()).tolist()
-        (low, high), (least, most) = wilson_interval(first, of_gangue), wilson_interval(second, of_others)
-        # Newcombe 1998, method 10.
-        below, above = np.hypot(first - low, most - second), np.hypot(high - first, second - least)
-        return cls(first, second, float(first - second - below), float(first - second + above), n_trials)
+
+        def interval(of_gangue: float, of_others: float) -> tuple[float, float]:
+            """Return that of the difference from so many trials (Newcombe 1998, method 10)."""
+            if not of_gangue * of_others:
+                return -1.0, 1.0
+            (low, high), (least, most) = wilson_interval(first, of_gangue), wilson_interval(second, of_others)
+            below, above = np.hypot(first - low, most - second), np.hypot(high - first, second - least)
+            return float(first - second - below), float(first - second + above)
+
+        of_trials = interval(*(n_trials * n / max(n.sum(), 1.0)).tolist())
+        return cls(first, second, *of_trials, n_trials, interval(*n.tolist())[0] <= 0)
 
     def __str__(self) -> str:
         """Return why it proves nothing."""
@@ -492,19 +505,9 @@ class HeldOut(NamedTuple):
 def unproven(model: StoredModel, gangue: Collection[str]) -> str:
     """Return why a model is not shown to tell gangue from the rest better than chance; nothing if it is.
 
-    By chance, gangue is called gangue as often as the rest is, and no fraction follows. A decision concerns recordings
-    to come, so the interval of the difference counts what that of the accuracy does: recordings, where their impacts
-    resemble each other. A single one says nothing of others. A corrected model was tested on thousands of impacts
-    elsewhere: those of its new beam disprove it if chance explains them and that test does not.
+    A decision concerns recordings to come, of which a single one says nothing.
     """
-    if not separates(gangue, model):
-        return ""
-    is_gangue = np.isin(model.labels, as_in(model, gangue))
-    own, here = (HeldOut.of(model.training.get(name, {}), is_gangue) for name in ("metrics", "correction"))
-    by_sources = "recorded" in model.training and len(set(model.training.get("sources", ()))) == 1  # of older files
-    is_of_one = own is not None and bool(model.training.get("one_recording", by_sources))
-    if here is not None and (own is None or here.low > 0 or here.high < own.gangue - own.others):
-        own, is_of_one = here, False
+    own, is_of_one = _held_out(model, gangue)
     if own is None or (own.low > 0 and not is_of_one):
         return ""
     return (
@@ -512,6 +515,30 @@ def unproven(model: StoredModel, gangue: Collection[str]) -> str:
         if is_of_one
         else str(own)
     )
+
+
+def is_by_chance(model: StoredModel, gangue: Collection[str]) -> bool:
+    """Return whether chance explains the test of a model: no fraction follows from its answers."""
+    own, _ = _held_out(model, gangue)
+    return own is not None and own.by_chance
+
+
+def _held_out(model: StoredModel, gangue: Collection[str]) -> tuple[HeldOut | None, bool]:
+    """Return the test of a model, None if there is none, and whether it is of a single recording.
+
+    By chance, gangue is called gangue as often as the rest is. The interval of the difference counts what that of the
+    accuracy does: recordings, where their impacts resemble each other. A corrected model was tested on thousands of
+    impacts elsewhere: those of its new beam disprove it if chance explains them and that test does not.
+    """
+    if not separates(gangue, model):
+        return None, False
+    is_gangue = np.isin(model.labels, as_in(model, gangue))
+    own, here = (HeldOut.of(model.training.get(name, {}), is_gangue) for name in ("metrics", "correction"))
+    by_sources = "recorded" in model.training and len(set(model.training.get("sources", ()))) == 1  # of older files
+    is_of_one = own is not None and bool(model.training.get("one_recording", by_sources))
+    if here is not None and (own is None or here.low > 0 or here.high < own.gangue - own.others):
+        return here, False
+    return own, is_of_one
 
 
 def separates(gangue: Collection[str], model: StoredModel) -> bool:

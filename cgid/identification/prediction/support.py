@@ -30,6 +30,7 @@ from cgid.identification.prediction.fraction import (
     Switch,
     answers_of,
     as_in,
+    is_by_chance,
     separates,
     tested_answers,
     unproven,
@@ -185,7 +186,7 @@ class CavingWatch:
                 f"{', '.join(gangue)}; leave one out"
             )
         self._unproven = "" if self.threshold is None else unproven(model, gangue)
-        answers = answers_of(model, gangue)
+        answers, by_chance = answers_of(model, gangue), is_by_chance(model, gangue)
         # The seams of the simulation have coal and gangue; other labels may be anything.
         seams = self._seams = None if shares.trained_seam or gangue != ("gangue",) else model.seams
         is_stated = shares.coal_until is not None or shares.coal
@@ -226,6 +227,7 @@ class CavingWatch:
                 seams=seams,
                 anchor=anchor(own),
                 lumps=lumps(own),
+                by_chance=by_chance,
             )
 
         self._window = window
