@@ -125,6 +125,21 @@ def test_bad_weights(weights: list[Any], message: str) -> None:
         ImpactClassifier().fit(np.eye(4), ["a", "a", "b", "b"], sample_weight=weights)
 
 
+@pytest.mark.parametrize(
+    ("settings", "groups", "message"),
+    [
+        ({}, [1], "groups must be one value for each of 4 rows"),
+        ({}, [1, 1, 2, 2, 3], "groups must be one value for each of 4 rows"),
+        ({}, [1.0, np.nan, 2.0, 2.0], "groups must not be nan"),
+        ({"class_weight": {"B": 2.0}}, None, r"class_weight must name the classes \['a', 'b'\], got \['B'\]"),
+        ({"linear": (4,)}, None, "linear must be columns of X, 0 to 3"),
+    ],
+)
+def test_what_does_not_fit_the_rows_is_refused(settings: dict[str, Any], groups: Any, message: str) -> None:
+    with pytest.raises(InvalidValue, match=message):
+        ImpactClassifier(**settings).fit(np.eye(4), ["a", "a", "b", "b"], groups=groups)
+
+
 @pytest.mark.long
 def test_probabilities_are_calibrated_where_the_family_is_overconfident() -> None:
     generator = np.random.default_rng(1)

@@ -305,7 +305,7 @@ class ImpactClassifier(ClassifierMixin, BaseEstimator):  # type: ignore[misc]
         validation.plain("X", X)
         features, labels = validate_data(self, X, y, dtype=np.float64, ensure_min_samples=2)
         check_classification_targets(labels)
-        group_array = None if groups is None else np.asarray(groups)
+        group_array = None if groups is None else _one_group_a_row(groups, len(labels))
         given = None if sample_weight is None else _one_weight_a_row(sample_weight, len(labels))
         if given is not None:
             used = given > 0  # a row of no weight is as if it were not there
@@ -314,6 +314,9 @@ class ImpactClassifier(ClassifierMixin, BaseEstimator):  # type: ignore[misc]
         self.classes_, encoded = np.unique(labels, return_inverse=True)
         if len(self.classes_) < 2:
             raise ValueError(f"classifier needs at least 2 classes, got 1 class: {self.classes_[0]!r}")
+        _require_classes(self.class_weight, self.classes_)
+        if any(not 0 <= column < features.shape[1] for column in self.linear):
+            raise InvalidValue(f"linear must be columns of X, 0 to {features.shape[1] - 1}, got {self.linear}")
         weights = row_weights(labels, self.class_weight)
         if weights is not None or given is not None:
             _require_weights(estimator)
@@ -388,7 +391,10 @@ class ImpactClassifier(ClassifierMixin, BaseEstimator):  # type: ignore[misc]
         ndarray, (n_impacts,)
             1 at the edge of the training.
         """
-        return self.neighbourhood_.novelty(self._standardised(X))
+        standardised = self._standardised(X)
+        if not self.rejects:
+            raise InvalidValue("rejects must be True for novelty, got False; fit with it")
+        return self.neighbourhood_.novelty(standardised)
 
     def _standardised(self, X: ArrayLike) -> Floats:
         check_is_fitted(self)
@@ -504,6 +510,26 @@ def _one_weight_a_row(sample_weight: ArrayLike, n_rows: int) -> Floats:
     if not weights.any():
         raise InvalidValue("sample_weight must be above zero for some rows, got zero for all; leave it out")
     return weights
+
+
+def _one_group_a_row(groups: ArrayLike, n_rows: int) -> NDArray[Any]:
+    """Return the groups (n_rows,); raises `InvalidValue` for another number of them, and for nan."""
+    array = np.asarray(groups)
+    if array.shape != (n_rows,):
+        raise InvalidValue(f"groups must be one value for each of {n_rows} rows, got shape {array.shape}")
+    if (array != array).any():
+        raise InvalidValue("groups must not be nan, got it; name the group of each row")
+    return array
+
+
+def _require_classes(class_weight: Weights, classes: NDArray[Any]) -> None:
+    """Raise `InvalidValue` if weights name a class that is not there, and do not name one that is."""
+    if not isinstance(class_weight, Mapping):
+        return
+    there = classes.tolist()
+    foreign = [name for name in class_weight if name not in there]
+    if foreign and not set(there) <= set(class_weight):
+        raise InvalidValue(f"class_weight must name the classes {there}, got {foreign}; check the spelling")
 
 
 def row_weights(labels: NDArray[Any], class_weight: Weights) -> Floats | None:
