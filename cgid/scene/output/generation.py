@@ -220,12 +220,6 @@ class _Shard(NamedTuple):
     n_signals: int
 
 
-class _Written(NamedTuple):
-    file: str
-    n_signals: int
-    sha256: str
-
-
 @dataclass(frozen=True, kw_only=True)
 class _Work:
     """The data common to all shards: `place` is their folder, `digest` that of its description, if it has one."""
@@ -258,16 +252,14 @@ def make_shards(
     names = [run.output.name] if run.is_single else run.description.names
     shards = [_Shard(names[number], **run.description.part(number)) for number in run.missing]
     work = _Work(scene=scene, seed=seed, plan=plan, place=place, digest=digest, overwrite=overwrite)
-    here = run.is_single or pool.is_serial
-    with closing(
-        _write_in_turn(work, shards, progress)
-        if here
-        else pool.each(_write_one, _anywhere(work), shards, ordered=False)
-    ) as written:
-        for shard in written:
-            run.add(shard.file, shard.sha256)
-            if progress is not None and not here:
-                progress(shard.n_signals)
+    if run.is_single or pool.is_serial:
+        _write_in_turn(work, shards, run.add, progress)
+        return
+    with closing(pool.each(_write_one, _anywhere(work), shards, ordered=False)) as written:
+        for file, sha256, n_signals in written:
+            run.add(file, sha256)
+            if progress is not None:
+                progress(n_signals)
 
 
 def require_shard(file: Path, scene: Scene, seed: int) -> None:
@@ -308,36 +300,52 @@ def _anywhere(work: _Work) -> _Work:
 
 
 def _write_in_turn(
-    work: _Work, shards: Sequence[_Shard], progress: Callable[[int], object] | None = None
-) -> Generator[_Written, None, None]:
-    """Make shards one by one in this process."""
+    work: _Work,
+    shards: Sequence[_Shard],
+    add: Callable[[str, str], object],
+    progress: Callable[[int], object] | None = None,
+) -> None:
+    """Make shards one by one in this process, and `add` the name and the sum of each once it is on the disk.
+
+    A shard is written and hashed beside the making of the next one.
+    """
     dtype: Any = work.plan.dtype
     made = (
         batch
         for shard in shards
         for batch in synthesise(work.scene, shard.n_signals, work.seed, first=shard.first_signal, dtype=dtype)
     )
-    block, memory = work.plan.size(BLOCK), ShardMemory()
-    with closing(ahead(made, min(max(1, _AHEAD_BYTES // block), _AHEAD_BLOCKS))) as batches:
+    n_ahead = min(max(1, _AHEAD_BYTES // work.plan.size(BLOCK)), _AHEAD_BLOCKS)
+    memory, written_from = ShardMemory(), ShardMemory()
+    with closing(ahead(made, n_ahead)) as batches, ThreadPoolExecutor(max_workers=1) as writer:
+        written: Future[None] | None = None
         for shard in shards:
-            yield _write(work, shard, next_signals(batches, shard.n_signals, progress), memory)
+            signals = next_signals(batches, shard.n_signals, progress)
+            content = shard_content(work.plan, shard.first_signal, shard.n_signals, signals, memory)
+            if written is not None:
+                written.result()
+            written = writer.submit(_write, work, shard, content, add)
+            memory, written_from = written_from, memory
+        if written is not None:
+            written.result()
 
 
-def _write(work: _Work, shard: _Shard, batches: Iterator[Batch], memory: ShardMemory) -> _Written:
-    """Build a shard in memory and write it atomically, if the folder still has the description."""
-    content = shard_content(work.plan, shard.first_signal, shard.n_signals, batches, memory)
+def _write(work: _Work, shard: _Shard, content: memoryview, add: Callable[[str, str], object]) -> None:
+    """Write a shard atomically, if the folder still has the description, and add its sum."""
     check = None if work.digest is None else partial(require_description, work.place, work.digest)
     with ThreadPoolExecutor(max_workers=1) as hasher:
         found = hasher.submit(hashlib.sha256, content)  # beside the writing, which waits for the disk
         write_whole(work.place / shard.file, content, overwrite=work.overwrite, check=check)
-    return _Written(shard.file, shard.n_signals, found.result().hexdigest())
+    add(shard.file, found.result().hexdigest())
 
 
-def _write_one(work: _Work, shard: _Shard) -> _Written:
+def _write_one(work: _Work, shard: _Shard) -> tuple[str, str, int]:
+    """Make one shard in a worker, and return its name, its sum and its number of signals."""
     if work.digest is not None:
         require_description(work.place, work.digest)  # a worker of a cluster may not share the folder
-    (written,) = _write_in_turn(work, [shard])
-    return written
+    sums: dict[str, str] = {}
+    _write_in_turn(work, [shard], sums.__setitem__)
+    return shard.file, sums[shard.file], shard.n_signals
 
 
 def ahead(items: Iterable[_T], max_items: int) -> Generator[_T, None, None]:
