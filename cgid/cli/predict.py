@@ -324,7 +324,6 @@ def predict(
     summary.
     """
     from cgid import shipped
-    from cgid.identification.training.manifest import read_manifest, recordings_of
     from cgid.recordings import is_dataset
 
     if not files and not sample:
@@ -339,7 +338,12 @@ def predict(
         from cgid.plots.report import ENDINGS
 
         new_picture(report, "a report", ENDINGS, overwrite=overwrite)
-    files = tuple(recordings_of(files))
+    manifest: Manifest | None = None
+    if labelled is not None or any(Path(file).is_dir() for file in files):  # manifests take 2 % of a start
+        from cgid.identification.training.manifest import read_manifest, recordings_of
+
+        files = tuple(recordings_of(files))
+        manifest = None if labelled is None else read_manifest(labelled)
     reading.require_files(files)
     table = TableOutput(output, overwrite=overwrite, as_json=as_json)
     lines = AnswerLines(as_json, table, datasets=any(map(is_dataset, files)), only_summary=summary)
@@ -347,7 +351,7 @@ def predict(
         models=models,
         settings=settings,
         lines=lines,
-        labelled=None if labelled is None else read_manifest(labelled),
+        labelled=manifest,
         reports=None if report is None else [],
         joint=tuple(channel for channel in reading.channel if "+" in channel),
     )

@@ -21,13 +21,23 @@ from cgid._lib.validation import require_rate
 from cgid.errors import BadData, InvalidValue, NoInput, WriteFailed
 from cgid.recordings.chain import Chain, Statement, units_of
 from cgid.recordings.recording import DATASET_HINT, Blocks, RecordingFile, clear_errors, library_errors
-from cgid.recordings.sound import AUDIO_MAGICS, WAV_MAGICS
 from cgid.signals import Signal
 
 #: First bytes of a file, enough to recognise any format.
 HEAD_SIZE = 1024
 
 HDF5_MAGIC = b"\x89HDF\r\n\x1a\n"
+#: First bytes of WAV files: little-endian, big-endian, and two with 64-bit sizes.
+WAV_MAGICS = (b"RIFF", b"RIFX", b"RF64", b"BW64")
+#: First bytes of the files of libsndfile.
+AUDIO_MAGICS = {
+    "FLAC": (b"fLaC",),
+    "OGG": (b"OggS",),
+    "W64": (b"riff\x2e\x91\xcf\x11",),
+    "AIFF": (b"FORM",),
+    "CAF": (b"caff",),
+    "AU": (b".snd", b"dns."),
+}
 #: Version and byte order at the end of the header of MATLAB files. Version 7.3 has 2 and is HDF5.
 _MAT_MAGICS = (b"\x00\x01IM", b"\x01\x00MI")
 # Delimiter and type of a data set, in fixed columns. Data sets of units, coordinates or functions come first.

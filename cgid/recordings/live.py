@@ -15,8 +15,9 @@ from cgid._lib import validation
 from cgid._lib.validation import require_rate
 from cgid.errors import BadData, InvalidValue, MissingOption
 from cgid.recordings.chain import Chain, scaled, units_of
+from cgid.recordings.formats import AUDIO_MAGICS, WAV_MAGICS
 from cgid.recordings.recording import MAX_CHANNELS, Blocks, Channel
-from cgid.recordings.sound import AUDIO_MAGICS, ENDLESS, WAV_MAGICS, Coding, read_wave_head
+from cgid.recordings.sound import ENDLESS, Coding, read_wave_head
 
 #: Most numbers to read from the stream at once.
 _MAX_NUMBERS = 1 << 16

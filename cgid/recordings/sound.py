@@ -18,9 +18,6 @@ from numpy.typing import NDArray
 from cgid.errors import BadData, InvalidValue
 from cgid.recordings.recording import Blocks, library, library_errors
 
-#: First bytes of WAV files: little-endian, big-endian, and two with 64-bit sizes.
-WAV_MAGICS = (b"RIFF", b"RIFX", b"RF64", b"BW64")
-
 #: Sizes from here on mean "until the end": 0xFFFFFFFF in the standards; into pipes, some programs write the largest
 #: signed 32-bit number, rounded down.
 ENDLESS = 0x7FFF0000
@@ -302,15 +299,7 @@ def _is_chunk(file: BinaryIO, head: WaveHead, at: int, n_available: int) -> bool
 
 # ---- files of libsndfile -------------------------------------------------------------------------------------------
 
-#: First bytes of the files of libsndfile, codings that keep the samples, and a size of AU that means unknown.
-AUDIO_MAGICS = {
-    "FLAC": (b"fLaC",),
-    "OGG": (b"OggS",),
-    "W64": (b"riff\x2e\x91\xcf\x11",),
-    "AIFF": (b"FORM",),
-    "CAF": (b"caff",),
-    "AU": (b".snd", b"dns."),
-}
+#: Codings that keep the samples, and a size of AU that means unknown.
 _CODINGS = ("PCM_", "FLOAT", "DOUBLE", "VORBIS", "OPUS", "ALAC_")
 #: In these, a sample depends on those before it.
 _LOSSY = ("VORBIS", "OPUS")
