@@ -116,19 +116,16 @@ def require_no_input_written(inputs: Iterable[str | Path] = ()) -> None:
 
 def _named_by(name: str) -> Iterator[Path]:
     """Yield the files that an input names: those of a folder, of a manifest, and the tables of a scene."""
-    from cgid.identification.training.manifest import is_manifest, named_recordings
-
     path = Path(name)
     try:
-        if path.is_dir():
+        if path.is_dir() or path.suffix.lower() == ".csv":
+            from cgid.identification.training.manifest import is_manifest, named_recordings
             from cgid.store.folder import is_dataset_folder
 
             if is_dataset_folder(path):
                 yield from path.iterdir()
-            else:
+            elif path.is_dir() or is_manifest(path):
                 yield from named_recordings(path)
-        elif path.suffix.lower() == ".csv" and is_manifest(path):
-            yield from named_recordings(path)
         elif path.suffix.lower() == ".toml":
             from cgid._lib.files import parse_toml, read_regular
 

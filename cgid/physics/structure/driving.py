@@ -7,10 +7,10 @@ from functools import cache
 from typing import Any, Protocol
 
 import numpy as np
+import scipy  # loads its submodules on first use
 from numpy import fft
 from numpy.polynomial import legendre
 from numpy.typing import NDArray
-from scipy.fft import next_fast_len
 
 from cgid._lib.validation import Complex, Floats
 from cgid.errors import InvalidValue
@@ -142,7 +142,7 @@ class Windows:
             for stride in self.strides.tolist():
                 rows, taps = self.stride == stride, part.taps(1 / (sampling_rate * stride))
                 n_steps = int(self.count[rows].max()) * stride + 1
-                n = next_fast_len(n_steps + taps.size, real=True)
+                n = scipy.fft.next_fast_len(n_steps + taps.size, real=True)
                 spectrum = fft.rfft(force[rows, :n_steps], n) * fft.rfft(taps, n)
                 force[rows, :n_steps] = fft.irfft(spectrum, n)[:, :n_steps]
         # The mean error of linear interpolation is a twelfth of the second difference.

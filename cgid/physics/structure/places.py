@@ -12,9 +12,9 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy  # loads scipy.spatial on first use
 from numpy.typing import NDArray
 from scipy.linalg import eigh
-from scipy.spatial.distance import cdist
 from scipy.special import j0
 
 from cgid._lib.validation import Floats
@@ -78,7 +78,7 @@ def placed(places: Floats, values: Floats, frequency: Floats, damping_ratio: Flo
     counts = np.ceil(_NODES_A_WAVE * (high - low) / shortest).astype(int) + _NODES
     sides = [nodes(int(n) if b > a else 1, a, b) for n, a, b in zip(counts, low, high, strict=True)]
     at = np.stack([side.ravel() for side in np.meshgrid(*sides, indexing="ij")], axis=1)
-    apart, towards = cdist(places, places), cdist(at, places)
+    apart, towards = scipy.spatial.distance.cdist(places, places), scipy.spatial.distance.cdist(at, places)
     out = np.empty((len(frequency), len(at)))
     left, deviation = np.empty(values.shape), np.empty(len(frequency))
     # Between places: not in the corners of the rectangle that have none.
@@ -117,7 +117,7 @@ def _correlations(
     """Return wave number [1/m], fading length [m] and relative variance of the error of each mode, (n_modes,)."""
     middle = np.square(places - places.mean(axis=0)).sum(axis=1)
     few = np.argsort(middle, kind="stable")[:_CHOOSING]
-    apart, part = cdist(places[few], places[few]), values[few]
+    apart, part = scipy.spatial.distance.cdist(places[few], places[few]), values[few]
     size = float(np.linalg.norm(np.ptp(places, axis=0)))
     most = _BEYOND * np.pi / _spacing(apart)
     waves = np.append(0.0, np.geomspace(1 / size, most, max(int(np.log(most * size) / np.log(_STEP)), 2)))
