@@ -179,7 +179,7 @@ def warn_of_volts(recording: RecordingFile) -> list[str]:
     return said
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class ReadingOptions:
     """Settings for reading an input: the values of `reading_options` of a command."""
 

@@ -124,7 +124,7 @@ def warn_of_one_place(source: Any) -> None:
         )
 
 
-@dataclass
+@dataclass(eq=False, repr=False)
 class FileErrors(AbstractContextManager[None]):
     """Report the error of one file and continue with the next; `code` is the exit code of the first that failed."""
 

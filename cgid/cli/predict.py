@@ -75,7 +75,7 @@ def _report(
     )
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class _Prediction:
     """The settings for all files; `reports` collects the page content of each recording, if requested."""
 
@@ -211,7 +211,7 @@ class _Prediction:
         self.lines.answer(path, answer, index=index)
 
 
-@dataclass
+@dataclass(eq=False, repr=False)
 class _Tally:
     """Counts of the predictions for the labelled impacts of a dataset."""
 

@@ -150,7 +150,7 @@ def low_pass_response(sampling_rate: float, edge: float) -> Floats:
     return np.asarray(response[: significant[-1] + 1])
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Equalisation:
     """A gain [dB] for each mel band that makes the signals of one sensor like those of another.
 

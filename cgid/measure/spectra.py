@@ -52,7 +52,7 @@ def frequency_of(mels: Floats) -> Floats:
     return np.asarray(700.0 * (10.0 ** (mels / 2595.0) - 1.0))
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class TriangularBands:
     """A bank of overlapping triangular bands: between the first and the last centre they add up to 1."""
 
@@ -104,7 +104,7 @@ MEL_BANDS = TriangularBands(frequency_of(_MEL_STEP * np.arange(_MEL_BANDS + 2, d
 EVEN_BANDS = TriangularBands(_EVEN_STEP * np.arange(_EVEN_BANDS + 2, dtype=np.float64))
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class EnergySpectrum:
     """One-sided energy spectra of rows of samples, all at the same frequencies."""
 

@@ -55,7 +55,7 @@ PIECE_LENGTH = 1 << 20
 WAITING_TIME = 5.0
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False, repr=False)
 class Format:
     """One file format: its usual endings, and with `takes_variable` several arrays to choose from in a file."""
 
@@ -78,7 +78,7 @@ class Format:
         return blocks
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False, repr=False)
 class OutsideFormat:
     """A format of another package: `reader` has the functions ``is_format(head)`` and ``read(path, variable)``."""
 

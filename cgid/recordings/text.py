@@ -98,7 +98,7 @@ class Piece(NamedTuple):
     is_restart: bool = False
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Body:
     """The rows of a text file: their start [characters, lines] and their layout."""
 

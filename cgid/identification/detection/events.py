@@ -49,7 +49,7 @@ _BEGUN, _BEGUN_OVER_NOISE, _FIRST_TIME = 0.2, 6.0, 0.08e-3
 _CLIPPED_SHARE = 0.5
 
 
-@dataclass(eq=False)
+@dataclass(eq=False, repr=False)
 class Onset:
     """The beginning of an impact, before its frame is cut."""
 
@@ -152,7 +152,7 @@ def frames_alike(events: Sequence[Event]) -> Iterator[tuple[list[int], NDArray[A
         yield numbers, np.stack([events[number].samples for number in numbers])
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False, repr=False)
 class Framing:
     """Lengths of frames in samples."""
 

@@ -59,7 +59,7 @@ START_CHUNKS = 2
 _PEAK, _VALLEY = 0.5, 0.25
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False, repr=False)
 class _Levels:
     """Baseline, noise limit, highest and lowest sample of each window, all (n_channels, n_windows)."""
 
@@ -70,7 +70,7 @@ class _Levels:
     lowest: Floats
 
 
-@dataclass
+@dataclass(eq=False, repr=False)
 class _AfterImpact:
     """State of a channel after its impacts: thresholds, heights, and quiet samples."""
 
@@ -100,7 +100,7 @@ class _AfterImpact:
         self.peak *= swing_factor
 
 
-@dataclass
+@dataclass(eq=False, repr=False)
 class _OpenPulse:
     """An impact in progress: indices, heights and limits of its high samples in each channel."""
 

@@ -91,7 +91,7 @@ def _nearest(points: Floats, centres: Floats) -> NDArray[np.intp]:
     return np.asarray((np.square(centres).sum(axis=1) / 2 - points @ centres.T).argmin(axis=1))
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class SeamNetworks:
     """What simulated seams taught about the fraction of gangue in a window."""
 

@@ -19,7 +19,7 @@ from cgid.errors import BadData, InvalidValue
 COVERAGES = (0.80, 0.85, 0.90, 0.95, 0.99)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Conformal:
     """Scores of the true labels of the calibration impacts."""
 

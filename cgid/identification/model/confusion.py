@@ -44,7 +44,7 @@ MIN_SCATTER = 0.035
 MIN_TESTED, _MAX_SCATTER = 25, 0.5
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class StreamAnswers:
     """Predictions for a recording with known rocks."""
 
@@ -55,7 +55,7 @@ class StreamAnswers:
     share: float  # of the second label among the rocks that may come
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Confusion:
     """Rates of the predictions of a model for rocks of two labels."""
 

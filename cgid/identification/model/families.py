@@ -21,7 +21,7 @@ Arrays = Mapping[str, NDArray[Any]]
 MIN_DIVISOR = 1e-30
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False, repr=False)
 class Standardiser:
     """Take logarithms of always-positive features, then scale to zero mean and unit variance."""
 
@@ -119,7 +119,7 @@ def _or_infinite(novelty: Floats) -> Floats:
     return np.where(np.isnan(novelty), np.inf, novelty)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False, repr=False)
 class Neighbourhood:
     """Novelty: Mahalanobis distance to the nearest class, 1 at the 99.9 % quantile of the training."""
 
@@ -469,7 +469,7 @@ class Network(Family):
         return np.asarray(scores[:, 0] if self.n_scores == 1 else scores)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False, repr=False)
 class Contrast:
     """Novelty from a network trained against other impacts (ln density ratio), or from a line trained against noise."""
 

@@ -94,7 +94,7 @@ def powers(fractions: Floats) -> Floats:
     return np.stack([np.ones_like(fractions), fractions, fractions**2], axis=-1)
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class World:
     """What recordings of the world of a training look like after `CHECKS` impacts."""
 

@@ -244,7 +244,7 @@ class _Counted(NamedTuple):
     usable: bool
 
 
-@dataclass
+@dataclass(eq=False, repr=False)
 class ChannelAnswers:
     """The unknown predictions of a channel: their number by cause, and examples of the causes of unmarked ones.
 

@@ -125,7 +125,7 @@ class Share:
         return f"Share({share} from {self.start:g} to {self.time:g} s{where}: {counts})"
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class NoConfusion:
     """Probabilities taken as correct, for a gangue fraction in the training; used like a `Confusion`."""
 

@@ -239,7 +239,7 @@ def pooled(answers: Sequence[Answer], model: StoredModel, settings: PredictionSe
     )
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class ChannelMeasurement:
     """What one channel measures of a rock."""
 

@@ -62,7 +62,7 @@ _UNSTEADY = (
 _TONES = "tones of a machine are taken out, the strongest at {:.0f} Hz; --no-lines keeps them"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False, repr=False)
 class Step:
     """The next predictions."""
 

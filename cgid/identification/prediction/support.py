@@ -370,7 +370,7 @@ class CavingWatch:
         return sum(answer.probabilities[label] for label in self._gangue)
 
 
-@dataclass
+@dataclass(eq=False, repr=False)
 class _Support:
     """The window, the rule and the latest record of one support; `rows` are its channels."""
 

@@ -40,7 +40,7 @@ LEAST_BANDWIDTH, MIN_BANDWIDTH = 125.0, 1000.0
 LEAST_SAMPLES, LOW_WINDOW_TIME = 175, 0.35
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Feature:
     """One feature."""
 
@@ -94,7 +94,7 @@ def _descriptions() -> dict[str, dict[str, str]]:
         return {row["name"]: row for row in csv.DictReader(lines)}
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Bank:
     """Features that differ only in a band, a packet or a lag: one entry with a column for each label."""
 

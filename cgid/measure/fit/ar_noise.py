@@ -31,7 +31,7 @@ _EXPONENTS, _WHITE, _PERIOD = np.arange(0.25, 2.01, 0.25), np.array([0.0, 0.1, 0
 _LEAST_WHITE = 1e-9
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class ARNoise:
     """Autoregressive model of the noise of some rows."""
 

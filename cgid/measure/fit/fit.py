@@ -45,7 +45,7 @@ EVIDENCE = 40.0
 # -- start and result of a fit ------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class PulseStart:
     """Start of the search: peak, width (impulse over peak) and time of the peak [samples], each (n,)."""
 
@@ -58,7 +58,7 @@ class PulseStart:
         return PulseStart(self.peak[selected], self.width[selected], self.peak_time[selected])
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class PulseFit:
     """Fitted pulses; each attribute is (n,) unless noted, times are in samples of the frame."""
 

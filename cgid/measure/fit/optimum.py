@@ -61,7 +61,7 @@ class Problems:
         return out
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Optimum:
     """Parameters (n, 5), squared residual, information (times the variance of the noise) and convergence of rows."""
 

@@ -67,7 +67,7 @@ def parabolic(problems: Problems, best: Optimum, variance: Floats) -> Floats:
     return covariance * variance[:, None, None]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Profiled:
     """The best parameters at each of `PROFILED` shapes, and their squared residuals."""
 

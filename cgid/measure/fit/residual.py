@@ -56,7 +56,7 @@ def _components() -> tuple[Floats, Floats, Floats, Floats]:
     return design, np.linalg.pinv(design)[:, 4:], np.linalg.qr(design)[0], spreads
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Residual:
     """The residual of a fitted damped-Hertz pulse."""
 

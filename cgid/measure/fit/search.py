@@ -38,7 +38,7 @@ _SETTLED = 0.02
 _FAR, _MIN_COST_RISE = 0.5, 16.0
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class PulseBank:
     """Pulses of peak 1 in common coordinates."""
 
@@ -74,7 +74,7 @@ def bank(with_baseline: bool = False) -> PulseBank:
     return PulseBank(peak_time, width, basis, products, inverse, tangents)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Bins:
     """Samples around pulses, averaged over the bins: values and which of them count, (n, n_bins); None for all."""
 
@@ -174,7 +174,7 @@ def last_bin(peak_time: Floats, width: Floats, shape: Floats) -> Floats:
     return peak_time + (_LAST - shape_peak_time) * width / shape_width
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class SearchResult:
     """The result of the search, each (n, n_nodes); `unit` [samples] is (n,)."""
 

@@ -264,7 +264,7 @@ def phi(x: Complex) -> tuple[Complex, Complex]:
 # -- shapes at nodes -----------------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class NodeShapes:
     """Shapes at the Chebyshev `nodes` of a region, and between them."""
 
