@@ -14,8 +14,9 @@ from scipy.sparse.linalg import splu
 
 from benchmarks.beam import independent_beam, independent_modes
 from benchmarks.beam.independent_beam import Attached, Variant
-from benchmarks.beam.independent_contact import Contact, Stepped, residual
+from benchmarks.beam.independent_contact import Contact, Stepped, hunt_crossley_loss, residual, summary
 from benchmarks.beam.independent_modes import Beam, lowest, model
+from benchmarks.impact import rock_pulses
 from cgid.measure.modal import Modes as MeasuredModes
 from cgid.physics import (
     STEEL,
@@ -201,6 +202,31 @@ def test_energy_is_kept_in_an_elastic_impact_without_damping(coarse):
     assert abs(off[1]) < 1e-5
     impulse = hit.force.sum() * hit.step
     assert impulse == pytest.approx(1.5 * (4.0 - hit.velocity), rel=1e-9)
+
+
+@pytest.mark.parametrize("law", ["cone", "face", "fragmentation"])
+def test_a_contact_that_is_no_sphere_is_that_of_a_rigid_wall_on_a_beam_that_hardly_gives(law):
+    n, ready = (
+        8,
+        Stepped(np.full(1, 400.0), np.full(1, 0.02), np.zeros((0, 1)), np.zeros((0, 3)), independent_beam.RATE),
+    )
+    rock = independent_beam.rocks(n, np.random.default_rng(4))
+    depth = (rock.mass * rock.speed**2 / rock.stiffness) ** 0.4
+    peak, duration, _ = rock_pulses.stepped(
+        law, np.random.default_rng(5).random((n, 7)), rock.restitution, depth / rock.radius
+    )
+    touching = independent_beam.contacts(law, rock, np.random.default_rng(5))
+    loss = hunt_crossley_loss(rock.restitution)
+    for k in range(n):
+        hit = ready.strike(
+            np.full(1, 1e-6), 0.0, rock.mass[k], touching.stiffness[k], loss[k], rock.speed[k], 600,
+            touching.exponent[k], touching.breaks[k], touching.left[k],
+        )  # fmt: skip
+        top, first, _, velocity = summary(hit)
+        assert top == pytest.approx(peak[k] * rock.mass[k] * rock.speed[k] ** 2 / depth[k], rel=0.01)
+        assert first == pytest.approx(duration[k] * depth[k] / rock.speed[k], rel=0.01)
+        if law != "fragmentation":
+            assert -velocity / rock.speed[k] == pytest.approx(rock.restitution[k], abs=2e-3)
 
 
 @pytest.mark.parametrize(

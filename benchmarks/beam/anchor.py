@@ -126,8 +126,10 @@ SEAMS = {
 # -- streams ----------------------------------------------------------------------------------------------
 
 
-def stream(one: Seam, duration: float, gangue: float, seed: int) -> tuple[Floats, Floats, NDArray[Any], NDArray[Any]]:
-    """Return samples, time [s], rock and label of the impacts of a stream."""
+def stream(
+    one: Seam, duration: float, gangue: float, seed: int, law: str = "sphere"
+) -> tuple[Floats, Floats, NDArray[Any], NDArray[Any]]:
+    """Return samples, time [s] and rock of the impacts of a stream, and which rocks are gangue."""
     rng = np.random.default_rng([seed, 1])
     n = rng.poisson(ARRIVALS * duration)
     is_gangue = rng.random(n) < gangue
@@ -142,7 +144,7 @@ def stream(one: Seam, duration: float, gangue: float, seed: int) -> tuple[Floats
         if not rock.size:
             break
         given = Rocks(np.where(is_gangue[rock], "gangue", "coal"), *(state[name] for name in Rocks._fields[1:]))
-        made = generate(rock.size, seed, VARIANT, noise=0.0, given=given)
+        made = generate(rock.size, seed, VARIANT, noise=0.0, given=given, law=law)
         frames = made["acceleration"].astype(float)
         fade = 512  # the lowest modes still ring at the end of a frame
         frames[:, -fade:] *= np.cos(np.linspace(0, np.pi / 2, fade)) ** 2

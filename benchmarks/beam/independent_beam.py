@@ -36,7 +36,7 @@ from scipy import fft
 
 from benchmarks.beam.independent_contact import Contact, Stepped, hunt_crossley_loss, residual, summary
 from benchmarks.beam.independent_modes import Beam, Floats, Modes, Ribs, modes_of
-from benchmarks.impact.rock_pulses import draw, pink_noise
+from benchmarks.impact.rock_pulses import breaking, contact_of, draw, pink_noise
 
 Complex = NDArray[np.complex128]
 RATE, SAMPLES, PRE_TRIGGER = 25_600.0, 2048, 128
@@ -163,6 +163,28 @@ def rocks(n: int, rng: np.random.Generator) -> Rocks:
     )
 
 
+class Contacts(NamedTuple):
+    """What rocks have that touch as no spheres: stiffness [N/m^exponent], and depth [m] and force when they break."""
+
+    stiffness: Floats
+    exponent: Floats
+    breaks: Floats
+    left: Floats
+
+
+def contacts(law: str, rock: Rocks, rng: np.random.Generator) -> Contacts:
+    """Return the contacts of rocks by "sphere", or "cone", "face" or "fragmentation" of `rock_pulses`."""
+    ones = np.ones(len(rock.mass))
+    if law == "sphere":
+        return Contacts(rock.stiffness, 1.5 * ones, np.inf * ones, ones)
+    number, depth = rng.random((len(ones), 7)), (rock.mass * rock.speed**2 / rock.stiffness) ** 0.4
+    unbroken = contact_of(law, number, rock.restitution, depth / rock.radius)[0](ones, 0 * ones, False)
+    exponent = {"cone": 2.0, "face": 1.0}.get(law, 1.5)
+    breaks, left = breaking(number) if law == "fragmentation" else (np.inf * ones, ones)
+    stiffness = unbroken * rock.mass * rock.speed**2 / depth ** (exponent + 1)
+    return Contacts(stiffness, exponent * ones, breaks * depth, left)
+
+
 # -- recorder ---------------------------------------------------------------------------------------------
 
 
@@ -257,15 +279,16 @@ def generate(
     sensors: Sequence[tuple[float, float]] = (SENSOR,),
     beam: Beam | None = None,
     given: Rocks | None = None,
+    law: str = "sphere",
     recorder: Callable[[Complex], Complex] = chain,
     modes: Modes | None = None,
 ) -> dict[str, Any]:
     """Return n recorded impacts; equal seeds give equal rocks, places and touches, whatever the variant.
 
     The factor `noise` 0 leaves out noise and converter; `sensors` are points (x, y) [m]; `beam` has the ribs of the
-    variant, unless its `modes` are given; `given` falls in place of rocks of the scene; `recorder` is the gain of
-    mounting and filter. `acceleration` [m/s^2] is (n, 2048) or (n, n_sensors, 2048); durations are those to the first
-    and the last separation [s].
+    variant, unless its `modes` are given; `given` falls in place of rocks of the scene; `law` is that of `contacts`;
+    `recorder` is the gain of mounting and filter. `acceleration` [m/s^2] is (n, 2048) or (n, n_sensors, 2048);
+    durations are those to the first and the last separation [s].
     """
     variant = VARIANTS[variant] if isinstance(variant, str) else variant
     modes = modes or modes_for(variant, beam)
@@ -279,19 +302,22 @@ def generate(
     tables = [transfer(s, omega, damping, modes.shape(*place)[0], held, attached, recorder) for place in sensors]
     rng_rocks, rng_touch, rng_noise = (np.random.default_rng([seed, stream]) for stream in range(3))
     rock = given or rocks(n, rng_rocks)
+    touching = contacts(law, rock, rng_rocks)
     onset = (PRE_TRIGGER + rng_touch.random(n)) / RATE
     loss = hunt_crossley_loss(rock.restitution)
     signals, truth = np.empty((len(sensors), n, SAMPLES)), []
     for first in range(0, n, _AT_ONCE):
         block = slice(first, min(first + _AT_ONCE, n))
         shapes = modes.shape(rock.x[block], rock.y[block])
-        given = zip(
-            shapes, residual(omega, shapes), rock.mass[block], rock.stiffness[block], loss[block], rock.speed[block],
-            strict=True,
-        )  # fmt: skip
-        contacts = [ready.strike(*one) for one in given]
-        truth += [summary(contact) for contact in contacts]
-        force = spectra(contacts, onset[block], s)
+        struck = [
+            ready.strike(*one, exponent=exponent, breaks=breaks, left=left)
+            for *one, exponent, breaks, left in zip(
+                shapes, residual(omega, shapes), rock.mass[block], touching.stiffness[block], loss[block],
+                rock.speed[block], *(part[block] for part in touching[1:]), strict=True,
+            )
+        ]  # fmt: skip
+        truth += [summary(contact) for contact in struck]
+        force = spectra(struck, onset[block], s)
         for table, out in zip(tables, signals, strict=True):
             out[block] = sampled(force * (shapes @ table), s)
     if noise:

@@ -1,5 +1,7 @@
 """A rock that strikes a beam given by its modes: Hunt and Crossley's contact, stepped with the modes.
 
+Its force is a power of the depth, 3/2 for a sphere; it may break once, and then has a part of its force.
+
 Nothing here comes from `cgid`. Each mode is stepped exactly under a force that is linear over a step; the force at the
 end of a step is found together with the motion that it causes, so the force feels the beam's give and its echoes, and
 energy is kept. What is attached to the beam, dampers or lumps of rock, acts on the modes, too.
@@ -44,14 +46,16 @@ def stepping(omega: Floats, damping: Floats, step: float) -> Floats:
 
 
 @numba.njit(cache=True, fastmath={"contract", "reassoc"}, error_model="numpy")
-def _strike(stepped, shape, held, linked, mass, stiffness, loss, speed, step, window, force, state):
+def _strike(stepped, shape, held, linked, mass, law, loss, speed, step, window, force, state):
     """Step one rock through its contacts; return the number of steps and the rock's last velocity into the beam.
 
+    `law` is stiffness, exponent, the depth where it breaks and the force that is left of it.
     `held` (n_attached, n_modes) are the shapes at what is attached, `linked` (n_attached, 3) its damper, mass and
     spring. The force of a step's end is found by Newton's method; attached forces lag by a step. `state` (2, n_modes)
     ends as the modes' q and q'.
     """
     n_modes, n_held = len(shape), len(linked)
+    stiffness, exponent, breaks, left = law
     give = quick = 0.0  # displacement and velocity of the beam per force at the end of the step
     for r in range(n_modes):
         give += stepped[r, 0, 3] * shape[r] ** 2
@@ -89,15 +93,17 @@ def _strike(stepped, shape, held, linked, mass, stiffness, loss, speed, step, wi
                     break
                 new = 0.5 * trial if new >= trial else new
                 continue
-            root = np.sqrt(overlap)
+            power = overlap**exponent
             lossy = 1 + loss * rate
-            value = new - stiffness * root**3 * lossy
-            slope = 1 + stiffness * (1.5 * root * give * lossy + root**3 * loss * quick)
+            value = new - stiffness * power * lossy
+            slope = 1 + stiffness * power * (exponent / overlap * give * lossy + loss * quick)
             change = value / slope
             new -= change
             if abs(change) <= 1e-13 * abs(new) + 1e-12:
                 break
         new = max(new, 0.0)
+        if free - give * new >= breaks:
+            stiffness, breaks = left * stiffness, np.inf
         depth -= new * step**2 / (6 * mass)
         velocity -= new * step / (2 * mass)
         for r in range(n_modes):
@@ -153,9 +159,16 @@ class Stepped:
         damping_number: float,
         speed: float,
         steps: int = _STEPS,
+        exponent: float = 1.5,
+        breaks: float = np.inf,
+        left: float = 1.0,
     ) -> Contact:
-        """Return the contact of one rock at a point with these shapes and static compliance of higher modes."""
-        contact = 2.9432 * (1.25 * mass / stiffness) ** 0.4 * speed**-0.2  # Hertz's contact on a rigid wall
+        """Return the contact of one rock at a point with these shapes and static compliance of higher modes.
+
+        At the depth `breaks` [m] its force falls to a part of it.
+        """
+        deepest = ((exponent + 1) / 2 * mass * speed**2 / stiffness) ** (1 / (exponent + 1))
+        contact = 2.9432 * deepest / speed  # Hertz's contact on a rigid wall, others last nearly as long
         finer = max(int(np.ceil(np.log2(steps / (contact * self.rate * _FINE)))), 0)
         step = 1 / (self.rate * _FINE * 2**finer)
         if step not in self._kept:
@@ -173,7 +186,7 @@ class Stepped:
             held,
             self.linked,
             mass,
-            stiffness,
+            (stiffness, exponent, breaks, left),
             damping_number / speed,
             speed,
             step,
@@ -188,12 +201,9 @@ class Stepped:
 def summary(contact: Contact) -> tuple[float, float, float, float]:
     """Return peak force [N], duration of the first contact and end of the last [s], and the last velocity [m/s]."""
     force, step = contact.force, contact.step
-    k = int(np.argmax(force))
-    low, top, high = force[k - 1 : k + 2]
-    peak = top - 0.125 * (high - low) ** 2 / (low - 2 * top + high)
     # Force falls to 0 as the depth to the power 3/2: the last two samples tell where.
     ends = np.flatnonzero((force[1:-1] > 0) & (force[2:] == 0)) + 1
     a, b = force[ends - 1] ** (2 / 3), force[ends] ** (2 / 3)
     after = np.where(a > b, np.minimum(b / np.maximum(a - b, 1e-300), 1.0), 1.0)
     last = (ends + after) * step
-    return peak, last[0], last[-1], contact.velocity
+    return float(force.max()), last[0], last[-1], contact.velocity

@@ -5,6 +5,7 @@
     python benchmarks/beam/through_beam.py --cases sensors                  # one, two and three accelerometers
     python benchmarks/beam/through_beam.py --cases changed -n 512           # how often a changed beam is noticed
     python benchmarks/beam/through_beam.py --cases independent              # beams of finite elements
+    python benchmarks/beam/through_beam.py --cases contacts -n 1024         # corners, faces, breaking rock, large lumps
 
 The impacts are from a seed that no training uses. An impact that cannot be measured counts as wrong, and as unknown.
 Accuracy is that of the most probable label, whether the answer is unknown or not; "answered" is that of the others.
@@ -22,8 +23,10 @@ import numpy as np
 from cgid import shipped
 from cgid.identification.inversion.through_beam import ThroughBeam
 from cgid.identification.model import Model
-from cgid.identification.prediction import load_model
-from cgid.identification.prediction.diagnosis import CHANGED, ChannelAnswers
+from cgid.identification.prediction import PredictionSettings, load_model
+from cgid.identification.prediction.answers import UNKNOWN
+from cgid.identification.prediction.diagnosis import CHANGED, ChannelAnswers, Diagnosis
+from cgid.identification.prediction.stream import identify_blocks
 from cgid.measure.features.extraction import extract_array
 from cgid.measure.features.vibration import VibrationBatch
 from cgid.measure.modal.beam import Beam, corrected
@@ -51,6 +54,23 @@ GAPS = (10e-3, 30e-3)
 CHANGES, SIZES = (0.0, 0.003, 0.01, 0.03), (30, 100, 300)
 #: A place that is wrong by more is far off [m].
 FAR = 0.05
+#: Law of `independent_beam` and seam of `anchor` of each contact: large lumps have 10 to 30 cm. They fall on a beam of
+#: finite elements that is nearly the package's own. Radii of large lumps [m], log-uniform; noise over the peak.
+CONTACTS = {
+    "sphere": ("sphere", "shipped"),
+    "cone": ("cone", "shipped"),
+    "face": ("face", "shipped"),
+    "fragmentation": ("fragmentation", "shipped"),
+    "large lumps": ("sphere", "large"),
+}
+HOME, LARGE, NOISES = "0.001 mindlin", (0.05, 0.15), (0.01, 0.05)
+#: An answer is for an impact that touched less than this before or after it [s].
+NEAR = 4e-3
+#: Columns of the table of contacts.
+TOLD = {
+    "known": "answered", "answered": "of the answered", "said": "said", "coal": "recall of coal",
+    "gangue": "recall of gangue",
+}  # fmt: skip
 _CHUNK = 256
 
 
@@ -207,18 +227,15 @@ def judged(model: Model, batches: Iterator[Batch]) -> dict[str, Any]:
         novelty[sound] = model.novelty(inputs, guards)
         rows = batch.signals.reshape(-1, batch.signals.shape[-1])
         looked, contact = model.beam.look(VibrationBatch(rows, batch.sampling_rate, batch.pre_trigger))
-        told = batch.parameters
-        apart = np.hypot(looked.x - told["impact_x"], looked.y - told["impact_y"])
-        force = np.abs(np.log(contact.peak / told["peak_force"]))
+        truth = batch.parameters
+        apart = np.hypot(looked.x - truth["impact_x"], looked.y - truth["impact_y"])
+        force = np.abs(np.log(contact.peak / truth["peak_force"]))
         energy = np.square(batch.signals).reshape(len(batch), -1).sum(axis=1)
         hit = np.array(model.labels)[likely.argmax(axis=1)] == batch.labels
-        found.append(np.column_stack([hit & sound, novelty > 1, likely.max(axis=1), apart, force, energy]))
-    hit, unknown, sure, apart, force, energy = np.concatenate(found).T
-    return {
-        "n": len(hit),
-        "accuracy": hit.mean(),
-        "answered": hit[unknown == 0].mean() if (unknown == 0).any() else np.nan,
-        "unknown": unknown.mean(),
+        gangue = batch.labels == "gangue"
+        found.append(np.column_stack([hit & sound, novelty > 1, likely.max(axis=1), apart, force, energy, gangue]))
+    hit, unknown, sure, apart, force, energy, gangue = np.concatenate(found).T
+    return answered(hit, unknown == 0, sure, gangue == 1) | {
         "calibration": calibration(sure, hit),
         "place": np.median(apart),
         "far": np.mean(apart > FAR),
@@ -226,6 +243,24 @@ def judged(model: Model, batches: Iterator[Batch]) -> dict[str, Any]:
         "us": 1e6 * spent / len(hit),
         "quarters": [hit[part].mean() for part in np.array_split(np.argsort(energy), 4)],
     }
+
+
+def answered(hit: Any, told: Any, sure: Any, gangue: Any) -> dict[str, float]:
+    """Return the figures of answers that are right, not unknown, as sure, and of gangue."""
+    return {
+        "n": len(hit),
+        "accuracy": mean(hit),
+        "answered": mean(hit[told]),
+        "unknown": mean(~told),
+        "known": mean(told),
+        "said": mean(sure[told]),
+        "coal": mean(hit[told & ~gangue]),
+        "gangue": mean(hit[told & gangue]),
+    }
+
+
+def mean(values: Any) -> float:
+    return float(np.mean(values)) if len(values) else float("nan")
 
 
 def calibration(sure: Any, hit: Any) -> float:
@@ -239,31 +274,89 @@ def independent(model: Model, n: int, variants: Sequence[str]) -> Iterator[tuple
     from benchmarks.beam import independent_beam as other
 
     assert model.beam is not None
-    beam = model.beam.beam
     for name in variants:
-        variant = other.VARIANTS[name]
-        modes = other.modes_for(variant)
-        damping = other.damping_ratios(modes.frequency, variant.damping)
-        shape = beam.participation.shape[1:]
-        x, y = (
-            side.ravel()
-            for side in np.meshgrid(nodes(shape[0], *beam.region[:2]), nodes(shape[1], *beam.region[2:]), indexing="ij")
-        )
-        at = modes.shape(x, y) * modes.shape(*(np.array([place]) for place in other.SENSOR))
-        exact = replace(
-            beam,
-            modes=Modes(
-                frequency=modes.frequency,
-                damping_ratio=np.broadcast_to(damping, modes.frequency.shape),
-                at_impact=NodeShapes(np.ascontiguousarray(at.T.reshape(-1, *shape)), beam.region),
-                at_sensor=np.ones((1, modes.frequency.size)),
-            ),
-        )
         made = other.generate(n, SEED, name)
-        for told, looked in (("the model's beam", model.beam), ("its own modes", ThroughBeam(exact))):
+        for told, looked in (("the model's beam", model.beam), ("its own modes", own_modes(model.beam.beam, name))):
             through = replace(model)
             through.__dict__["beam"] = looked
             yield f"{name}, through {told}", judged(through, batches_of(made))
+
+
+def own_modes(beam: Beam, name: str) -> ThroughBeam:
+    """Return a beam to look through with the modes of a variant of finite elements."""
+    from benchmarks.beam import independent_beam as other
+
+    modes = other.modes_for(other.VARIANTS[name])
+    damping = other.damping_ratios(modes.frequency, other.VARIANTS[name].damping)
+    shape = beam.participation.shape[1:]
+    x, y = (
+        side.ravel()
+        for side in np.meshgrid(nodes(shape[0], *beam.region[:2]), nodes(shape[1], *beam.region[2:]), indexing="ij")
+    )
+    at = modes.shape(x, y) * modes.shape(*(np.array([place]) for place in other.SENSOR))
+    own = Modes(
+        frequency=modes.frequency,
+        damping_ratio=np.broadcast_to(damping, modes.frequency.shape),
+        at_impact=NodeShapes(np.ascontiguousarray(at.T.reshape(-1, *shape)), beam.region),
+        at_sensor=np.ones((1, modes.frequency.size)),
+    )
+    return ThroughBeam(replace(beam, modes=own))
+
+
+def contacts(model: Model, n: int) -> Iterator[str]:
+    """Yield rows of what the model says of contacts and sizes that are not those of its scene, by other code."""
+    from benchmarks.beam import independent_beam as other
+
+    assert model.beam is not None
+    through = replace(model)
+    through.__dict__["beam"] = own_modes(model.beam.beam, HOME)
+    for name, (law, seam) in CONTACTS.items():
+        rock = other.rocks(n, np.random.default_rng(SEED))
+        if seam == "large":
+            rock = larger(rock, np.random.default_rng([SEED, 1]))
+        made = other.generate(n, SEED, HOME, noise=0.0, given=rock, law=law)
+        noise = np.random.default_rng([SEED, 2]).standard_normal(made["acceleration"].shape)
+        for level in NOISES:
+            peak = np.abs(made["acceleration"]).max(axis=1, keepdims=True)
+            noisy = made | {"acceleration": (made["acceleration"] + level * peak * noise).astype(np.float32)}
+            yield row_of(f"{name}, {level:.0%}", judged(through, batches_of(noisy)))
+    for name, (law, seam) in CONTACTS.items():
+        yield row_of(f"{name}, in a stream", in_stream(model, n, law, seam))
+
+
+def row_of(name: str, told: dict[str, Any]) -> str:
+    cells = [f"{told[key]:.3f}" for key in TOLD]
+    return f"| {name} | {' | '.join(cells)} | {told.get('foreign', '-')} |"
+
+
+def in_stream(model: Model, n: int, law: str, seam: str) -> dict[str, Any]:
+    """Return the answers for about n rocks, half of them gangue, that fall and bounce as in `anchor`."""
+    from benchmarks.beam.anchor import ARRIVALS, SEAMS, stream
+    from benchmarks.beam.independent_beam import RATE
+
+    samples, onset, rock, is_gangue = stream(SEAMS[seam], n / ARRIVALS, 0.5, SEED, law)
+    steps = identify_blocks([samples[None]], RATE, model, ("1",), PredictionSettings())
+    answers = [answer for step in steps for answer in step.answers]
+    near = np.array([np.abs(onset - answer.time).argmin() for answer in answers])
+    gangue = is_gangue[rock[near]]
+    true = np.abs(onset[near] - [answer.time for answer in answers]) < NEAR
+    told = np.array([answer.label != UNKNOWN for answer in answers])
+    likely = np.array([answer.probabilities.get("gangue", 0.5) for answer in answers])
+    sure = np.maximum(likely, 1 - likely)
+    figures = answered(*(part[true] for part in ((likely > 0.5) == gangue, told, sure, gangue)))
+    diagnosis = Diagnosis(model)
+    for answer in answers:
+        diagnosis.add((answer,))
+        if diagnosis.misfits:
+            return figures | {"foreign": f"{answer.time:.0f} s"}
+    return figures | {"foreign": "never"}
+
+
+def larger(rock: Any, rng: np.random.Generator) -> Any:
+    """Return rocks with radii of `LARGE`."""
+    radius = LARGE[0] * (LARGE[1] / LARGE[0]) ** rng.random(len(rock.radius))
+    ratio = radius / rock.radius
+    return rock._replace(radius=radius, mass=rock.mass * ratio**3, stiffness=rock.stiffness * np.sqrt(ratio))
 
 
 def batches_of(made: dict[str, Any]) -> Iterator[Batch]:
@@ -300,7 +393,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("model", nargs="?", default="default-acceleration")
     parser.add_argument("-n", "--signals", type=int, default=4096)
-    kinds = ["tail_beam", "rates", "noise", "ringing", "sensors", "changed", "independent"]
+    kinds = ["tail_beam", "rates", "noise", "ringing", "sensors", "changed", "independent", "contacts"]
     parser.add_argument("--cases", nargs="+", default=kinds[:4], choices=kinds)
     parser.add_argument("--variants", nargs="+", default=["0.001 mindlin", "0.01 mindlin", "0.1 mindlin", "plain"])
     arguments = parser.parse_args()
@@ -323,6 +416,10 @@ def main() -> None:
         rows += independent(model, arguments.signals, arguments.variants)
     if rows:
         printed(rows)
+    if "contacts" in arguments.cases:
+        print(f"| contact | {' | '.join(TOLD.values())} | told as foreign after |\n|{'---|' * (len(TOLD) + 2)}")
+        for line in contacts(model, arguments.signals):
+            print(line, flush=True)
 
 
 if __name__ == "__main__":

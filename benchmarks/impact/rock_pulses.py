@@ -281,12 +281,17 @@ def rocks(case: Case, n: int, rng: np.random.Generator) -> Rocks:
 _STEP, _MAX_STEPS = 0.004, 6000
 
 
+def breaking(number: Floats) -> tuple[Floats, Floats]:
+    """Return the depth where a rock breaks, in Hertz's scaled units, and the part of its force that is left."""
+    return (0.4 + 0.5 * number[:, 0]) ** (2 / 3) * _DEPTH, 0.3 + 0.4 * number[:, 1]
+
+
 def contact_of(law: str, number: Floats, e: Floats, softness: Floats) -> tuple[Any, Floats]:
     """Return the force without damping as a function of approach, deepest approach and whether it returns; its depth.
 
     Everything is in Hertz's scaled units, in which `softness` is the depth over the radius; numbers are uniform.
     """
-    first, second = number[:, 0], number[:, 1]
+    first = number[:, 0]
     if law == "cone":
         slope = np.tan(np.radians(60 + 20 * first))
         k = (2 / np.pi) * slope / (4 / 3) * np.sqrt(softness)
@@ -296,7 +301,7 @@ def contact_of(law: str, number: Floats, e: Floats, softness: Floats) -> tuple[A
         return (lambda x, top, back: k * x), 1 / np.sqrt(k)
     depth = np.full(len(e), _DEPTH)
     if law == "fragmentation":
-        breaks, left = (0.4 + 0.5 * first) ** (2 / 3) * _DEPTH, 0.3 + 0.4 * second
+        breaks, left = breaking(number)
         return (lambda x, top, back: np.where(top >= breaks, left, 1.0) * x**1.5), depth
     if law == "dust":
         thick = (0.1 + 0.2 * first) * _DEPTH
