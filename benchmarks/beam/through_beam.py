@@ -321,7 +321,7 @@ def contacts(model: Model, n: int) -> Iterator[str]:
             noisy = made | {"acceleration": (made["acceleration"] + level * peak * noise).astype(np.float32)}
             yield row_of(f"{name}, {level:.0%}", judged(through, batches_of(noisy)))
     for name, (law, seam) in CONTACTS.items():
-        yield row_of(f"{name}, in a stream", in_stream(model, n, law, seam))
+        yield row_of(f"{name}, in a stream", in_stream(through, n, law, seam))
 
 
 def row_of(name: str, told: dict[str, Any]) -> str:
