@@ -689,7 +689,8 @@ def _part_text(misfit: Misfit) -> str:
         MisfitPart.SCALE: f"all forces are about {size:.2g} times as {'large' if more else 'small'}",
         MisfitPart.SIZES: f"impulses are about {size:.2g} times as {'large' if more else 'small'}, of other sizes or "
         "falls",
-        MisfitPart.SEAM: f"the rocks are about {size:.2g} times as {'hard' if more else 'soft'}",
+        MisfitPart.SEAM: f"the rocks are about {size:.2g} times as "
+        + ("hard, or touch with faces" if more else "soft, or touch with corners"),
         MisfitPart.BEAM: "more is unexplained, as on another beam, with a sensor at another place, or of large rocks",
         MisfitPart.NOISE: "the noise is another",
     }[misfit.part]
