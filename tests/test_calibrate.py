@@ -520,6 +520,41 @@ def test_a_filter_of_linear_phase_is_looked_through(known):
     assert np.array_equal(again.linear_phase, beam.linear_phase) and again.delay < scene.sensor.filters[0].delay
 
 
+def test_noise_behind_a_filter_of_linear_phase_is_that_of_its_band(known):
+    """Noise has passed the filter, which rings before each impact: the samples there are no noise."""
+    content = json.loads(known[0].text)
+    content["sensor"]["anti_alias"] = {"frequency": 1600.0, "kind": "linear-phase", "transition": 0.3}
+    taps = signal.firwin(65, 0.5, window=("kaiser", 9.0))
+    rows = signal.fftconvolve(np.random.default_rng(1).normal(size=(200, 512)), taps[None], mode="same", axes=1)
+    rows[:, BEFORE - 16 :] += 30 * np.sin(np.arange(512 - BEFORE + 16))
+    own = prepare_impacts(rows, RATE, BEFORE)
+    assert np.median(own.noise) > 5
+    behind = own.behind(beam_of(parse_scene(content)))
+    assert np.sqrt(np.mean(behind.noise**2)) == pytest.approx(
+        1.0, rel=0.05
+    )  # half of its power is left, in half the band
+    assert not behind.colour.rows.size and (behind.start[:, 0] < own.start[:, 0]).all()
+    assert own.behind(beam_of(known[0])) is own
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(("seed", "rings"), [(8, False), (7, True)])
+def test_a_filter_of_linear_phase_at_a_low_rate_is_learned_or_the_line_says_why_not(seed, rings):
+    """At 6.4 kHz it rings for longer than a table of forces has room; loud impacts show it."""
+    scene, content = panel(), json.loads(panel().text)
+    content["sensor"].pop("anti_alias")
+    content["sampling"] = {"sampling_rate": 2 * RATE, "samples": 1024, "pre_trigger": 2 * BEFORE}
+    taps = signal.firwin(129, 0.3, fs=2.0, window=("kaiser", 9.0))
+    blows = signal.fftconvolve(frames(parse_scene(content), 40, seed), taps[None], mode="same", axes=1)[:, ::2]
+    options = {"exact": ("sensor", "mounting"), "start_error": 1e-3}
+    if rings:
+        with pytest.raises(BadData, match=r"rings for .* ms before an impact.*record faster"):
+            calibrate(scene, blows, RATE, BEFORE, **options)
+        return
+    found = calibrate(scene, blows, RATE, BEFORE, **options).scene.sensor.anti_alias
+    assert found.kind == "linear-phase" and found.frequency == pytest.approx(0.3 * RATE, rel=0.02)
+
+
 @pytest.mark.long
 def test_a_filter_of_linear_phase_is_learned():
     """The taps are those of scipy, its delay is cut off; the scene has a Butterworth filter."""

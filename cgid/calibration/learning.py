@@ -9,7 +9,7 @@ with Gaussian priors. A mode in a wrong local minimum is then searched for by it
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,6 +40,8 @@ _BEYOND_LINEAR = 1.1
 #: Modes around a frequency, in relative terms and at least so many bins, whose residual tells of errors of the model,
 #: and the part of the width of a resonance by which such a residual moves a mode.
 _NEAR, _NEAR_BINS, _MOVED_BY_LEFT = 0.04, 2.0, 1.5
+#: A filter of linear phase rings for so many standard deviations of its impulse response; least noise over the peak.
+_RINGS, _LEAST_NOISE = 3.0, 1e-7
 #: Maximum number of rounds.
 MAX_ROUNDS = len(_BANDS) * (_FIRST + _MAX_SEARCHES * _BETWEEN) + _LAST
 #: Poles have converged when this fraction of the steps is no longer than this fraction of their standard deviations.
@@ -58,6 +60,7 @@ class ImpactFrames:
     start: NDArray[np.intp]  # (n, 2), first and last possible sample of the onset
     noise: Floats  # (n,), standard deviation
     colour: ARNoise
+    n_quiet: int  # samples before any onset
 
     def __len__(self) -> int:
         return len(self.frames)
@@ -65,12 +68,21 @@ class ImpactFrames:
     def taken(self, rows: slice) -> ImpactFrames:
         """Return some of the impacts."""
         colour = ARNoise(self.colour.coefficients[rows], self.colour.innovation[rows])
-        return ImpactFrames(self.frames[rows], self.start[rows], self.noise[rows], colour)
+        return ImpactFrames(self.frames[rows], self.start[rows], self.noise[rows], colour, self.n_quiet)
 
-    def earlier(self, delay: float, sampling_rate: float) -> ImpactFrames:
-        """Return the same behind a recorder that comes late by a delay [s]: onsets may be earlier in the frames."""
-        start = self.start - np.array([int(np.ceil(delay * sampling_rate)), 0])
-        return replace(self, start=np.maximum(start, 0))
+    def behind(self, beam: Beam) -> ImpactFrames:
+        """Return the same as of the recorder of a beam: a filter of linear phase is late, and rings before an onset."""
+        if beam.linear_phase is None:
+            return self
+        rate, (edge, width, delay) = beam.sampling_rate, beam.linear_phase.tolist()
+        start = np.maximum(self.start - np.array([int(np.ceil(delay * rate)), 0]), 0)
+        n_quiet = self.n_quiet - min(int(rings(beam) * rate), self.n_quiet // 2)
+        # Noise has passed the filter as well: none above its edge, which no autoregression of low order follows.
+        power = np.square(np.abs(np.fft.rfft(self.frames[:, :n_quiet], axis=1))) / n_quiet
+        passed = np.fft.rfftfreq(n_quiet, 1 / rate) < edge - 2 * width
+        passed[:2] = [False, True]
+        noise = np.sqrt(power[:, passed].mean(axis=1)) + _LEAST_NOISE * np.abs(self.frames).max(axis=1) + 1e-300
+        return ImpactFrames(self.frames, start, noise, ARNoise(np.zeros_like(self.colour.coefficients), noise), n_quiet)
 
     def observations(self, raised: Floats | float = 1.0, limit: float | None = None) -> Observations:
         """Return the impacts with their noise raised by factors, (n,)."""
@@ -87,6 +99,11 @@ class ImpactFrames:
         if rows.size:
             weight[rows] = np.repeat(self.noise[rows, None] ** 2 / self.colour.of(rows).power(bins), 2, axis=1)
         return weight
+
+
+def rings(beam: Beam) -> float:
+    """Return for how long a filter of linear phase rings before an onset [s]; 0 without one."""
+    return 0.0 if beam.linear_phase is None else _RINGS / (2 * np.pi * float(beam.linear_phase[1]))
 
 
 def evidence_of(inversion: Inversion, impacts: ImpactFrames) -> tuple[Floats, ForceEstimate]:

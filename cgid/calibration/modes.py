@@ -25,7 +25,7 @@ from cgid.calibration.dimensions import (
     learn_dimensions,
     with_dimensions,
 )
-from cgid.calibration.learning import Heard, ImpactFrames, Learned, MovedSensor, evidence_of
+from cgid.calibration.learning import Heard, ImpactFrames, Learned, MovedSensor, evidence_of, rings
 from cgid.errors import BadData, InvalidValue
 from cgid.identification.detection.detector import ImpactDetector
 from cgid.identification.inversion.contact import MISSHAPEN
@@ -344,7 +344,7 @@ class _Sensor:
         """Look through the beam and the recorder of the scene."""
         beam = beam_of(self.scene)
         self.beam = replace(beam, modes=replace(beam.modes, deviation=None))  # which are learned
-        self.impacts = self._measured.earlier(beam.delay, beam.sampling_rate)
+        self.impacts = self._measured.behind(beam)
 
     def learn_dimensions(
         self, errors: Mapping[str, float], progress: Callable[[int], object] | None
@@ -399,9 +399,7 @@ class _Sensor:
         learned = replace(start.corrected(result.correction[:, :n]), deviation=result.deviation[:, :n])
         crossings = count_crossings(scene, learned)
         result_scene = _with_beam(scene, learned=rows_of(learned), impact_point=region)
-        usual, simulated = evidence_of(
-            self.inversion, _simulated(result_scene).earlier(self.beam.delay, self.beam.sampling_rate)
-        )
+        usual, simulated = evidence_of(self.inversion, _simulated(result_scene).behind(self.beam))
         after, expected = (_mean(one, self.worst) for one in (self.evidence, usual))
         margin = max(_BELOW, _BELOW_SHARE * abs(expected))
         least, foreign = expected - margin, expected - _FOREIGN * margin
@@ -421,6 +419,11 @@ class _Sensor:
                 + (
                     ", or a dimension error of 3 % if the drawing may be inaccurate"
                     * (scene.panel is not None and not self.dimensions)
+                )
+                + (
+                    f"; its filter of linear phase rings for {1e3 * rings(self.beam):.2g} ms before an impact, "
+                    f"at most {1e3 * self.beam.delay:.2g} ms of it can be looked at: record faster"
+                    * (rings(self.beam) > self.beam.delay)
                 )
             )
         if misshapen > max(MISSHAPEN, _LIKE_SIMULATED * usually):
@@ -588,7 +591,8 @@ def prepare_impacts(frames: NDArray[np.floating], sampling_rate: float, pre_trig
     start = np.stack([np.minimum(first, batch.first + 1), batch.first + 1], axis=1).astype(np.intp)
     still = batch.samples - batch.offset[:, None]
     noise = np.maximum(batch.noise, 1e-6 * level + 1e-300)
-    return ImpactFrames(still, start, noise, ar_noise_of(still, batch.n_quiet.astype(np.float64), 1e-6 * level))
+    colour = ar_noise_of(still, batch.n_quiet.astype(np.float64), 1e-6 * level)
+    return ImpactFrames(still, start, noise, colour, pre_trigger)
 
 
 def mean_evidence(beam: Beam, impacts: ImpactFrames, worst: float) -> float:
