@@ -70,6 +70,8 @@ def cases(n_random: int, seed: int) -> Iterator[Case]:
         yield Case(f"mounting {mounting / 1e3:g} kHz", mounting=mounting)
     for order in (4, 6):
         yield Case(f"order {order}", order=order)
+    for share in (0.01, 0.03):
+        yield Case(f"modes {100 * share:g} % off", modes=share)
     yield Case("edge 8 kHz, sensor 30 mm off", edge=8e3, sensor=(x, y + 0.03))
     yield Case("edge 8 kHz, modes 1 % off", edge=8e3, modes=0.01)
     yield Case("edge 12 kHz, mounting 14 kHz, sensor 20 mm off, modes 3 % off", 12e3, 8, 14e3, (x - 0.02, y), 0.03)
