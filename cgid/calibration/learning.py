@@ -37,9 +37,9 @@ _BANDS_OF_SENSOR, _PLACE_STEP = (0.24, 0.5, 1.0), 1e-4
 _NARROW = 0.7
 #: Factor of the standard deviations for the nonlinearity in the poles; measured by benchmarks/beam/calibrate.py.
 _BEYOND_LINEAR = 1.1
-#: Modes around a frequency, in relative terms and at least so many bins, whose residual tells of errors of the model,
-#: and the part of the width of a resonance by which such a residual moves a mode.
-_NEAR, _NEAR_BINS, _MOVED_BY_LEFT = 0.04, 2.0, 1.5
+#: Distance from a mode, in relative terms and at least so many bins, of the residual that may have moved it, and the
+#: part of its amplitude that does; measured by benchmarks/beam/chain.py.
+_NEAR, _NEAR_BINS, _MOVED_BY_LEFT = 0.04, 2.0, 0.5
 #: A filter of linear phase rings for so many standard deviations of its impulse response; least noise over the peak.
 _RINGS, _LEAST_NOISE = 3.0, 1e-7
 #: Maximum number of rounds.
@@ -188,14 +188,11 @@ class Learned:
         for _ in range(_LAST):
             if self.step(self._n_impacts):
                 break
-        # What is left of a vibration although all impacts share the modes moves a frequency by up to the same fraction
-        # of the width of its resonance, and does so in every impact alike: scatter does not show it.
-        left, loud = self._left
-        moved = _MOVED_BY_LEFT * np.sqrt(np.maximum(left, 0.0) / np.maximum(loud, 1e-300))
-        damping = self._heard[0].beam.modes.damping_ratio
-        width = np.median(damping) if damping.size < moved.size else damping[: moved.size]
-        for quantity, own in ((0, moved * width), (1, moved)):
-            known = np.sqrt(self.deviation[quantity] ** 2 + own**2)
+        # What is left of a vibration although all impacts share the modes moves those near it, weak ones most, and does
+        # so in every impact alike: scatter does not show it.
+        for quantity, told in zip(self._quantities, self._told, strict=True):
+            moved = _MOVED_BY_LEFT**2 * np.maximum(self._left, 0.0) / np.maximum(told, 1e-300)
+            known = np.sqrt(self.deviation[quantity] ** 2 + moved)
             self.deviation[quantity] = np.minimum(known, np.maximum(self._prior[quantity], self.deviation[quantity]))
 
     def _system(self, number: int, n_impacts: int, limit: float | None) -> System:
@@ -218,7 +215,7 @@ class Learned:
             of_sensors = [one.sensor.deviation for one in self._heard if one.sensor is not None]
             every, now = np.concatenate([every, *of_sensors]), np.concatenate([now, self.places.ravel()])
         pulls, curvature = np.zeros((n_impacts, every.size)), np.zeros((every.size,) * 2)
-        self._left = np.zeros((2, self._prior.shape[1]))
+        self._left = np.zeros(self._prior.shape[1])
         for number in range(len(self._heard)):
             system = self._system(number, n_impacts, limit)
             indices, slopes = self._slopes(system, number)
@@ -226,7 +223,8 @@ class Learned:
             pulls[:, indices] += own
             curvature[np.ix_(indices, indices)] += curved
             self._raised[number, :n_impacts] = np.sqrt(np.maximum(system.power, 1.0))
-            self._left[:, : len(system.beam.poles)] += system.left_near(system.beam.modes.frequency)
+            self._left[: len(system.beam.poles)] += system.left_near(system.beam.modes.frequency)
+        self._told = np.diag(curvature)[: prior.size].reshape(prior.shape)
         now, step, deviation = newton(curvature, pulls, every, now)
         self.places = now[prior.size :].reshape(-1, 2) if self._placed else self.places
         now, step, deviation = now[: prior.size], step[: prior.size], deviation[: prior.size]
@@ -301,7 +299,7 @@ class System:
         self.table = self._informative(respond(beam, self.inversion.forces, self.inversion.n_samples))
         self.at = self.beam.weights(self.inverted.x, self.inverted.y)
         self.power = np.empty(len(impacts))
-        self.left, self.loud = np.zeros(self.columns.size), np.zeros(self.columns.size)
+        self.left = np.zeros(self.columns.size)
 
     def by_modes(self, quantities: NDArray[np.intp]) -> Callable[[int], Singles]:
         """Return the slopes of an impact in corrections of the active modes, quantity by quantity."""
@@ -328,7 +326,6 @@ class System:
             every, precision, left, weight = self.nuisance(row)
             self.power[row] = float(np.mean(np.square(left))) * self.raised[row] ** 2
             self.left += weight * (np.square(left, dtype=np.float64) - self.raised[row] ** -2)
-            self.loud += weight * np.square(self.samples[row], dtype=np.float64)
             jacobian = slopes(row) * self.root[row]
             cross = weight * (every @ jacobian.T).astype(np.float64)
             half = np.linalg.solve(np.linalg.cholesky(precision), cross).astype(jacobian.dtype)
@@ -339,13 +336,13 @@ class System:
         return np.array(pulls), curvature
 
     def left_near(self, frequency: Floats) -> Floats:
-        """Return the power that is left beyond the noise near each mode, and the power there, (2, n_modes)."""
+        """Return the power that is left beyond the noise near each mode, (n_modes,)."""
         inversion = self.inversion
         bins = np.repeat(np.arange(inversion.bins.start, inversion.bins.stop), 2)[self.columns]
         own = bins / inversion.n_samples * self.beam.sampling_rate
         least = _NEAR_BINS / inversion.n_samples * self.beam.sampling_rate
         near = np.abs(own - frequency[:, None]) < np.maximum(_NEAR * frequency, least)[:, None]
-        return np.stack([near @ self.left, near @ self.loud])
+        return np.asarray(near @ self.left)
 
     def _informative(self, responses: Floats) -> Singles:
         """Return the informative coefficients of responses."""
