@@ -232,7 +232,7 @@ def test_dataset_of_acceleration(
     assert [row["label"] for row in rows] == [answer.label for answer in expected]
     assert "accuracy of the most probable label 0." in err
     assert run(["predict", path, "--model", str(shipped.path_of("models", shipped.DEFAULT_MODEL))]) == 65
-    assert "quantity must be the model's" in capsys.readouterr().err
+    assert "quantity must be force" in capsys.readouterr().err
     assert run(["features", path, "--json"]) == 0
     rows = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
     assert len(rows) == n

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
@@ -16,6 +17,7 @@ from cgid import shipped
 from cgid.cli.main import run
 from cgid.errors import BadData, CannotCreate, InvalidValue, MissingOption
 from cgid.identification.training import Training, train_on_specimens
+from cgid.impactor import population_of
 from cgid.physics import STEEL, YANG2018_SPHERES
 
 matplotlib = pytest.importorskip("matplotlib")
@@ -247,6 +249,18 @@ def test_estimates_of_impactors_take_signals_and_batches(dataset: cgid.Dataset) 
     assert len(cgid.estimate_impactors(batch, among="reference").median("mass")) == 20
     with pytest.raises(MissingOption, match="among"):
         cgid.estimate_impactors(batch)
+    shaken = replace(batch, unit="m/s^2")
+    for among in ("reference", STEEL, population_of("reference", 2048)):
+        for wrong, error in (("m/s^2", BadData), ("V", MissingOption), ("FS", MissingOption), (None, MissingOption)):
+            with pytest.raises(error, match=r"quantity must be force|sensitivity|unit must be known"):
+                cgid.estimate_impactors(cgid.Signal(row, rate, wrong), among=among)
+        with pytest.raises(BadData, match="quantity must be force"):
+            cgid.estimate_impactors(shaken, among=among)
+        for own in (in_kn, batch):
+            with pytest.raises(BadData, match="sampling rate must be one"):
+                cgid.estimate_impactors(own, rate / 2, among)
+    with pytest.raises(BadData, match="quantity must be acceleration"):
+        cgid.estimate_impactors(in_kn, among="tail_beam")
     for call in (cgid.extract, cgid.estimate_impactors):
         for wrong in ("sample.csv", dataset.path, *([dataset] if call is cgid.estimate_impactors else [])):
             with pytest.raises(InvalidValue, match="must be an array, a Signal or a Batch"):

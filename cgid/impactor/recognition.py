@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from cgid._lib.validation import Floats, given_rate, require_rate
 from cgid.errors import InvalidValue, MissingOption
 from cgid.identification.inversion.through_beam import ThroughBeam
+from cgid.identification.prediction.answers import factor_to
 from cgid.impactor.estimation import estimate
 from cgid.impactor.measured import MeasuredPulses
 from cgid.impactor.population import impact_beam, population_of, uses_beam
@@ -26,9 +27,10 @@ from cgid.measure.fit.template import dimensionless_logarithms
 from cgid.measure.frames import DETECTION_LIMIT, frames_of
 from cgid.physics.contact.bodies import RIGID, HalfSpace, RigidWall
 from cgid.physics.contact.materials import STEEL, Material
+from cgid.recordings.recording import require_one_rate
 from cgid.scene.file.schema import Scene, load_scene
+from cgid.scene.file.sensor import Sensor
 from cgid.signals import Batch, Signal
-from cgid.units import UNITS, quantity_of
 
 #: Vibrations processed at once.
 _ROWS = 256
@@ -74,11 +76,11 @@ def estimate_impactors(
     Raises
     ------
     BadData
-        Samples are not finite rows of numbers, or a force has no impact.
+        Samples are not finite rows of numbers or of another quantity or rate than stated, or a force has no impact.
     InvalidValue
         A number breaks its rule, or the scene has no population.
     MissingOption
-        An array has no sampling rate, or nothing says what the impactors may be.
+        An array has no sampling rate, a signal no unit, or nothing says what the impactors may be.
 
     Examples
     --------
@@ -91,17 +93,17 @@ def estimate_impactors(
     >>> [round(float(x[0]), 2) for x in (found.median("mass"), *found.interval("mass", 0.95))]
     [3.6, 3.57, 3.62]
     """
+    if isinstance(among, str | Path):
+        among = load_scene(among)
     if isinstance(samples, Signal | Batch):
-        sampling_rate = samples.sampling_rate if sampling_rate is None else sampling_rate
-        pre_trigger = samples.pre_trigger if pre_trigger is None else pre_trigger
-        samples = samples.in_si().samples if isinstance(samples, Signal) else _rows_in_si(samples)
+        own, samples = samples, _in_si(samples, sampling_rate, among.sensor if isinstance(among, Scene) else Sensor())
+        sampling_rate = own.sampling_rate
+        pre_trigger = own.pre_trigger if pre_trigger is None else pre_trigger
     sampling_rate = given_rate(samples, sampling_rate)
     if among is None:
         raise MissingOption("among: the possible impactors must be known; give a scene, as in among='reference'")
     if isinstance(among, Material):
         return of_material(_of_forces(samples, sampling_rate, pre_trigger, options), among, target)
-    if isinstance(among, str | Path):
-        among = load_scene(among)
     if isinstance(among, Scene):
         if uses_beam(among):
             if options:
@@ -114,9 +116,13 @@ def estimate_impactors(
     return among.posterior(_of_forces(samples, sampling_rate, pre_trigger, options))
 
 
-def _rows_in_si(batch: Batch) -> NDArray[Any]:
-    factor = UNITS[quantity_of(batch.unit)][batch.unit]
-    return batch.signals if factor == 1 else np.asarray(batch.signals * factor)
+def _in_si(own: Signal | Batch, sampling_rate: float | None, sensor: Sensor) -> NDArray[Any]:
+    """Return the samples of a signal or batch in the unit of a sensor; raises for another quantity or rate."""
+    name, samples = (own.name, own.samples) if isinstance(own, Signal) else ("batch", own.signals)
+    factor = factor_to(sensor, own.unit, name)
+    if sampling_rate is not None:
+        require_one_rate((require_rate(sampling_rate), "sampling_rate"), (own.sampling_rate, name), name)
+    return samples if factor == 1 else np.asarray(samples * factor)
 
 
 def _of_forces(

@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cache
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -149,6 +149,16 @@ def _columns(labels: tuple[str, ...], has_ends: bool, has_sets: bool) -> tuple[C
     )
 
 
+class Measurand(Protocol):
+    """What samples must be: the quantity and unit of a model, or of the sensor of a scene."""
+
+    @property
+    def quantity(self) -> str: ...
+
+    @property
+    def unit(self) -> str: ...
+
+
 def suited(signal: Signal, model: Model, mass: float | None = None) -> Signal:
     """Convert the signal to the quantity and unit of the model.
 
@@ -177,7 +187,7 @@ def suited(signal: Signal, model: Model, mass: float | None = None) -> Signal:
     return replace(signal, samples=signal.samples * factor, unit=model.unit)
 
 
-def factor_to(model: StoredModel, unit: str | None, name: str, mass: float | None = None) -> float:
+def factor_to(model: Measurand, unit: str | None, name: str, mass: float | None = None) -> float:
     """Return the factor from samples in a unit to those that a model takes; raises as `suited`, with a name."""
     if unit is None:
         raise MissingOption(
@@ -193,7 +203,10 @@ def factor_to(model: StoredModel, unit: str | None, name: str, mass: float | Non
     if quantity != model.quantity:
         hint = f"give a recording of {model.quantity}"
         if (quantity, model.quantity) == ("acceleration", "force"):
-            hint = "give --mass KG if the accelerated body is the impactor (force = mass x acceleration)"
+            hint = (
+                "if the accelerated body is the impactor, force = mass x acceleration: give --mass KG, in Python "
+                "signal.as_force(mass)"
+            )
         elif quantity == "level":
             example = "500 g" if model.quantity == "acceleration" else "2 kN"
             hint = (
@@ -202,14 +215,13 @@ def factor_to(model: StoredModel, unit: str | None, name: str, mass: float | Non
             )
         # Of sound without a full scale, as of volts without a sensitivity, only an option is missing.
         raise (MissingOption if quantity == "level" else BadData)(
-            f"{name}: the quantity must be the model's, {model.quantity} [{model.unit}], got {quantity} [{unit}]; "
-            f"{hint}"
+            f"{name}: the quantity must be {model.quantity} [{model.unit}], got {quantity} [{unit}]; {hint}"
         )
     units = UNITS[quantity]
     return factor if unit == model.unit else factor * units[unit] / units[model.unit]
 
 
-def _unit_options(model: StoredModel) -> str:
+def _unit_options(model: Measurand) -> str:
     """Return the options that state the unit; a signal of unknown quantity counts as a force."""
     option = f"--unit {model.unit}"
     return option if model.quantity != "force" else f"{option}, or --unit m/s^2 of an accelerometer"
