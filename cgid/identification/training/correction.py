@@ -210,7 +210,7 @@ def _too_few_known(n_known: int, n: int, tried: str = "") -> BadData:
     return BadData(
         f"labelled impacts must be within the training of the model, {MIN_LABELLED} at least, got {n_known} of {n}"
         f"{tried}; train without --from, or calibrate the beam first (cgid calibrate RECORDING --channel CHANNEL "
-        "--scene YOUR_BEAM.toml)"
+        "--scene YOUR_BEAM.toml -o site.toml)"
     )
 
 
