@@ -312,6 +312,7 @@ tail_beam | highest = "1.5 m" | highest = "1.7 m" | impact_point.x
 tail_beam | damping_ratio = "2 %" | damping_ratio = 0 | tail_beam.damping_ratio
 tail_beam | "25 kHz", damping_ratio = 0.05 | "25 kHz", damping_ratio = 0 | sensor.mounting.damping_ratio
 tail_beam | thickness = "25 mm" | thickness = "250 mm" | ribs
+tail_beam | thickness = "30 mm" | thickness = 30 | tail_beam
 tail_beam | "cantilever" | "floating" | tail_beam.edges
 tail_beam | thickness = "30 mm"\n |  | tail_beam
 tail_beam | anti_alias = { frequency = "10 kHz" | anti_alias = { frequency = "13 kHz" | sensor.anti_alias.frequency
