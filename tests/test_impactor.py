@@ -130,6 +130,28 @@ def test_a_row_does_not_depend_on_the_others(population):
     assert len(population.posterior(seen.rows(slice(0, 0)))) == 0
 
 
+CHOICE = {"distribution": "choice", "values": [0.35, 0.5]}
+
+
+@pytest.mark.parametrize(
+    "constants",
+    few([{"restitution": CHOICE}, {"drop_height": 1.5}, {"radius": 0.02}, {"restitution": 0.45, "drop_height": 1.5}]),
+)
+def test_constants_are_no_obstacle(reference, constants):
+    """Pulses of a scene, with the errors of 1 % noise, asked among it; what is a constant is told as such."""
+    drawn = population_of(varied(reference, **constants), 1 << 16)
+    rng, deviations = np.random.default_rng(6), np.array([0.004, 0.005, 0.05])
+    rows = rng.integers(0, drawn.shape.size, 1500)
+    columns = np.stack([drawn.log_peak, drawn.log_width, drawn.shape])[:, rows]
+    found = drawn.posterior(measured(*(columns + deviations[:, None] * rng.standard_normal(columns.shape)), deviations))
+    assert np.mean(found.reason == "") > 0.998
+    for name in QUANTITIES:
+        true = np.exp(getattr(drawn, f"log_{name}")[rows])
+        low, high = found.interval(name, 0.9)
+        held = np.nanmean((low <= true) & (true <= high) | np.isnan(low))
+        assert held == 1 if np.ptp(true) < 1e-9 else 0.87 < held < 0.93, (name, held)
+
+
 def test_equal_rocks_are_known(reference):
     """A population of one rock: nothing is left to be found but what is drawn, and the pulse of another is excluded."""
     one = varied(reference, radius=0.03, density=1400.0, youngs_modulus=3e9, poisson_ratio=0.3, drop_height=1.0)

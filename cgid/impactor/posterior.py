@@ -32,18 +32,25 @@ QUANTITIES = {"mass": "kg", "radius": "m", "speed": "m/s"}
 LEVELS = np.array([0.005, 0.01, 0.025, *np.arange(0.05, 0.951, 0.05), 0.975, 0.99, 0.995])
 #: Powers of the speed in P0 / T0^2 and in T0.
 SPEED_POWER, TIME_POWER = 1.6, -0.2
+#: Power of the modulus in T0 over that in P0 / T0^2: -2/5 over 6/5.
+_MODULUS_RATIO = -1 / 3
 #: Nodes along the shape, and draws used from each; if size is not a similarity, fewer draws have weight.
 _NODES, _DRAWS, _MORE_DRAWS = 12, 48, 96
+#: Extent of ln(radius) below which more draws are used, as fewer have weight, and the most.
+_FEW_RADII, _MOST_DRAWS = 0.25, 384
 #: Extent of the nodes and cut-off distance of draws [standard deviations].
 _REACH, _BEYOND = 3.5, 4.0
+#: Half the extent of draws of equal shape; minimum width of cells of a posterior: the draws have single precision.
+_THIN, _PRECISION = 1e-6, 1e-5
 #: Minimum number of draws per shape, and minimum and maximum number of shapes.
 _PER_SHAPE, _MIN_SHAPES, _MAX_SHAPES = 1024, 8, 96
 #: Widest kernel of draws along ln(P0 / T0^2), and along ln(size) if size is not a similarity.
 _WIDEST, _ALIKE = 0.25, 0.3
 #: Cells of ln(P0 / T0^2), of ln(radius), and of a posterior.
 _CELLS, _RADII, _POSTERIOR = 512, 256, 160
-#: Minimum relative width of a population's radii and speeds: equal ones are spread by this fraction.
-_NARROWEST = 0.01
+#: Minimum relative width of a population's radii and speeds: equal ones are spread by this fraction. Range of ln(speed)
+#: that counts as one speed, and number of speeds that count as few.
+_NARROWEST, _EQUAL_SPEEDS, _FEW_SPEEDS = 0.01, 0.05, 64
 #: Impacts processed at once: more exceed the cache.
 _ROWS = 128
 
@@ -159,36 +166,36 @@ class ImpactorPopulation:
     def _moved(self, pulses: MeasuredPulses) -> tuple[dict[str, Floats], Floats, dict[int, str]]:
         """Return logarithms of draws moved onto pulses, their weights, (n, n_draws), and reasons for missing ones."""
         table = self._table
-        shape, density, given = table.nodes(pulses)
+        shape, index, density, given = table.nodes(pulses)
         given_shape = _given_shape(pulses, shape)
-        rows, many = table.around(shape, given_shape[0], given_shape[2])
+        rows, fraction = table.around(index, given_shape[0], given_shape[2])
         size_free, time, spread, lag, residual_std = (one.astype(np.float32)[:, :, None] for one in given_shape)
         distance = table.size_free[rows] - size_free
-        half = np.abs(distance).max(axis=2, keepdims=True)
-        kernel = np.minimum(0.4 * half, _WIDEST) ** 2
+        kernel = np.minimum(0.2 * np.ptp(distance, axis=2, keepdims=True), _WIDEST) ** 2
+        kernel += (0.3 * np.gradient(size_free, axis=1)) ** 2  # pulses of shapes between the nodes
         wide = spread**2 + kernel
         # Draws more distant than the error of the pulse are moved towards it.
         moved = distance * (spread / np.sqrt(wide))
-        faster = (moved - distance) / SPEED_POWER
+        faster = table.speed_share * (moved - distance) / SPEED_POWER
         log_speed = table.log_speed[rows] + faster
         later = time + lag * moved + residual_std * table.jitter
         growth = later - table.time[rows]
-        log_radius = table.log_radius[rows] + growth - TIME_POWER * faster
+        log_radius = table.log_radius[rows] + growth - table.time_power * (moved - distance)
         log_weight = -0.5 * distance**2 / wide
         if not self.similar:
             log_weight -= 0.5 * (growth / _ALIKE) ** 2
         reached = log_weight > -0.5 * _BEYOND**2
         fits = table.radii(table.group[rows], log_radius)
-        # If all speeds are equal, the error of the pulse spreads them, but not across their bounds.
-        margin = _NARROWEST + _REACH / SPEED_POWER * np.minimum(spread, 2 * _NARROWEST)
-        fits *= (log_speed >= table.speeds[0] - margin) & (log_speed <= table.speeds[1] + margin)
+        fits *= (log_speed >= table.speeds[0]) & (log_speed <= table.speeds[1])
         weight = np.exp(log_weight) * reached * fits
-        weight *= (many * density / np.sqrt(wide[:, :, 0])).astype(np.float32)[:, :, None]
+        weight *= (fraction * density / np.sqrt(wide[:, :, 0])).astype(np.float32)[:, :, None]
         n = len(shape)
         weight = weight.reshape(n, -1)
         total = weight.sum(axis=1, keepdims=True)
         usable = np.isfinite(total[:, 0]) & (total[:, 0] > 0) & pulses.usable
         weight = np.where(usable[:, None], weight / np.where(usable[:, None], total, 1.0), 0.0)
+        if table.one_radius:
+            log_radius = table.log_radius[rows]
         log_mass = table.log_density[rows] + 3 * log_radius
         values = {"mass": log_mass, "radius": log_radius, "speed": log_speed}
         excluded = np.flatnonzero(~usable & pulses.usable)
@@ -233,14 +240,18 @@ class _Table:
         self.n_shapes = int(np.clip(n // _PER_SHAPE, _MIN_SHAPES, _MAX_SHAPES))
         low, high = np.quantile(shape, [0.0005, 0.9995])
         low, high = low - 1e-3, max(high, low + _NARROWEST) + 1e-3
-        self.lowest, self.highest, self.step = low, high, (high - low) / self.n_shapes
-        shape_index = self._shape_of(shape)
+        step = (high - low) / self.n_shapes
+        shape_index = np.clip((shape - low) / step, 0, self.n_shapes - 1).astype(np.intp)
         log_peak, log_width = dimensionless_logarithms(shape, "peak", "width")
         time = population.log_width - log_width
         size_free = population.log_peak - log_peak - 2 * time
         order = np.lexsort((size_free, shape_index))
         counts = np.bincount(shape_index, minlength=self.n_shapes)
         self.first, self.count = np.cumsum(counts) - counts, counts
+        # Each shape extends as far as its draws: not at all if the restitution is a constant.
+        self.lowest, self.highest = np.full(self.n_shapes, high), np.full(self.n_shapes, low)
+        np.minimum.at(self.lowest, shape_index, np.clip(shape, low, high) - _THIN)
+        np.maximum.at(self.highest, shape_index, np.clip(shape, low, high) + _THIN)
         # Single precision errs by 1e-6 of a logarithm, and is twice as fast.
         log_density = population.log_mass - 3 * population.log_radius
         columns = (size_free, time, population.log_radius, population.log_speed, log_density)
@@ -254,13 +265,24 @@ class _Table:
         grid = np.zeros((self.n_shapes, _CELLS + 1))
         np.add.at(grid, (shape_index[order], cells), 1.0)
         self.ranks = np.cumsum(grid, axis=1)
-        self.speeds = self.log_speed.min(), self.log_speed.max()
-        even = _normal(_DRAWS if population.similar else _MORE_DRAWS)
-        self.jitter = np.random.default_rng(0x57).permutation(even).astype(np.float32)
-        self._radii(population.similar)
+        self.speeds = self.log_speed.min() - 2 * _NARROWEST, self.log_speed.max() + 2 * _NARROWEST
+        # Draws of one, or one of a few, speeds keep it, and of one radius: then the modulus moves them onto a pulse.
+        few = np.ptp(self.log_speed) < _EQUAL_SPEEDS or np.unique(self.log_speed).size <= _FEW_SPEEDS
+        self.speed_share = float(not few)
+        self.time_power = _MODULUS_RATIO if few else TIME_POWER / SPEED_POWER
+        self.one_radius = np.ptp(self.log_radius) < _NARROWEST
+        fewest = _DRAWS if population.similar else _MORE_DRAWS
+        self.n_draws = int(np.clip(_DRAWS * _FEW_RADII / self._radii(population.similar), fewest, _MOST_DRAWS))
+        # Nodes at one shape use different draws.
+        self.phase = (np.arange(_NODES)[:, None] + 0.5) / _NODES
+        even = np.broadcast_to(_normal(self.n_draws), (_NODES, self.n_draws))
+        self.jitter = np.random.default_rng(0x57).permuted(even, axis=1).astype(np.float32)
 
-    def _radii(self, similar: bool) -> None:
-        """Tabulate the weight of a moved draw by its radius: the prior density there over that of the moved draws."""
+    def _radii(self, similar: bool) -> float:
+        """Tabulate the weight of a moved draw by its radius: the prior density there over that of the moved draws.
+
+        Return the extent of ln(radius), that of a uniform density as concentrated.
+        """
         low, high = self.log_radius.min(), self.log_radius.max()
         margin = max(0.02 * (high - low), 5 * _NARROWEST)
         self.smallest, self.ring = low - margin, (high - low + 2 * margin) / _RADII
@@ -268,39 +290,49 @@ class _Table:
         n_groups = int(self.group.max()) + 1
         counts = np.bincount(self.group * _RADII + bins, minlength=n_groups * _RADII).reshape(n_groups, _RADII)
         # Smooth enough to suppress the noise of draws.
-        blur = max(1.5, _NARROWEST / self.ring)
+        blur = max(1.5, 0.6 * _NARROWEST / self.ring)
         kernel = np.exp(-0.5 * (np.arange(-int(4 * blur), int(4 * blur) + 1) / blur) ** 2)
         smooth = np.stack([np.convolve(row, kernel / kernel.sum(), mode="same") for row in counts.astype(np.float64)])
         density = smooth / np.maximum(smooth.sum(axis=1, keepdims=True), 1e-300)
+        extent = self.ring / np.max(np.sum(density**2, axis=1))
         if not similar:
             separation = (np.arange(_RADII)[:, None] - np.arange(_RADII)) * self.ring / _ALIKE
             density = density / np.maximum(density @ np.exp(-0.5 * separation**2), 1e-300)
         self._weight = np.pad(density, ((0, 0), (1, 1))).astype(np.float32)
+        return float(extent)
 
     def radii(self, group: NDArray[np.intp], log_radius: Floats) -> Floats:
         """Return the weight of moved draws by their radius."""
         position = np.clip((log_radius - self.smallest) / self.ring + 1, 0, _RADII + 1).astype(np.intp)
         return np.asarray(self._weight.reshape(-1)[group * (_RADII + 2) + position])
 
-    def _shape_of(self, shape: Floats) -> NDArray[np.intp]:
-        return np.asarray(np.clip((shape - self.lowest) / self.step, 0, self.n_shapes - 1), np.intp)
+    def nodes(self, pulses: MeasuredPulses) -> tuple[Floats, NDArray[np.intp], Floats, NDArray[np.bool_]]:
+        """Return nodes of the shape, (n, n_nodes), the number of its shape, its weight, and whether any exist."""
+        # Quantiles (Chebyshev nodes, closer at the ends) of the draws times a logistic density, which is wider than
+        # the likelihood and has a closed integral.
+        middle, deviation = pulses.shape[:, None], np.sqrt(pulses.covariance[:, 2, 2])[:, None]
+        low, high = (
+            1 / (1 + np.exp(-np.clip((ends - middle) / deviation, -_REACH, _REACH)))
+            for ends in (self.lowest, self.highest)
+        )
+        share = self.count * np.maximum(high - low, 0.0) / np.maximum(self.highest - self.lowest, _THIN)
+        below = np.cumsum(share, axis=1)
+        given = below[:, -1] > 0
+        below[~given] = np.arange(1, self.n_shapes + 1)
+        angle = np.pi * (np.arange(_NODES) + 0.5) / _NODES
+        target = below[:, -1:] * (0.5 - 0.5 * np.cos(angle))
+        index = np.sum(below[:, None, :] <= target[:, :, None], axis=2)
+        low, high, share, below = (np.take_along_axis(one, index, axis=1) for one in (low, high, share, below))
+        at = high - (high - low) * np.clip((below - target) / np.maximum(share, 1e-300), 0.0, 1.0)
+        offset = np.log(at / (1 - at))
+        weight = given[:, None] * np.sin(angle) * np.exp(-0.5 * offset**2) / (at * (1 - at))
+        return middle + deviation * offset, index, weight, given
 
-    def nodes(self, pulses: MeasuredPulses) -> tuple[Floats, Floats, NDArray[np.bool_]]:
-        """Return nodes of the shape, prior times likelihood there, (n, n_nodes), and whether there are any."""
-        deviation = np.sqrt(pulses.covariance[:, 2, 2])
-        low = np.maximum(pulses.shape - _REACH * deviation, self.lowest)
-        high = np.minimum(pulses.shape + _REACH * deviation, self.highest)
-        given = low < high
-        low, high = np.where(given, low, self.lowest), np.where(given, high, self.highest)
-        shape = low[:, None] + (high - low)[:, None] * ((np.arange(_NODES) + 0.5) / _NODES)
-        offset = (shape - pulses.shape[:, None]) / deviation[:, None]
-        likely = np.exp(-0.5 * (offset**2 - np.min(offset**2, axis=1, keepdims=True)))
-        return shape, likely * given[:, None], given
-
-    def around(self, shape: Floats, size_free: Floats, spread: Floats) -> tuple[NDArray[np.intp], Floats]:
-        """Return the draws around points, (n, n_nodes, n_draws), and the number that each of them represents."""
-        shape_index = self._shape_of(shape)
-        n_draws = self.jitter.size
+    def around(
+        self, shape_index: NDArray[np.intp], size_free: Floats, spread: Floats
+    ) -> tuple[NDArray[np.intp], Floats]:
+        """Return the draws around points, (n, n_nodes, n_draws), and the fraction of a shape that each represents."""
+        n_draws = self.n_draws
         counted = self.count[shape_index]
         low, high = (self._rank(shape_index, size_free + side * 2.5 * spread) for side in (-1, 1))
         lacking = np.maximum(n_draws - (high - low), 0) / 2
@@ -308,9 +340,9 @@ class _Table:
         high = np.clip(np.maximum(high + lacking, low + n_draws), 0, counted)
         low = np.minimum(low, np.maximum(high - n_draws, 0))
         each = np.maximum(high - low, 0) / n_draws
-        picks = (low[:, :, None] + each[:, :, None] * (np.arange(n_draws) + 0.5)).astype(np.intp)
+        picks = (low[:, :, None] + each[:, :, None] * (np.arange(n_draws) + self.phase)).astype(np.intp)
         rows = self.first[shape_index][:, :, None] + np.minimum(picks, np.maximum(counted - 1, 0)[:, :, None])
-        return np.minimum(rows, self.size_free.size - 1), np.where(counted > 0, each, 0.0)
+        return np.minimum(rows, self.size_free.size - 1), each / np.maximum(counted, 1)
 
     def _rank(self, shape_index: NDArray[np.intp], size_free: Floats) -> Floats:
         position = np.clip((size_free - self.origin) / self.cell, 0, _CELLS - 1e-6)
@@ -358,7 +390,7 @@ def _quantiles(values: dict[str, Floats], weight: Floats) -> dict[str, Floats]:
         if with_weight.size:
             selected = column[counted]
             low, high = np.minimum.reduceat(selected, first), np.maximum.reduceat(selected, first)
-            cell = np.maximum(high - low, 1e-9) / (_POSTERIOR - 1)
+            cell = np.maximum((high - low) / (_POSTERIOR - 1), _PRECISION)
             position = ((selected - low[row]) / cell[row] + 0.5).astype(np.intp)
             mass = np.bincount(start + np.minimum(position, _POSTERIOR - 1), heavy, with_weight.size * _POSTERIOR)
             at = _crossed(np.asarray(mass.reshape(-1, _POSTERIOR), np.float64))
