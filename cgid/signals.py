@@ -14,7 +14,7 @@ from cgid import units
 from cgid._lib import validation
 from cgid._lib.lazy import picture_of
 from cgid._lib.notebook import counts_text, facts_table
-from cgid._lib.validation import Floats, require_rate
+from cgid._lib.validation import Floats, rates_agree, require_rate
 from cgid.errors import BadData, InvalidValue
 
 #: Possible model inputs besides the signal, and their units.
@@ -151,10 +151,9 @@ class Signal:
         >>> signal.samples.tolist(), signal.unit
         ([1000.0, 2000.0], 'N')
         """
-        if self.unit is None or self.quantity is None:
+        if self.unit is None:
             return self
-        factors = units.UNITS[self.quantity]
-        factor, si = factors[self.unit], next(iter(factors))
+        factor, si = units.si_of(self.unit)
         return self if self.unit == si else replace(self, samples=self.samples * factor, unit=si)
 
     def as_force(self, mass: float) -> Signal:
@@ -185,6 +184,17 @@ class Signal:
         Signal
         """
         return replace(self, samples=-self.samples)
+
+
+def require_stated(samples: Any, sampling_rate: float | None = None, unit: str | None = None) -> None:
+    """Raise `InvalidValue` if a given rate [Hz] or unit is not that of a signal, batch or dataset, which states it."""
+    stated, kind = samples.sampling_rate, type(samples).__name__
+    if sampling_rate is not None and not rates_agree(rate := require_rate(sampling_rate), stated):
+        raise InvalidValue(
+            f"sampling_rate must be that of the {kind}, {stated:.10g} Hz, got {rate:.10g} Hz; leave it out"
+        )
+    if unit is not None and units.meaning_of(unit) != units.meaning_of(samples.unit):
+        raise InvalidValue(f"unit must be that of the {kind}, {samples.unit}, got {unit}; leave it out")
 
 
 def channel_name(source: str, channel: str) -> str:
@@ -262,6 +272,16 @@ class Batch:
         """Number of signals of each label."""
         labels, counts = np.unique(self.labels, return_counts=True)
         return dict(zip(labels.tolist(), counts.tolist(), strict=True))
+
+    def in_si(self) -> Batch:
+        """Return the batch in the SI unit of its quantity.
+
+        Returns
+        -------
+        Batch
+        """
+        factor, si = units.si_of(self.unit)
+        return self if factor == 1 else replace(self, signals=self.signals * factor, unit=si)
 
     def plot(self, n: int = 20, axes: Any = None) -> Any:
         """Draw the first signals of each label over time.

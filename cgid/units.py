@@ -125,6 +125,18 @@ def quantity_of(unit: str) -> str:
     raise InvalidValue(f"unit must be a known one, got {shown(unit)} ({listed}){hint}")
 
 
+def meaning_of(unit: str) -> tuple[str, float]:
+    """Return the quantity of a unit of samples and its factor to the SI unit; raises as `quantity_of`."""
+    quantity = quantity_of(unit)
+    return quantity, UNITS[quantity][unit]
+
+
+def si_of(unit: str) -> tuple[float, str]:
+    """Return the factor of a unit of samples to the SI unit of its quantity, and that unit."""
+    quantity, factor = meaning_of(unit)
+    return factor, next(iter(UNITS[quantity]))
+
+
 def plain_unit(text: str) -> str:
     """Return a unit from a file without surrounding brackets and blanks, with the micro sign for a Greek mu.
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
@@ -257,7 +258,7 @@ def test_estimates_of_impactors_take_signals_and_batches(dataset: cgid.Dataset) 
         with pytest.raises(BadData, match="quantity must be force"):
             cgid.estimate_impactors(shaken, among=among)
         for own in (in_kn, batch):
-            with pytest.raises(BadData, match="sampling rate must be one"):
+            with pytest.raises(InvalidValue, match="sampling_rate must be that of"):
                 cgid.estimate_impactors(own, rate / 2, among)
     with pytest.raises(BadData, match="quantity must be acceleration"):
         cgid.estimate_impactors(in_kn, among="tail_beam")
@@ -267,6 +268,40 @@ def test_estimates_of_impactors_take_signals_and_batches(dataset: cgid.Dataset) 
                 call(wrong)
         with pytest.raises(MissingOption, match="sampling rate"):
             call(row)
+
+
+def test_a_rate_or_unit_that_contradicts_the_object_is_refused(dataset: cgid.Dataset) -> None:
+    batch, names = next(dataset.batches(20)), ["peak_force"]
+    for given in (dataset[0], batch, dataset):
+        calls: list[Callable[..., Any]] = [cgid.predict, lambda given, rate: cgid.extract(given, rate, names)]
+        if given is not dataset:
+            calls.append(lambda given, rate: cgid.estimate_impactors(given, rate, "reference"))
+        for call in calls:
+            with pytest.raises(InvalidValue, match=f"that of the {type(given).__name__}, 200000 Hz"):
+                call(given, 1e5)
+            call(given, 200e3)
+    for given in (batch, dataset):
+        assert len(cgid.predict(given, unit="N")) == len(given)
+        for wrong in ({"unit": "mN"}, {"sensitivity": "1 mV/N"}):
+            with pytest.raises(InvalidValue, match=next(iter(wrong))):
+                cgid.predict(given, **wrong)
+
+
+def test_features_of_a_batch_are_of_its_own_rate_and_unit(dataset: cgid.Dataset) -> None:
+    batch = next(dataset.batches(20))
+    in_kn = replace(batch, signals=batch.signals / 1e3, unit="kN")
+    measured = cgid.extract(in_kn, features=["peak_force", "impulse"]).attrs["units"]
+    assert measured == {"peak_force": "kN", "impulse": "kN s"}
+    features = cgid.ImpactFeatures(200e3, ["peak_force", "contact_duration"]).fit(batch)
+    assert features.transform(in_kn) == pytest.approx(features.transform(batch), rel=1e-5)
+    with pytest.raises(InvalidValue, match="sampling_rate"):
+        cgid.ImpactFeatures(100e3, ["contact_duration"]).fit(batch)
+    with pytest.raises(InvalidValue, match="sampling_rate"):
+        features.transform(replace(batch, sampling_rate=50e3))
+    for fitted in (features, cgid.ImpactFeatures(scene="tail_beam", sampling_rate=200e3)):
+        other = replace(batch, unit="g") if fitted is features else batch
+        with pytest.raises(InvalidValue, match=r"X must be of (force|acceleration), got (acceleration|force)"):
+            (fitted.transform if fitted is features else fitted.fit)(other)
 
 
 def test_features_of_a_dataset_are_those_of_its_batches(dataset: cgid.Dataset) -> None:

@@ -22,6 +22,8 @@ Complex = NDArray[np.complex128]
 _T = TypeVar("_T")
 #: Limits of sampling rates [Hz]: no recorder exceeds them, and beyond them squares of times leave the range of floats.
 RATES = (1e-6, 1e12)
+#: Largest relative difference between two stated sampling rates: more than clock errors, less than typing errors.
+RATE_TOLERANCE = 1e-3
 
 #: Prediction of models for out-of-distribution signals; not allowed as a label.
 UNKNOWN = "unknown"
@@ -153,6 +155,11 @@ def number(name: str, value: ArrayLike, unit: str = "", rule: Callable[[str, Arr
 def require_rate(sampling_rate: float) -> float:
     """Return one sampling rate [Hz] within `RATES`, or raise `InvalidValue`."""
     return number("sampling_rate", sampling_rate, "Hz", rates)
+
+
+def rates_agree(first: float, second: float) -> bool:
+    """Return whether two sampling rates [Hz] agree to 0.1 %."""
+    return abs(first - second) <= RATE_TOLERANCE * min(first, second)
 
 
 def given_rate(samples: Any, sampling_rate: float | None) -> float:

@@ -27,10 +27,9 @@ from cgid.measure.fit.template import dimensionless_logarithms
 from cgid.measure.frames import DETECTION_LIMIT, frames_of
 from cgid.physics.contact.bodies import RIGID, HalfSpace, RigidWall
 from cgid.physics.contact.materials import STEEL, Material
-from cgid.recordings.recording import require_one_rate
 from cgid.scene.file.schema import Scene, load_scene
 from cgid.scene.file.sensor import Sensor
-from cgid.signals import Batch, Signal
+from cgid.signals import Batch, Signal, require_stated
 
 #: Vibrations processed at once.
 _ROWS = 256
@@ -96,7 +95,8 @@ def estimate_impactors(
     if isinstance(among, str | Path):
         among = load_scene(among)
     if isinstance(samples, Signal | Batch):
-        own, samples = samples, _in_si(samples, sampling_rate, among.sensor if isinstance(among, Scene) else Sensor())
+        require_stated(samples, sampling_rate)
+        own, samples = samples, _in_si(samples, among.sensor if isinstance(among, Scene) else Sensor())
         sampling_rate = own.sampling_rate
         pre_trigger = own.pre_trigger if pre_trigger is None else pre_trigger
     sampling_rate = given_rate(samples, sampling_rate)
@@ -116,12 +116,10 @@ def estimate_impactors(
     return among.posterior(_of_forces(samples, sampling_rate, pre_trigger, options))
 
 
-def _in_si(own: Signal | Batch, sampling_rate: float | None, sensor: Sensor) -> NDArray[Any]:
-    """Return the samples of a signal or batch in the unit of a sensor; raises for another quantity or rate."""
+def _in_si(own: Signal | Batch, sensor: Sensor) -> NDArray[Any]:
+    """Return the samples of a signal or batch in the unit of a sensor; raises for another quantity."""
     name, samples = (own.name, own.samples) if isinstance(own, Signal) else ("batch", own.signals)
     factor = factor_to(sensor, own.unit, name)
-    if sampling_rate is not None:
-        require_one_rate((require_rate(sampling_rate), "sampling_rate"), (own.sampling_rate, name), name)
     return samples if factor == 1 else np.asarray(samples * factor)
 
 

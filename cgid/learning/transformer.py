@@ -28,8 +28,9 @@ from cgid.scene.file.schema import Scene, load_scene
 from cgid.scene.synthesis.draws import require_seed
 from cgid.scene.synthesis.synthesis import require_count, require_frames, synthesise
 from cgid.scene.synthesis.through_beam import shared_beam
-from cgid.signals import Batch, Signal
+from cgid.signals import Batch, Signal, require_stated
 from cgid.store.reading import Dataset
+from cgid.units import quantity_of
 
 __all__ = ["TrainingStream"]
 
@@ -47,8 +48,9 @@ class ImpactFeatures(TransformerMixin, BaseEstimator):  # type: ignore[misc]
 
     Parameters
     ----------
-    sampling_rate : float
-        [Hz]; by default that of `scene`.
+    sampling_rate : float, optional
+        [Hz]; by default that of `scene`. A `Batch` states its own, which must be this one, and is measured in the SI
+        unit of its quantity; arrays must be in that unit, too.
     features : str or iterable of str, function or Feature, optional
         Names of features or banks, such as `"mel_*_hz"`, or features of one's own as in `cgid.extract`; by default all
         features of pulses, or with `scene` those that `cgid train` uses for vibrations of its beam.
@@ -120,16 +122,17 @@ class ImpactFeatures(TransformerMixin, BaseEstimator):  # type: ignore[misc]
         Raises
         ------
         InvalidValue
-            A setting breaks its rule, a feature needs longer rows or another sampling rate, or the scene has no beam
-            for the contact force.
+            A setting breaks its rule, a feature needs longer rows or another sampling rate, the scene has no beam for
+            the contact force, or a batch is of another rate, or of another quantity than the scene.
         """
-        self._beam, rate = None, self.sampling_rate
+        self._beam, self._quantity, rate = None, None, self.sampling_rate
         if self.scene is not None:
             source = self.scene if isinstance(self.scene, Scene | Dataset) else load_scene(self.scene)
             beam, why = shared_beam([source])
             if beam is None:
                 raise InvalidValue(f"scene must have a beam, got {why}; leave it out")
             self._beam, rate = ThroughBeam(beam), beam.sampling_rate if rate is None else rate
+            self._quantity = source.quantity if isinstance(source, Dataset) else quantity_of(source.sensor.unit)
         if rate is None:
             raise InvalidValue("sampling_rate must be given [Hz], such as ImpactFeatures(sampling_rate=200e3)")
         self._rate = rate
@@ -158,6 +161,8 @@ class ImpactFeatures(TransformerMixin, BaseEstimator):  # type: ignore[misc]
         ------
         BadData
             A row cannot be measured, if `invalid` is "raise".
+        InvalidValue
+            A batch is of another rate or quantity than it was fitted to.
         """
         check_is_fitted(self)
         return self._measured(self._frames(X, reset=False), self.features_)
@@ -181,7 +186,13 @@ class ImpactFeatures(TransformerMixin, BaseEstimator):  # type: ignore[misc]
     def _frames(self, X: ArrayLike, *, reset: bool) -> NDArray[Any]:
         if isinstance(X, str | Path | Signal | Dataset):
             raise InvalidValue(f"X must be rows of samples, one impact each, got {validation.shown(X)}")
-        X = X.signals if isinstance(X, Batch) else X
+        if isinstance(X, Batch):
+            require_stated(X, self._rate)
+            quantity = quantity_of(X.unit)
+            if self._quantity not in (None, quantity):
+                raise InvalidValue(f"X must be of {self._quantity}, got {quantity} [{X.unit}]; fit others to it")
+            self._quantity = quantity if reset else self._quantity
+            X = X.in_si().signals
         validation.plain("X", X)
         return np.asarray(validate_data(self, X, dtype=(np.float64, np.float32), reset=reset))
 

@@ -17,8 +17,9 @@ from pathlib import Path
 from typing import Any
 
 from cgid._lib.terminal import counted
+from cgid._lib.validation import RATE_TOLERANCE
 from cgid.errors import BadData
-from cgid.recordings.recording import MAX_CHANNELS, RATE_TOLERANCE, Blocks, Remark
+from cgid.recordings.recording import MAX_CHANNELS, Blocks, Remark
 from cgid.recordings.text import Body, Piece, assembled, encoding_and_end, n_lines, whole_lines
 from cgid.recordings.text_layout import NUMBER, ColumnHeader, Header, Layout, stamped_moment
 

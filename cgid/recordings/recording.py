@@ -13,12 +13,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cgid._lib.validation import require_rate, whole
+from cgid._lib.validation import rates_agree, require_rate, whole
 from cgid.errors import BadData, CgidError, InvalidValue, MissingOption, NoInput, optional
 from cgid.recordings.chain import Chain, scaled
 from cgid.recordings.gaps import Gaps
 from cgid.signals import Signal, channel_name
-from cgid.units import UNITS, quantity_of
+from cgid.units import meaning_of, quantity_of
 
 #: Advice for a dataset given instead of a recording.
 DATASET_HINT = "read it with cgid.store, or pick one of its signals with --index"
@@ -31,9 +31,6 @@ MAX_NUMBERS = 1 << 22
 
 #: Maximum number of channels; a file with more has its samples along the wrong axis.
 MAX_CHANNELS = 4096
-
-#: Largest relative difference between two stated sampling rates: more than clock errors, less than typing errors.
-RATE_TOLERANCE = 1e-3
 
 #: Channels that begin within this part of a sample are simultaneous.
 SIMULTANEOUS = 0.05
@@ -237,7 +234,7 @@ class Blocks:
         stated = self.units[index] if index < len(self.units) else None
         if given is None or stated is None:
             return given or stated or self.fallback_unit
-        if _meaning(given) == _meaning(stated):
+        if meaning_of(given) == meaning_of(stated):
             return stated
         raise BadData(
             f"{source}: channel {self.label(index)} must be in one unit, its header states {stated} "
@@ -291,11 +288,6 @@ def _numbered(index: int, name: str) -> str:
     return f"{index + 1} ({name})" if name else str(index + 1)
 
 
-def rates_agree(first: float, second: float) -> bool:
-    """Return whether two sampling rates [Hz] agree to 0.1 %."""
-    return abs(first - second) <= RATE_TOLERANCE * min(first, second)
-
-
 def require_one_rate(first: tuple[float, str], second: tuple[float, str], source: str) -> None:
     """Raise `BadData` unless two sampling rates [Hz] of a recording agree; each comes with its origin."""
     if not rates_agree(first[0], second[0]):
@@ -304,11 +296,6 @@ def require_one_rate(first: tuple[float, str], second: tuple[float, str], source
             f"{source}: the sampling rate must be one to 0.1 %, {first[1]} states {first[0]:.10g} Hz and "
             f"{other}{second[0]:.10g} Hz; correct one"
         )
-
-
-def _meaning(unit: str) -> tuple[str, float]:
-    quantity = quantity_of(unit)
-    return quantity, UNITS[quantity][unit]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -16,13 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid._lib.terminal import counted
+from cgid._lib.validation import rates_agree
 from cgid.errors import BadData
 from cgid.recordings.recording import (
     MAX_CHANNELS,
     Blocks,
     Remark,
     counts,
-    rates_agree,
     require_one_rate,
     with_gaps,
 )

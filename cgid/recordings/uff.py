@@ -18,8 +18,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from cgid._lib.validation import rates_agree
 from cgid.errors import BadData
-from cgid.recordings.recording import Blocks, library, library_errors, rates_agree
+from cgid.recordings.recording import Blocks, library, library_errors
 from cgid.recordings.text_layout import stated_chain
 from cgid.recordings.times import lost_before, rate_of
 from cgid.units import known_unit, seconds_of

@@ -15,8 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid._lib.terminal import counted
+from cgid._lib.validation import rates_agree
 from cgid.errors import BadData
-from cgid.recordings.recording import SIMULTANEOUS, Blocks, ReadBlocks, Remark, rates_agree, require_one_rate
+from cgid.recordings.recording import SIMULTANEOUS, Blocks, ReadBlocks, Remark, require_one_rate
 from cgid.recordings.text_layout import column_of
 from cgid.recordings.times import rate_of_vector
 from cgid.units import hertz_of, known_unit, number_and_unit, plain_unit, ratio_of, seconds_of

@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from cgid._lib import validation
-from cgid._lib.validation import require_rate
 from cgid.errors import BadData, InvalidValue, MissingOption
 from cgid.identification.model.model import Model, StoredModel, stored
 from cgid.identification.prediction.answers import Answer, answer_columns
@@ -24,7 +23,7 @@ from cgid.recordings import is_dataset, read_recording
 from cgid.recordings.chain import Chain, Statement
 from cgid.recordings.recording import Blocks, Channel, require_one_rate
 from cgid.shipped import MODELS, model_path
-from cgid.signals import Batch, Signal
+from cgid.signals import Batch, Signal, require_stated
 from cgid.units import quantity_of
 
 if TYPE_CHECKING:
@@ -108,7 +107,8 @@ def predict(
         length, with their rate, unit and names. A batch or dataset has one impact a signal. An array is in `unit`; the
         columns of a DataFrame name its channels, else they are numbered from 1.
     sampling_rate : float, optional
-        [Hz]; required for an array, and for a file that does not state it.
+        [Hz]; required for an array, and for a file that does not state it; one that contradicts what `samples` states
+        is refused.
     unit : str, optional
         One of `cgid.units.UNITS`, such as "N", "kN", "g", "m/s^2" or "V"; required likewise.
     model : Model, Training, str or Path, optional
@@ -177,6 +177,11 @@ def predict(
 
         samples = Dataset(samples)
     if isinstance(samples, Batch) or hasattr(samples, "batches"):
+        require_stated(samples, sampling_rate, unit)
+        if any(one is not None for one in (sensitivity, gain, full_scale)):
+            raise InvalidValue(
+                "sensitivity, gain and full_scale are for recordings, a batch states its unit; leave them out"
+            )
         return _of_batches(samples, model, applied)
     if isinstance(samples, str | Path):
         signals = read_recording(
@@ -271,11 +276,10 @@ def _require_alike(signals: Sequence[Any], sampling_rate: float | None) -> list[
         if not isinstance(one, Signal):
             raise BadData(f"samples must be Signals or an array, got a {type(one).__name__} among Signals")
     first = signals[0]
-    rate, origin = (first.sampling_rate, first.name)
-    if sampling_rate is not None:
-        rate, origin = require_rate(sampling_rate), "sampling_rate"
+    rate = first.sampling_rate
     for one in signals:
-        require_one_rate((rate, origin), (one.sampling_rate, one.name), one.source)
+        require_stated(one, sampling_rate)
+        require_one_rate((rate, first.name), (one.sampling_rate, one.name), one.source)
         if len(one.samples) != len(first.samples):
             raise BadData(
                 f"{one.name}: Signals must be channels of one length, got {len(one.samples)} samples after "

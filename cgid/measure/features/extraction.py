@@ -21,7 +21,7 @@ from cgid.measure.features.vibration import VIBRATION_FEATURES, BeamInversion, V
 from cgid.measure.features.windows import WINDOW_FEATURES, WindowBatch
 from cgid.measure.filters import Equalisation
 from cgid.measure.frames import DETECTION_LIMIT, Problem, frames_of
-from cgid.signals import Batch, Signal
+from cgid.signals import Batch, Signal, require_stated
 
 if TYPE_CHECKING:
     import pandas
@@ -183,9 +183,9 @@ def extract(
     ----------
     samples : array_like, (n_samples,) or (n_signals, n_samples), Signal, Batch or Dataset
         One positive pulse per row, or one vibration for the features of vibrations. A signal, batch or dataset states
-        its rate and its samples before onset.
+        its rate, its unit and its samples before onset.
     sampling_rate : float, optional
-        [Hz]; required for an array.
+        [Hz]; required for an array; another one than a signal, batch or dataset states is refused.
     features : iterable of str, function or Feature, optional
         Names of features or banks; by default all features of pulses. A feature of one's own is a function of samples
         (n_signals, n_samples) without their baseline and the sampling rate, or the result of
@@ -201,7 +201,7 @@ def extract(
     Returns
     -------
     pandas.DataFrame, (n_signals, n_features)
-        Its `attrs["units"]` has the unit of each column.
+        Its `attrs["units"]` has the unit of each column; U is the unknown one of an array.
 
     Raises
     ------
@@ -221,21 +221,23 @@ def extract(
     """
     import pandas
 
-    names = choose(features)
+    names, unit = choose(features), "U"
+    if isinstance(samples, Signal | Batch) or hasattr(samples, "batches"):
+        require_stated(samples, sampling_rate)
     if hasattr(samples, "batches"):
         how: dict[str, Any] = {"pre_trigger": pre_trigger, "remove_baseline": remove_baseline, "invalid": invalid}
-        parts = [extract(batch, sampling_rate, names, **how) for batch in samples.batches()]
+        parts = [extract(batch, None, names, **how) for batch in samples.batches()]
         return pandas.concat(parts, ignore_index=True)
     if isinstance(samples, Signal | Batch):
         own, samples = samples, samples.signals if isinstance(samples, Batch) else samples.samples
-        sampling_rate = own.sampling_rate if sampling_rate is None else sampling_rate
+        sampling_rate, unit = own.sampling_rate, own.unit or unit
         pre_trigger = own.pre_trigger if pre_trigger is None else pre_trigger
     sampling_rate = validation.given_rate(samples, sampling_rate)
     values = extract_array(
         samples, sampling_rate, names, pre_trigger=pre_trigger, remove_baseline=remove_baseline, invalid=invalid
     )
     table = pandas.DataFrame(values, columns=list(names))
-    table.attrs["units"] = {name: FEATURES[name].unit for name in names}
+    table.attrs["units"] = {name: FEATURES[name].unit_for(unit) for name in names}
     return table
 
 
