@@ -213,20 +213,21 @@ def force_factor(unit: str | None, mass: float, name: str) -> float:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Batch:
-    """Labelled signals of one kind, one impact each.
+    """Signals of one kind, one impact each, as a rule with their labels.
 
     Parameters
     ----------
-    signals : ndarray, (n_signals, n_samples)
+    signals : ndarray, (n_signals, n_samples), or (n_signals, n_sensors, n_samples)
         In `unit`.
-    labels : ndarray of str, (n_signals,)
+    labels : ndarray of str, (n_signals,), optional
+        Empty texts if they are not known.
     sampling_rate : float
         [Hz].
     unit : str
     pre_trigger : int
         Number of samples before onset.
-    specimen : ndarray of uint64, (n_signals,)
-        Number of the rock; all impacts of a rock must be on the same side of a split.
+    specimen : ndarray of uint64, (n_signals,), optional
+        Number of the rock; all impacts of a rock must be on the same side of a split. By default each is of another.
     parameters : dict of ndarray, each (n_signals,)
         Values from which the signals were made, if known.
     source : str
@@ -234,43 +235,75 @@ class Batch:
 
     Raises
     ------
+    BadData
+        The signals are not rows of real numbers, or another column has not one entry for each of them.
     InvalidValue
-        A label breaks the rule of `cgid._lib.validation.label`.
+        Sampling rate, unit, pre-trigger or a specimen is invalid, or a label breaks the rule of
+        `cgid._lib.validation.label`.
     """
 
     signals: NDArray[Any]
-    labels: NDArray[np.str_]
+    labels: NDArray[np.str_] = None  # type: ignore[assignment]
     sampling_rate: float
     unit: str
     pre_trigger: int
-    specimen: NDArray[np.uint64]
+    specimen: NDArray[np.uint64] = None  # type: ignore[assignment]
     parameters: Mapping[str, NDArray[np.float64]] = field(default_factory=dict)
     source: str = ""
 
     def __post_init__(self) -> None:
-        for label in np.unique(self.labels).tolist():
-            validation.label("label", label)
+        signals = validation.plain("signals", self.signals)
+        if signals.ndim not in (2, 3) or signals.dtype.kind not in "fiu":
+            raise BadData(f"signals must be rows of real numbers, got shape {signals.shape} of type {signals.dtype}")
+        if signals.dtype not in (np.float32, np.float64):
+            signals = signals.astype(np.float64)
+        n = len(signals)
+        labels = np.full(n, "") if self.labels is None else validation.plain("labels", self.labels)
+        specimen = np.arange(n) if self.specimen is None else validation.plain("specimen", self.specimen)
+        for name, column in {"labels": labels, "specimen": specimen, **self.parameters}.items():
+            if np.shape(column) != (n,):
+                raise BadData(f"{name} must have one entry for each of {n} signals, got shape {np.shape(column)}")
+        if (names := set(labels.tolist())) != {""}:
+            for label in names:
+                validation.label("label", label)
+        if specimen.dtype != np.uint64:
+            if specimen.dtype.kind not in "iu" or (n and specimen.min() < 0):
+                raise InvalidValue(
+                    f"specimen must be whole numbers of 0 or more, got {validation.shown(specimen[:3].tolist())}; "
+                    "number them, as by np.unique(names, return_inverse=True)[1]"
+                )
+            specimen = specimen.astype(np.uint64)
+        units.quantity_of(self.unit)
+        validation.whole("pre_trigger", self.pre_trigger, 0, max(signals.shape[-1] - 1, 0))
+        checked = {"signals": signals, "labels": labels.astype(str, copy=False), "specimen": specimen}
+        for name, value in {**checked, "sampling_rate": require_rate(self.sampling_rate)}.items():
+            object.__setattr__(self, name, value)
 
     def __len__(self) -> int:
         return len(self.signals)
 
     def __repr__(self) -> str:
         size = f"{len(self)} signals of {self.signals.shape[-1]} samples"
-        return f"Batch({size} at {self.sampling_rate:g} Hz [{self.unit}]: {counts_text(self.counts)})"
+        return f"Batch({size} at {self.sampling_rate:g} Hz [{self.unit}]: {counts_text(self.counts) or 'no labels'})"
 
     def _repr_html_(self) -> str:
         facts = {
             "signals": f"{len(self)} of {self.signals.shape[-1]} samples at {self.sampling_rate:g} Hz [{self.unit}]",
-            "labels": counts_text(self.counts),
+            "labels": counts_text(self.counts) or "none",
             "rocks": len(np.unique(self.specimen)),
             "parameters": ", ".join(self.parameters) or "none",
         }
         return facts_table("Batch", facts)
 
     @property
+    def labelled(self) -> bool:
+        """Whether its labels are known."""
+        return bool(len(self) and self.labels[0])
+
+    @property
     def counts(self) -> dict[str, int]:
         """Number of signals of each label."""
-        labels, counts = np.unique(self.labels, return_counts=True)
+        labels, counts = np.unique(self.labels[: len(self) * self.labelled], return_counts=True)
         return dict(zip(labels.tolist(), counts.tolist(), strict=True))
 
     def in_si(self) -> Batch:

@@ -1,8 +1,10 @@
 """Signals: units, conversions, force from acceleration, and what is refused."""
 
 import numpy as np
+import pandas as pd
 import pytest
 
+import cgid
 from cgid._lib import validation
 from cgid.errors import BadData, InvalidValue
 from cgid.signals import Batch, Signal
@@ -84,6 +86,41 @@ def test_batch_refuses_a_label_that_is_none() -> None:
     about = {"sampling_rate": 1e5, "unit": "N", "pre_trigger": 2, "specimen": np.arange(2, dtype=np.uint64)}
     with pytest.raises(InvalidValue, match="label must not be 'unknown'"):
         Batch(signals=np.zeros((2, 10)), labels=np.array(["coal", "unknown"]), **about)
+
+
+SOUND: dict[str, object] = {"signals": np.zeros((3, 10)), "sampling_rate": 1e5, "unit": "N", "pre_trigger": 2}
+
+
+@pytest.mark.parametrize(
+    ("wrong", "says"),
+    [
+        ({"signals": np.zeros(10)}, "signals must be rows"),
+        ({"signals": [["a", "b"]]}, "signals must be rows"),
+        ({"labels": np.array(["coal"] * 2)}, "labels must have one entry for each of 3"),
+        ({"labels": ["coal", "", "coal"]}, "label must"),
+        ({"specimen": np.arange(4)}, "specimen must have one entry for each of 3"),
+        ({"specimen": [0.5, 1.5, 2.5]}, "specimen must be whole"),
+        ({"specimen": [0, 1, -1]}, "specimen must be whole"),
+        ({"parameters": {"radius": np.ones(2)}}, "radius must have one entry for each of 3"),
+        ({"unit": "Newton"}, "unit must be a known one"),
+        ({"sampling_rate": -1}, "sampling_rate must"),
+        ({"pre_trigger": 10}, "pre_trigger must"),
+    ],
+)
+def test_a_batch_is_checked_when_it_is_made(wrong: dict[str, object], says: str) -> None:
+    with pytest.raises((BadData, InvalidValue), match=says):
+        Batch(**(SOUND | wrong))
+
+
+def test_a_batch_needs_neither_labels_nor_specimens() -> None:
+    batch = next(cgid.synthesise("reference", 8, seed=3))
+    known = {"sampling_rate": 200e3, "unit": "N", "pre_trigger": batch.pre_trigger}
+    bare = Batch(signals=batch.signals.tolist(), **known)
+    assert (bare.counts, bare.specimen.tolist(), bare.signals.dtype) == ({}, list(range(8)), np.float64)
+    expected = cgid.predict(batch)
+    pd.testing.assert_frame_equal(cgid.predict(Batch(signals=batch.signals, **known)), expected.drop(columns="truth"))
+    with pytest.raises(BadData, match="must have labels for training"):
+        cgid.train_on_specimens(bare)
 
 
 @pytest.mark.parametrize(

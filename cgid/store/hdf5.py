@@ -260,7 +260,7 @@ class ShardBuilder:
             if self._filled % rows == 0 or self._filled == self._n_signals:
                 self._write_chunk()
         # Keep the short columns to write them once: a call of HDF5 takes longer than the writing itself.
-        self._columns.append(replace(batch, signals=np.empty((len(batch), 0))))
+        self._columns.append(replace(batch, signals=np.empty((len(batch), 0)), pre_trigger=0))
 
     def _write_chunk(self) -> None:
         """Write the full or the last chunk."""

@@ -258,7 +258,7 @@ class Dataset:
 
     def _batch(self, part: dict[str, NDArray[Any]]) -> Batch:
         try:
-            return Batch(
+            batch = Batch(
                 signals=part["signals"],
                 labels=text_of(part["labels"]),
                 sampling_rate=self.sampling_rate,
@@ -268,8 +268,10 @@ class Dataset:
                 parameters={name: part[f"parameters/{name}"] for name in self.header.parameter_units},
                 source=self.source,
             )
+            validation.label("label", batch.labels[0].item())  # not left open
         except InvalidValue as error:
             raise BadData(f"{self.path}: {error}") from None
+        return batch
 
     def impact(self, index: int) -> Batch:
         """Return one signal with all its stored data.

@@ -128,7 +128,7 @@ def predict(
         `channel`, `time_s`, `label`, one `p_LABEL` for each label of the model, `novelty` (above 1 the label is
         "unknown"), `overlapping`, `clipped`, `cut_off`, `problem`. Windows also have `end_s`, and a coverage adds
         `prediction_set`. Without impacts it has no rows. A batch or dataset has one row for each signal, with its
-        `index` instead of a channel, and its true label as `truth`. `attrs["units"]` has the unit of each column.
+        `index` instead of a channel, and its label, if known, as `truth`. `attrs["units"]` has the unit of each column.
 
     Warns
     -----
@@ -261,7 +261,8 @@ def _signals(samples: Any, sampling_rate: float | None) -> list[Signal]:
     if columns.shape[1] > columns.shape[0]:
         raise BadData(
             f"samples must be (n_samples, n_channels), got shape {columns.shape} with more channels than samples; "
-            "one impact a row? give a cgid.Batch; one channel a row? transpose them"
+            "one impact a row? give cgid.Batch(signals=, sampling_rate=, unit=, pre_trigger=); one channel a row? "
+            "transpose them"
         )
     labels = range(1, columns.shape[1] + 1) if names is None else names
     return [
@@ -302,7 +303,8 @@ def _of_batches(samples: Any, model: Model | str | Path | None, settings: Predic
         truths += batch.labels.tolist()
     table = _table(answers, loaded, settings).drop(columns="channel")
     table.insert(0, "index", np.arange(len(table)))
-    table["truth"] = np.array(truths, object)
+    if any(truths):
+        table["truth"] = np.array(truths, object)
     table.attrs["units"] = {name: table.attrs["units"].get(name, "") for name in table}
     return table
 

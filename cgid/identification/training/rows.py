@@ -387,6 +387,8 @@ def measure(
 def _measured(settings: tuple[tuple[str, ...], tuple[str, ...], Beam | None], batch: Batch) -> Rows:
     """Return the complete rows of a batch."""
     names, known, beam = settings
+    if not batch.labelled:
+        raise BadData("all signals must have labels for training, got a batch without; give Batch(labels=...)")
     with threadpool_limits(1):
         features = extract_array(
             batch.signals,
