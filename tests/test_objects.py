@@ -98,7 +98,10 @@ def test_a_signal_is_samples_rate_and_unit() -> None:
 
 
 def test_dataset_by_index(dataset: cgid.Dataset) -> None:
-    signals = np.concatenate([batch.signals for batch in dataset])
+    signals = np.concatenate([batch.signals for batch in dataset.batches()])
+    for index, signal in enumerate(dataset):
+        assert np.array_equal(signal.samples, signals[index]) and signal.source == dataset[index].source
+    assert len(list(dataset)) == len(dataset) == len(signals)
     for index in (0, 24, 25, 59, -1, -60, np.int64(7)):
         np.testing.assert_array_equal(dataset[index].samples, signals[index])
     for index in (60, -61):
@@ -109,7 +112,7 @@ def test_dataset_by_index(dataset: cgid.Dataset) -> None:
 
 
 def test_parameters_of_a_dataset_are_a_table_with_units(dataset: cgid.Dataset) -> None:
-    table, batches = dataset.parameters, list(dataset)
+    table, batches = dataset.parameters, list(dataset.batches())
     assert table["label"].tolist() == np.concatenate([batch.labels for batch in batches]).tolist()
     for name in ("drop_height", "radius"):
         np.testing.assert_array_equal(table[name], np.concatenate([batch.parameters[name] for batch in batches]))

@@ -361,7 +361,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_signals_are_those_of_cgid_generate(made: Path, tmp_path: Path) -> None:
     seed = sets.PUBLIC_SEED + ALL["reference"].number
     generate(ALL["reference"].scene, tmp_path / "r.h5", 3, seed)
-    batch = next(iter(Dataset(tmp_path / "r.h5")))
+    batch = next(Dataset(tmp_path / "r.h5").batches())
     assert np.load(made / "signals" / "reference-test.npy").tobytes() == batch.signals.tobytes()
     truth = Truth.read(made / "truth")
     assert truth.frames["reference"].tolist() == batch.labels.tolist()

@@ -316,4 +316,4 @@ def test_a_reader_never_sees_a_mixture(path):
     for read in (lambda: list(signals), lambda: late.signal(0), lambda: list(late)):
         with pytest.raises(BadData):
             read()
-    assert len(list(Dataset(path))) == 4
+    assert len(list(Dataset(path).batches())) == 4

@@ -45,7 +45,7 @@ def trained_within(room: int, little: Path, large: Path) -> dict[str, Any]:
 
 
 def _within(room: int, little: Path, large: Path) -> dict[str, Any]:
-    _trained(Dataset(little))
+    _trained(Dataset(little).batches())
     limit = int(Path("/proc/self/statm").read_text().split()[5]) * resource.getpagesize() + room
     resource.setrlimit(resource.RLIMIT_DATA, (limit, limit))
     data, peaks = Dataset(large), [_peak()]
@@ -58,7 +58,7 @@ def _within(room: int, little: Path, large: Path) -> dict[str, Any]:
 
 def _quarter(data: Dataset) -> Iterator[Batch]:
     count = 0
-    for batch in data:
+    for batch in data.batches():
         yield batch
         count += len(batch)
         if 4 * count >= len(data):
@@ -67,7 +67,7 @@ def _quarter(data: Dataset) -> Iterator[Batch]:
 
 def _fits(data: Dataset) -> bool:
     try:
-        _trained(list(data))
+        _trained(list(data.batches()))
     except MemoryError:
         return False
     return True

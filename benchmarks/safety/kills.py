@@ -252,7 +252,7 @@ class Trials:
             if self.kind.name.endswith("dataset") or "shard-00000.h5" in there:
                 dataset = Dataset(self.output)
                 seeds = {dataset.header.attributes["seed"]}
-                n_read = sum(map(len, dataset))
+                n_read = sum(map(len, dataset.batches()))
                 shards = {name: digest for name, digest in content(self.output).items() if name.startswith("shard")}
                 if not any(shards.items() <= kind.items() for kind in sound) or n_read != len(dataset):
                     wrong.append(f"a mixture was read, of seed {seeds}")

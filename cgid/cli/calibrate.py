@@ -271,7 +271,7 @@ def _of_dataset(path: str, scene: Scene) -> tuple[NDArray[np.floating], float, i
         raise BadData(
             f"{path}: the dataset must be of {scene.sensor.quantity} like scene {scene.name}, got {first.unit}"
         )
-    frames = np.concatenate([batch.signals for batch in dataset])
+    frames = np.concatenate([batch.signals for batch in dataset.batches()])
     return np.asarray(frames * factor, np.float64), first.sampling_rate, first.pre_trigger or 0
 
 

@@ -227,8 +227,10 @@ class Dataset:
         """SHA-256 of the scene of the signals; empty if they were not made from one."""
         return str(self.header.attributes.get("scene_sha256", ""))
 
-    def __iter__(self) -> Iterator[Batch]:
-        return self.batches()
+    def __iter__(self) -> Iterator[Signal]:
+        """Yield the signals in order, as by index; `batches` reads their labels, too."""
+        rows = (row for batch in self.batches() for row in batch.signals)
+        return (self._named(row, index) for index, row in enumerate(rows))
 
     def batches(self, n_rows: int | None = None) -> Iterator[Batch]:
         """Yield the signals in order.
@@ -314,8 +316,11 @@ class Dataset:
         InvalidValue
             As `impact`.
         """
+        return self._named(self.impact(index).signals[0], index)
+
+    def _named(self, samples: NDArray[Any], index: int) -> Signal:
         return Signal(
-            samples=self.impact(index).signals[0],
+            samples=samples,
             sampling_rate=self.sampling_rate,
             unit=self.unit,
             source=f"{self.path} index {index}",

@@ -261,8 +261,7 @@ def _signals(samples: Any, sampling_rate: float | None) -> list[Signal]:
     if columns.shape[1] > columns.shape[0]:
         raise BadData(
             f"samples must be (n_samples, n_channels), got shape {columns.shape} with more channels than samples; "
-            "one impact a row? give cgid.Batch(signals=, sampling_rate=, unit=, pre_trigger=); one channel a row? "
-            "transpose them"
+            "one impact a row? give a cgid.Batch, which needs no labels; one channel a row? transpose them"
         )
     labels = range(1, columns.shape[1] + 1) if names is None else names
     return [

@@ -342,7 +342,7 @@ def measure(
     Parameters
     ----------
     batches : iterable of Batch
-        Such as `synthesise(...)` or `Dataset(...)`.
+        Such as `synthesise(...)` or `Dataset(...).batches()`.
     features : iterable of str, optional
         Names of features; by default those of the default model.
     progress : callable, optional

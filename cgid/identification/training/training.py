@@ -163,7 +163,7 @@ class Training:
 
 
 def train_on_specimens(  # noqa: PLR0913
-    data: Batch | Iterable[Batch] | Rows | str | Path,
+    data: Batch | Dataset | Iterable[Batch] | Rows | str | Path,
     *,
     features: Iterable[Named] | None = None,
     guards: Iterable[str] | None = None,
@@ -243,7 +243,7 @@ def train_on_specimens(  # noqa: PLR0913
         rows, names, limiting = data, _named_in(data, features), _named_in(data, guards)
     else:
         data = Dataset(data) if isinstance(data, str | Path) else data
-        batches = [data] if isinstance(data, Batch) else data
+        batches = data.batches() if isinstance(data, Dataset) else [data] if isinstance(data, Batch) else data
         _refuse_others("data", batches, Iterable)
         rows, names, limiting = _measured(batches, features, guards, tuple(known), beam, progress, workers)
     rows = _in_one_spelling(rows)
