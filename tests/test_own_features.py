@@ -93,7 +93,6 @@ def test_a_package_registers_its_features(batch: cgid.Batch, monkeypatch: pytest
     [
         (own_feature(lambda rows, rate: rows, name="wide"), r"feature wide: .* each of 200 signals, got shape \(200, "),
         (own_feature(lambda rows, rate: 1.0, name="one"), r"feature one: .* each of 200 signals, got shape \(\)"),
-        (own_feature(lambda rows, rate: rows[:, 0] * np.nan, name="hole"), "feature hole: .* not finite"),
         (own_feature(lambda rows, rate: rows.upper(), name="typo"), "feature typo: .* raised AttributeError"),
         (own_feature(area, name="peak_force"), "must not be that of a feature of cgid, got 'peak_force'"),
         (own_feature(area, name="mel_1000_hz"), "must not be that of a feature of cgid, got 'mel_1000_hz'"),
@@ -105,6 +104,20 @@ def test_bad_features(feature: Any, message: str, batch: cgid.Batch) -> None:
     with pytest.raises(InvalidValue, match=message) as error:
         cgid.extract(batch.signals, batch.sampling_rate, [feature], pre_trigger=batch.pre_trigger)
     assert "\n" not in str(error.value)
+
+
+def test_a_row_that_a_feature_cannot_measure_is_named_or_nan(batch: cgid.Batch) -> None:
+    def holed(rows: Any, rate: float) -> Any:
+        heights = rows.max(axis=1)
+        return np.where(heights == np.sort(heights)[-3], np.inf, heights)  # of each batch that it is given, one row
+
+    row = int(np.argsort(batch.signals.max(axis=1))[-3])
+    hole = own_feature(holed, name="hole")
+    with pytest.raises(BadData, match=f"^signal {row}: feature hole must give a finite number, got inf"):
+        cgid.extract(batch, features=["peak_force", hole])
+    table = cgid.extract(batch, features=["peak_force", hole], invalid="nan")
+    assert table.index[table.isna().all(axis=1)].tolist() == [row] and table.notna().sum().sum() == 2 * (len(batch) - 1)
+    assert cgid.train_on_specimens(batch, features=["peak_force", hole]).model.training["n_left_out"] == 1
 
 
 def test_bad_kind() -> None:

@@ -29,6 +29,7 @@ class ProblemKind(Enum):
     CUT_OFF = auto()
     TOO_SHORT = auto()
     NO_SIGNAL = auto()
+    NOT_FINITE = auto()
 
 
 class Problem(NamedTuple):

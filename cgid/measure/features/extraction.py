@@ -14,13 +14,13 @@ from numpy.typing import ArrayLike, NDArray
 from cgid._lib import validation
 from cgid._lib.validation import Floats, require_rate
 from cgid.errors import BadData, InvalidValue
-from cgid.measure.features.own import outside_features, own_feature
+from cgid.measure.features.own import OWN, outside_features, own_feature
 from cgid.measure.features.pulses import FAINT, PULSE_FEATURES, PulseBatch
 from cgid.measure.features.table import Feature, FeatureTable, ImpactKind, Kind
 from cgid.measure.features.vibration import VIBRATION_FEATURES, BeamInversion, VibrationBatch
 from cgid.measure.features.windows import WINDOW_FEATURES, WindowBatch
 from cgid.measure.filters import Equalisation
-from cgid.measure.frames import DETECTION_LIMIT, Problem, frames_of
+from cgid.measure.frames import DETECTION_LIMIT, Problem, ProblemKind, frames_of
 from cgid.signals import Batch, Signal, require_stated
 
 if TYPE_CHECKING:
@@ -336,7 +336,13 @@ def measured(
         vibrations = batches.get("vibration")
         if channel is not None and isinstance(vibrations, VibrationBatch):
             vibrations.channel = channel[first + sound]
-        values[first + sound] = _values(batches, features, sound.size)
+        values[first + sound] = found = _values(batches, features, sound.size)
+        for column, feature in enumerate(features):
+            if feature.source == OWN and not np.isfinite(found[:, column]).all():  # one's own code may fail on a row
+                for row in np.flatnonzero(~np.isfinite(found[:, column])).tolist():
+                    text = f"feature {feature.name} must give a finite number, got {found[row, column]}"
+                    problems.setdefault(first + int(sound[row]), Problem(ProblemKind.NOT_FINITE, text))
+                    values[first + sound[row]] = np.nan
     return values, problems
 
 

@@ -16,6 +16,8 @@ from cgid.measure.features.table import Feature, Kind
 
 #: Entry points of features of other packages; each is a function or a `Feature`.
 GROUP = "cgid.features"
+#: Their `source`; a signal of which one gives a number that is not finite cannot be measured.
+OWN = "own"
 
 
 def own_feature(
@@ -32,7 +34,7 @@ def own_feature(
     ----------
     function : callable
         Called with samples (n_signals, n_samples) without their baseline and the sampling rate [Hz]; returns one number
-        for each signal.
+        for each signal. A signal for which it is not finite cannot be measured.
     name : str
         By default that of the function.
     kind : {"pulse", "vibration", "window"}
@@ -73,14 +75,15 @@ def own_feature(
             raise InvalidValue(
                 f"feature {name}: must measure signals, it raised {type(error).__name__}: {error}"
             ) from error
-        if values.shape != (len(rows),) or not np.isfinite(values).all():
-            got = f"shape {values.shape}" if values.shape != (len(rows),) else "numbers that are not finite"
-            raise InvalidValue(f"feature {name}: must give a finite number for each of {len(rows)} signals, got {got}")
+        if values.shape != (len(rows),):
+            raise InvalidValue(
+                f"feature {name}: must give one number for each of {len(rows)} signals, got shape {values.shape}"
+            )
         return values
 
     definition = " ".join((function.__doc__ or "").split("\n\n")[0].split())
     return Feature(
-        name, unit, definition or "of one's own", "own", measure, kind=kind, positive=positive, whole_frame=True
+        name, unit, definition or "of one's own", OWN, measure, kind=kind, positive=positive, whole_frame=True
     )
 
 
