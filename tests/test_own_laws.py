@@ -224,6 +224,7 @@ SPRING = njit(lambda p, history, w: (w * w * w, 0.0))
         ({"force": SPRING, "closed": HuntCrossley(restitution=0.5).closed}, "differ"),
         ({"force": SPRING, "keys": ("restitution", "yield_pressure")}, "share"),
         ({"force": njit(lambda p, history, w: (w, 0.0)), "keys": ("mood",)}, "keys"),
+        ({"force": njit(lambda p, history, w: (w, 0.0)), "keys": ("breaking_force",)}, "both breaking_force and"),
         ({"force": njit(lambda p, history, w: (w, 0.0)), "name": "thornton"}, "another name than a built-in law"),
         ({}, "compiled"),
     ],

@@ -146,6 +146,11 @@ def require_sound(law: type[Law]) -> None:
             f"law {law.name}: keys must have one of restitution and yield_pressure, which share a random number, got "
             "both; leave one out"
         )
+    if len({"breaking_force", "remaining_force"} & set(law.keys)) == 1:
+        raise InvalidValue(
+            f"law {law.name}: keys must have both breaking_force and remaining_force or neither, since a population "
+            f"states both, got {', '.join(law.keys)}; add the other, or take contact_radius or exponent"
+        )
     for name, signature in zip(_VERBS, VERBS, strict=True):
         verb: Any = getattr(law, name)
         if verb is None and name != "force":
