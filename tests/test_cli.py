@@ -143,6 +143,18 @@ def test_info_says_what_is_there(made: Path, capsys: pytest.CaptureFixture[str])
     assert "family: logistic" in capsys.readouterr().out
 
 
+def test_info_names_the_laws_that_a_column_numbers(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    from cgid.scene import generate
+    from cgid.store import Dataset
+
+    generate("rock", tmp_path / "rock.h5", 64, 0)
+    assert run(["info", str(tmp_path / "rock.h5"), "--json"]) == 0
+    laws = json.loads(capsys.readouterr().out)["dissipation"]
+    rocks = Dataset(tmp_path / "rock.h5").parameters
+    named = rocks["dissipation"].map(lambda number: laws[f"{number:.0f}"])
+    assert ((named == "thornton") == rocks["yield_pressure"].notna()).all() and named.nunique() == 4
+
+
 def test_info_says_what_a_table_of_events_holds(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     table = tmp_path / "events.csv"
     table.write_text("path,start_s,end_s,label\na.wav,0,1,\na.wav,1,2,coal\nb.wav,0,1,\n")

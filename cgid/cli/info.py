@@ -23,6 +23,7 @@ from cgid.cli.table import written_table
 
 if TYPE_CHECKING:
     from cgid.identification.detection import Event
+    from cgid.store import Dataset
 
 #: Channels of each beam.
 Groups = tuple[tuple[str, ...], ...]
@@ -121,9 +122,25 @@ def _dataset(file: str) -> dict[str, Any]:
         "unit": dataset.unit,
         "labels": dict(sorted(labels.items())),
         "parameters": dict(dataset.header.parameter_units),
+        **_laws(dataset),
         "dtype": dataset.header.dtype,
         **_origin(about),
     }
+
+
+def _laws(dataset: Dataset) -> dict[str, Any]:
+    """Return the laws by their number in the column dissipation, if it is there and the stored scene can be read."""
+    if "dissipation" not in dataset.header.parameter_units:
+        return {}
+    from cgid.errors import CgidError
+    from cgid.scene.file.schema import stored_scene
+
+    try:
+        scene = stored_scene(dataset.header.attributes, dataset.path.name)
+    except CgidError:  # a law of one's own is not at hand
+        return {}
+    laws = {str(number): name for number, name in enumerate(scene.law_names if scene else ())}
+    return {"dissipation": {number: name for number, name in laws.items() if scene and name in scene.dissipations}}
 
 
 def _table(file: str) -> dict[str, Any]:

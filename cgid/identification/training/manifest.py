@@ -223,7 +223,11 @@ def contradictions(annotations: Sequence[Annotation]) -> list[str]:
     for path, of_file in by_file.items():
         groups = sorted({one.group for one in of_file if not one.reference})
         if len(groups) > 1:
-            mistakes.append(f"{path}: all of a recording must be in one group, got {' and '.join(groups[:2])}")
+            got = " and ".join(groups[:2])
+            mistakes.append(
+                f"{path}: all of a recording must be in one group, got {got}; give its rows one group, or save what "
+                "belongs to another as a recording of its own"
+            )
         of_file.sort(key=lambda one: (str(one.channels), one.start))
         for before, after in pairwise(of_file):
             for column, name in _OF_RECORDINGS.items():
