@@ -222,6 +222,22 @@ def test_any_classifier_trains_and_plain_numbers_have_a_file(own: Any, family: s
     assert np.array_equal(again.probabilities(features), model.probabilities(features))
 
 
+def test_the_seed_reaches_a_classifier_without_one() -> None:
+    features, labels, _ = rows_of_two()
+    own = make_pipeline(PCA(2), RandomForestClassifier(5))
+
+    def answers(seed: int, family: Any = own) -> Any:
+        return (
+            ImpactClassifier(family, calibration_folds=0, random_state=seed)
+            .fit(features, labels)
+            .predict_proba(features)
+        )
+
+    assert np.array_equal(answers(3), answers(3)) and not np.array_equal(answers(3), answers(4))
+    stated = make_pipeline(PCA(2, random_state=0), RandomForestClassifier(5, random_state=0))
+    assert np.array_equal(answers(3, stated), answers(4, stated)) and own[1].random_state is None
+
+
 def test_what_is_no_classifier_is_refused() -> None:
     for own in (RandomForestClassifier, LinearRegression(), KMeans(2), make_pipeline(PCA(2)), object(), "svm", None):
         with pytest.raises(InvalidValue, match="family must be"):
@@ -238,7 +254,7 @@ def test_what_is_no_classifier_is_refused() -> None:
     [
         ("sklearn.neighbors.KNeighborsClassifier", "train_on_specimens"),
         ("sklearn.ensemble.RandomForestClassifier(n_estimators=-3)", "n_estimators"),
-        ("sklearn.ensemble.RandomForestClassifier(5)", "none"),
+        ("sklearn.ensemble.RandomForestClassifier(5)", "give parameters by name, not 5"),
         ("sklearn.ensemble.RandomForestClassifier(x", "none"),
         ("sklearn.linear_model.LinearRegression", "class of classifiers"),
         ("os.system(command='x')", "none"),

@@ -215,7 +215,7 @@ class ImpactClassifier(ClassifierMixin, BaseEstimator):  # type: ignore[misc]
     rejects : bool
         Learn the training range as well, for `novelty`.
     random_state : int
-        Seed of the folds and the network's initial weights.
+        Seed of the folds and the network's initial weights, and of a classifier whose own random_state is None.
     n_jobs : int, optional
         Processes that fit the folds of the calibration, as in scikit-learn: None for this one, -1 for all cores. The
         result is the same.
@@ -412,7 +412,9 @@ class ImpactClassifier(ClassifierMixin, BaseEstimator):  # type: ignore[misc]
                 f"family must be {', '.join(self.ESTIMATORS)}, or a classifier of scikit-learn with scores or "
                 f"probabilities, such as RandomForestClassifier(), got {str(self.family)[:60]}"
             )
-        return clone(self.family)
+        made = clone(self.family)
+        states = {name: one for name, one in made.get_params().items() if name.split("__")[-1] == "random_state"}
+        return made.set_params(**{name: self.random_state for name, one in states.items() if one is None})
 
     def _scores(self, estimator: Any, inputs: Floats) -> Floats:
         if isinstance(self.family, str):
@@ -484,7 +486,9 @@ def named_classifier(text: str) -> Any:
     """
     try:
         call = ast.parse(text, mode="eval").body
-        name, given = (call.func, call.keywords) if isinstance(call, ast.Call) and not call.args else (call, [])
+        name, given = (call.func, call.keywords) if isinstance(call, ast.Call) else (call, [])
+        if isinstance(call, ast.Call) and call.args:
+            raise InvalidValue(f"give parameters by name, not {ast.unparse(call.args[0])} alone")
         module, _, last = ast.unparse(name).rpartition(".")
         if not module:
             raise InvalidValue(f"give the full path, such as sklearn.ensemble.{last}")
