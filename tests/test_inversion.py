@@ -407,9 +407,11 @@ def test_a_wrong_filter_makes_forces_that_no_contact_has() -> None:
 
 
 def test_a_second_blow_explains_what_the_first_leaves() -> None:
-    batch = next(iter(synthesise(load_scene("tail_beam"), 96, 21)))
-    single = tail_beam().measured(vibrations(batch))["beam_overlap"]
-    assert np.mean(single > 30) < 0.03
+    scene = load_scene("tail_beam")
+    batch = next(iter(synthesise(scene, 96, 21)))
+    pink = varied(scene, noise_density=None, range=None, bits=None, relative_noise=0.05, noise_exponent=1.0)
+    for single in (batch, next(iter(synthesise(pink, 48, 22)))):
+        assert np.mean(tail_beam().measured(vibrations(single))["beam_overlap"] > 0) < 0.03
     first, second = np.split(batch.signals, 2)
     for after in (10, 30, 70):
         both = first.copy()
@@ -417,7 +419,28 @@ def test_a_second_blow_explains_what_the_first_leaves() -> None:
         found = tail_beam().measured(VibrationBatch(both, batch.sampling_rate, batch.pre_trigger))["beam_overlap"]
         ratio = np.square(second).sum(axis=1) / np.square(first).sum(axis=1)
         audible = (ratio > 0.03) & (ratio < 30)
-        assert np.mean(found[audible] > 30) > 0.75
+        assert np.mean(found[audible] > 0) > 0.75
+
+
+@pytest.mark.long
+def test_on_a_beam_that_is_off_little_is_a_second_blow() -> None:
+    """With modes .3 % off a second one must explain more than what is left of others; 3 % off, only ringing tells."""
+    batch = next(iter(synthesise(load_scene("tail_beam"), 128, 23)))
+    own, rng = tail_beam().beam, np.random.default_rng(2)
+    ringing = batch.signals.copy()
+    gap = round(12e-3 * batch.sampling_rate)
+    ringing[65:, :-gap] += batch.signals[64:-1, gap:]
+    marked = {}
+    for off in (0.003, 0.03):
+        frequency = own.modes.frequency * np.exp(off * rng.normal(size=own.poles.size))
+        through = ThroughBeam(replace(own, modes=replace(own.modes, frequency=frequency)))
+        for name, signals in (("alone", batch.signals), ("ringing", ringing)):
+            seen = VibrationBatch(signals, batch.sampling_rate, batch.pre_trigger)
+            marked[off, name] = through.stream().measured(seen)["beam_overlap"] > 0
+        marked[off, "each"] = through.measured(vibrations(batch))["beam_overlap"] > 0
+    assert np.mean(marked[0.003, "each"]) > 0.1 > 0.03 > np.mean(marked[0.003, "alone"][8:])
+    assert not marked[0.03, "alone"][8:].any()
+    assert np.mean(marked[0.03, "ringing"][65:]) > 0.4
 
 
 def test_stated_deviations_are_true() -> None:
@@ -609,6 +632,7 @@ class Watched:
         self.unexplained, self.ratio = unexplained, ratio
         self.found: dict[int, tuple[bool, bool, bool]] = {}
         self.n_looks = 0
+        self.second: list[bool] = []  # whether each impact counts as two
 
     @property
     def looks(self) -> list[tuple[int, bool, bool, bool]]:
@@ -624,29 +648,47 @@ class Watched:
         self.n_looks += number.size
         misfit = np.where(filters, np.array([self.ratio, 1.0]), np.inf)
         level = np.abs(vibrations.samples[:, 1])
-        return SimpleNamespace(unexplained=np.full(number.size, self.unexplained), noise=level), None, misfit
+        # Every second impact seems to have a little of another, every twentieth much.
+        overlap = np.where(number % 20 == 1, 0.5, np.where(number % 2 == 1, 0.01, 0.0))
+        unexplained = np.full(number.size, self.unexplained)
+        return SimpleNamespace(unexplained=unexplained, noise=level, overlap=overlap), None, misfit
 
     def features(self, vibrations: VibrationBatch, inverted: Any, contact: Any) -> dict[str, np.ndarray]:
-        return {"number": vibrations.samples[:, 0]}
+        return {"number": vibrations.samples[:, 0], "beam_overlap": 100 * inverted.overlap}
+
+    def earlier(self, vibrations: VibrationBatch) -> np.ndarray:
+        return np.where(vibrations.samples[:, 0] % 30 == 0, 0.1, 0.0)
+
+    def loudest(self, values: np.ndarray) -> np.ndarray:
+        return np.full(len(values), 10.0)
 
     def hear(self, stream: BeamStream, first: int, n: int, block: int, channels: int = 1, level: float = 1.0) -> None:
         for start in range(first, first + n, block):
             number = np.arange(start, min(start + block, first + n))
             batch = VibrationBatch(np.column_stack([number, np.full(number.size, level)]).astype(float), 51_200, 1)
             batch.channel = number % channels
-            np.testing.assert_array_equal(stream.measured(batch)["number"], number)
+            measured = stream.measured(batch)
+            np.testing.assert_array_equal(measured["number"], number)
+            self.second += (measured["beam_overlap"] > 0).tolist()
 
 
 @pytest.mark.parametrize("channels", [1, 3])
 @pytest.mark.parametrize("unexplained", [0.001, 0.5])
 def test_a_stream_settles_the_same_whatever_the_blocks(unexplained: float, channels: int) -> None:
-    looks = []
+    looks, seconds = [], []
     for block in (1, 7, 256, 1000):
         watched = Watched(unexplained)
         watched.hear(BeamStream(watched), 0, 600, block, channels)
         looks.append(watched.looks)
+        seconds.append(watched.second)
         assert watched.n_looks < 1.1 * 600  # what a decision changes is looked at again
     assert all(own == looks[0] for own in looks[1:])
+    assert all(own == seconds[0] for own in seconds[1:])
+    # Before the first decision any; then those with much, on a foreign beam those that begin while another rings.
+    settled = np.arange(8 * channels, 600)
+    assert seconds[0][: 8 * channels] == [number % 2 == 1 for number in range(8 * channels)]
+    wanted = settled % 20 == 1 if unexplained < 0.05 else settled % 30 == 0
+    np.testing.assert_array_equal(seconds[0][8 * channels :], wanted)
 
 
 def test_a_foreign_beam_is_looked_at_once_and_tested_now_and_then() -> None:

@@ -52,7 +52,7 @@ from cgid.identification.prediction.settings import PredictionSettings
 from cgid.identification.prediction.stream import identify_blocks
 
 Floats = NDArray[np.float64]
-SEED = 604_101
+SEED = 604_501
 BEAMS = {"home": "0.001 mindlin", "near": "0.01 mindlin", "foreign": "plain"}
 #: Delays of the second impact [s].
 BANDS = (0.0, 0.3e-3, 1e-3, 3e-3, 10e-3, 40e-3)
@@ -121,10 +121,10 @@ class Stream:
         parts = {"single": iter(zip(*(made[name] for name in names), strict=True))}
         given = rocks(len(CONTACTS) * n, np.random.default_rng([seed, 6]))
         for k, (kind, law) in enumerate(CONTACTS.items()):
-            own = Rocks(*(part[k * n : (k + 1) * n] for part in given))
+            rock = Rocks(*(part[k * n : (k + 1) * n] for part in given))
             parts[kind] = iter([
                 (frame, PRE_TRIGGER / RATE, label, np.nan)
-                for frame, label in zip(other_contacts(law, own, variant, seed + k), own.labels, strict=True)
+                for frame, label in zip(other_contacts(law, rock, variant, seed + k), rock.labels, strict=True)
             ])  # fmt: skip
         fade = round(FADE * RATE)
         bell = np.cos(np.linspace(0, np.pi / 2, fade)) ** 2
@@ -143,7 +143,7 @@ class Stream:
             falls.append(Fall(kind, np.array(begin) / RATE + touch, np.array(label), np.array(peak)))
             if kind == "single":
                 peaks.append(np.abs(own[0][0]).max())
-        return cls(*streams, falls, float(np.median(peaks)))
+        return cls(streams[0], streams[1], falls, float(np.median(peaks)))
 
     def recorded(self, noise: float, seed: int) -> tuple[Floats, Floats]:
         """Return what the recorder gives of all and of the fainter rocks, with white noise, a share of the level."""
@@ -187,7 +187,7 @@ def is_marked(answer: Answer) -> bool:
 def is_right(answer: Answer, fall: Fall) -> bool:
     near = np.abs(fall.time - answer.time)
     among = np.flatnonzero(near <= max(NEAR, near.min()))
-    return answer.label == fall.label[among[np.argmax(fall.peak[among])]]
+    return bool(answer.label == fall.label[among[np.argmax(fall.peak[among])]])
 
 
 def row(kinds: Sequence[str], stream: Stream, judged: Judged) -> str:

@@ -35,8 +35,11 @@ _SAME = 3e-4
 _AT_ONCE = 256
 #: Singular values of the clipped samples, relative to the largest, below which they are outside the band.
 _IN_BAND = 1e-3
-#: A second impact begins within this time [s]; it is searched where more than so many standard deviations are left.
-_SECOND, _MUCH_LEFT = 3.2e-3, 3.0
+#: A second impact explains more than this fraction of the energy: a beam is hardly known better.
+MORE_THAN_ONE = 6e-4
+#: It begins within this time [s]. It is searched where more than so many standard deviations are left at low
+#: frequencies, and is there if its evidence is more than this and it explains more than this fraction of what is left.
+_SECOND, _MUCH_LEFT, _SURELY, _MOST = 3.2e-3, 3.0, 8.0, 0.3
 #: With more than this fraction of clipped samples, as of a square wave, nothing is explained: few samples remain, and
 #: leaving so many out costs a hundred times as much as an impact.
 _MOST_CLIPPED = 0.3
@@ -57,7 +60,7 @@ class ForceEstimate(Rowwise):
     evidence: Floats  # (n,), ln evidence over that of noise alone, per sample
     misfit: Floats  # (n,), mean square of the residual over the noise; 1 if the beam explains the samples
     unexplained: Floats  # (n,), fraction of energy in the residual beyond the noise, at least 0
-    overlap: Floats  # (n,), fraction of the residual at low frequencies that one more impact explains; 0 until asked
+    overlap: Floats  # (n,), fraction of energy that surely is of one more impact soon after; 0 until asked
 
     def later(self, samples: NDArray[np.intp]) -> Start:
         """Return the start of another estimate at the same location, of a force that begins by some samples later."""
@@ -128,11 +131,11 @@ class Inversion(BeamResponses):
         starts = Start.joined(parts)
         return starts.rows(starts.evidence.reshape(n, -1).argmax(axis=1) + np.arange(n) * n_onsets)
 
-    def with_overlap(self, observations: Observations, estimate: ForceEstimate) -> ForceEstimate:
-        """Return the estimate with its `overlap`: what a second impact, soon after, explains of what it leaves."""
+    def overlap(self, observations: Observations, estimate: ForceEstimate) -> Floats:
+        """Return the fraction of energy that surely is of a second impact, soon after each, (n,)."""
         own, observations = self._for(observations)
-        parts = [own._overlap(observations.rows(rows), estimate.rows(rows)) for rows in own._slices(len(estimate.x))]
-        return replace(estimate, overlap=np.concatenate(parts))
+        slices = own._slices(len(estimate.x))
+        return np.concatenate([own._overlap(observations.rows(rows), estimate.rows(rows)) for rows in slices])
 
     @cached_property
     def _low(self) -> ResponseTable:
@@ -148,11 +151,13 @@ class Inversion(BeamResponses):
         left[:, table.kept] = samples[:, table.kept] - fitted
         count = np.count_nonzero(weight[:, table.kept], axis=1)
         energy = np.sum(np.square(left) * weight, axis=1) - count
-        rows = np.flatnonzero(energy > _MUCH_LEFT * np.sqrt(2 * np.maximum(count, 1)))
+        least = MORE_THAN_ONE * np.einsum("nk,nk,nk->n", samples, samples, weight)
+        rows = np.flatnonzero(energy > np.maximum(_MUCH_LEFT * np.sqrt(2 * np.maximum(count, 1)), least))
         out = np.zeros(len(samples))
         if rows.size:
-            gained = self.grid.later(left[rows], weight[rows], round(_SECOND * self.beam.sampling_rate))
-            out[rows] = np.clip(2 * gained / energy[rows], 0, 1)
+            gained = 2 * self.grid.later(left[rows], weight[rows], round(_SECOND * self.beam.sampling_rate))
+            surely = gained > np.maximum(np.maximum(2 * _SURELY, _MOST * energy[rows]), least[rows])
+            out[rows] = MORE_THAN_ONE * surely * gained / least[rows]
         return out
 
     def _slices(self, n: int) -> list[slice]:

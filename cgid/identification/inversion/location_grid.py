@@ -224,9 +224,12 @@ class LocationGrid:
 
     def later(self, samples: Singles, weight: Singles, n_steps: int) -> Floats:
         """Return the highest evidence on the grid of another force that begins within so many samples, (n,)."""
-        out, steps = np.zeros(len(samples)), np.arange(-TOUCH, n_steps, _STRIDE)
+        out, steps = np.zeros(len(samples)), np.arange(-TOUCH, n_steps, 3 * _STRIDE)
         for each, rows in _groups(self._fainter(weight)):
-            out[rows] = self._evidence_of(samples[rows], weight[rows], steps, each).max(axis=1)
+            # White, as in the tables: they would take the noise of a colour for a force.
+            law = np.repeat(_RATIO ** -np.array(each, np.float64), weight.shape[1] // len(each)).astype(np.float32)
+            white = samples[rows] * np.sqrt(weight[rows] / law)
+            out[rows] = self._evidence_of(white, np.broadcast_to(law, white.shape), steps, each).max(axis=1)
         return out
 
     def _evidence_of(self, samples: Singles, weight: Singles, steps: NDArray[np.intp], fainter: list[int]) -> Floats:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from cgid._lib.validation import Floats
 from cgid.identification.inversion.beam_responses import Observations
 from cgid.identification.inversion.contact import Contact, ContactFit
-from cgid.identification.inversion.inversion import ForceEstimate, Inversion
+from cgid.identification.inversion.inversion import MORE_THAN_ONE, ForceEstimate, Inversion
 from cgid.identification.inversion.ring_down import RingDown
 from cgid.measure.features.vibration import VibrationBatch
 from cgid.measure.fit.ar_noise import ARNoise, ar_noise_of
@@ -29,9 +29,10 @@ _EDGE, _BESIDE = 0.35, 4
 #: With more than this fraction of the energy unexplained, and a misfit above this, the onset is searched this much
 #: later [samples].
 _MUCH, _LATER = (0.01, 1.3), (4, 8, 12, -6, 20)
-#: With more than this fraction of the energy unexplained, a second impact soon after is searched; it counts where
-#: this share of what came before, which may ring on other than predicted, leaves as much.
-_MORE_THAN_ONE, _RINGS_ON = 0.001, 0.2
+#: In a stream a second impact explains this many times what all but this fraction of the impacts seem to have of one:
+#: on a beam that is a little off, many do. On a foreign beam another still rings where the vibration before is this
+#: much louder than usual and has more than this fraction of the energy.
+_MORE_THAN_USUAL, _TWO, _STILL_LOUD, _STILL = 5.0, 0.3, 3.0, 0.01
 #: In a stream: median unexplained fraction of energy on a foreign beam, and number of impacts for it; number of impacts
 #: that settle the filter; number that test it again, and ratio of noise that triggers this.
 _FOREIGN, _RECENT, _SETTLED, _TESTS, _LOUDER = 0.05, 200, 60, 8, 4.0
@@ -100,7 +101,7 @@ class ThroughBeam:
         correlation = np.clip(contact.covariance / (deviation[:, :, None] * deviation[:, None]), -1.0, 1.0)
         # Subtract what noise and earlier vibration can explain.
         surely = np.maximum(estimate.misfit - _BY_NOISE, 0.0) / np.maximum(estimate.misfit - 1, 1e-9)
-        surely = np.maximum(estimate.unexplained * surely - self._earlier(vibrations), 0.0)
+        surely = np.maximum(estimate.unexplained * surely - self.earlier(vibrations), 0.0)
         return {
             "beam_peak_force": contact.peak,
             "beam_pulse_width": contact.width,
@@ -121,13 +122,13 @@ class ThroughBeam:
             "beam_overlap": 100 * estimate.overlap,
         }
 
-    def _earlier(self, vibrations: VibrationBatch) -> Floats:
+    def earlier(self, vibrations: VibrationBatch) -> Floats:
         """Return the energy of what came before each impact over that of the impact."""
         event = vibrations.event[:, : round(SPAN_TIME * vibrations.sampling_rate)]
-        energy = np.maximum(self._loudest(np.einsum("nt,nt->n", event, event)), 1e-300)
-        return np.asarray(np.square(self._loudest(vibrations.noise)) * event.shape[1] / energy)
+        energy = np.maximum(self.loudest(np.einsum("nt,nt->n", event, event)), 1e-300)
+        return np.asarray(np.square(self.loudest(vibrations.noise)) * event.shape[1] / energy)
 
-    def _loudest(self, values: Floats) -> Floats:
+    def loudest(self, values: Floats) -> Floats:
         """Return the largest value of the sensors of each impact."""
         return np.asarray(values.reshape(-1, self.n_sensors).max(axis=1))
 
@@ -186,11 +187,9 @@ class ThroughBeam:
         # At the end of the region the impact itself may lie beyond, which leaves as much as a second one.
         x_low, x_high, y_low, y_high = self.beam.region
         inside = (estimate.x > x_low) & (estimate.x < x_high) & (estimate.y > y_low) & (estimate.y < y_high)
-        left = estimate.unexplained - _RINGS_ON * self._earlier(vibrations)
-        rows = np.flatnonzero(again & inside & (left > _MORE_THAN_ONE))
+        rows = np.flatnonzero(again & inside & (estimate.unexplained > MORE_THAN_ONE))
         if rows.size:
-            both = self.inversion.with_overlap(observations.rows(rows), estimate.rows(rows))
-            estimate = estimate.replaced(rows, both)
+            estimate.overlap[rows] = self.inversion.overlap(observations.rows(rows), estimate.rows(rows))
         return estimate, contact
 
     def _before(self, observations: Observations, first: NDArray[np.intp], last: NDArray[np.intp]) -> Floats:
@@ -315,8 +314,10 @@ class _ChannelState:
 
     def reset(self) -> None:
         """Reset the state."""
-        self.n, self.n_tests, self.lost, self.level = 0, 0, 0, 0.0
+        self.n, self.n_tests, self.lost = 0, 0, 0
+        self.level, self.usual, self.single = 0.0, 0.0, 0.0
         self.unexplained: deque[float] = deque(maxlen=_RECENT)
+        self.overlap: deque[float] = deque(maxlen=_RECENT)
         self.ratios: list[float] = []
         self.levels: list[float] = []
         self.filters, self.again = (True, True), True
@@ -333,15 +334,17 @@ class _ChannelState:
         tests = np.arange(n if settled else min(n, self.n_next)) < self.n_tests
         return tests[:, None] | np.array(self.filters), tests | self.again
 
-    def learn(self, unexplained: Floats, misfit: Floats, level: Floats) -> int:
-        """Add impacts as they were planned, and return their number, up to a decision that changes the plan."""
-        # Their unexplained energy, their misfits for both filters (n, 2), and their noise.
-        done, before = 0, (self.filters, self.again)
-        while done < len(level) and (self.filters, self.again) == before and not (done and self.n_tests):
-            own = slice(done, done + self.n_next)
+    def learn(self, unexplained: Floats, overlap: Floats, misfit: Floats, level: Floats) -> Floats:
+        """Add impacts as they were planned up to a decision that changes the plan; return what is usual, (n, 3)."""
+        # Unexplained energy and that of a second impact, misfits for both filters (n, 2), and noise; usual are the
+        # unexplained energy, what many seem to have of a second impact, and the noise.
+        usual, before = list[tuple[float, float, float]](), (self.filters, self.again)
+        while len(usual) < len(level) and (self.filters, self.again) == before and not (usual and self.n_tests):
+            own = slice(len(usual), len(usual) + self.n_next)
+            usual += [(self.usual, self.single, self.level)] * len(level[own])
+            self.overlap.extend(overlap[own].tolist())
             self._learn(unexplained[own], misfit[own], level[own])
-            done = min(own.stop, len(level))
-        return done
+        return np.array(usual)
 
     def _learn(self, unexplained: Floats, misfit: Floats, level: Floats) -> None:
         """Add impacts up to the next decision at most."""
@@ -360,7 +363,9 @@ class _ChannelState:
         if before and not 1 / _LOUDER < self.level / before < _LOUDER:
             self.reset()
             return
-        self.again = bool(np.median(self.unexplained) <= _FOREIGN)
+        self.usual = float(np.median(self.unexplained))
+        self.single = _MORE_THAN_USUAL * sorted(self.overlap)[int((1 - _TWO) * len(self.overlap))]
+        self.again = self.usual <= _FOREIGN
         if self.n >= _SETTLED and self.ratios:
             beams = bool(np.median(self.ratios) > 0)
             self.filters = not beams, beams
@@ -404,10 +409,17 @@ class BeamStream:
             filters, again = (np.concatenate(one)[order] for one in zip(*plans, strict=True))
             estimate, contact, misfit = self.through.at_other_filter(part, filters, again)
             features = self.through.features(part, estimate, contact)
+            earlier, before = self.through.earlier(part), self.through.loudest(part.noise)
             done = np.zeros(of_all.size, bool)
             for state, own in zip(states, rows, strict=True):
                 own = np.searchsorted(of_all, own)
-                done[own[: state.learn(estimate.unexplained[own], misfit[own], estimate.noise[own])]] = True
+                known = estimate.unexplained[own], estimate.overlap[own], misfit[own], estimate.noise[own]
+                left, single, level = state.learn(*known).T
+                own = own[: level.size]
+                done[own] = True
+                second = estimate.overlap[own] * (estimate.overlap[own] > single)
+                rings = (earlier[own] > _STILL) & (before[own] > _STILL_LOUD * level)
+                features["beam_overlap"][own] = 100 * np.where(left > _FOREIGN, rings, second)
             parts.append(of_all[done])
             found.append({name: values[done] for name, values in features.items()})
             rest = np.setdiff1d(rest, parts[-1])

@@ -29,9 +29,7 @@ from cgid.units import ELECTRICAL, UNITS, Column, flags, numbers, quantity_of, t
 if TYPE_CHECKING:
     from cgid.identification.inversion.through_beam import BeamStream
 
-#: From this share of what the beam leaves unexplained on [%] a second impact explains it.
-_OVERLAP = 40.0
-_DOUBLE = "another impact begins within 3 ms of it"
+_DOUBLE = "another impact begins within 3 ms of it, or still rings"
 
 __all__ = ["Answer", "identify", "identify_frames", "suited"]
 
@@ -445,9 +443,7 @@ def _identified(
 def _with_extras(answer: Answer, misshapen: float, overlap: float) -> Answer:
     """Return an answer with the extras of its model; two impacts at once are doubtful."""
     answer = replace(answer, misshapen=misshapen)
-    if not overlap > _OVERLAP:
-        return answer
-    return replace(answer, overlapping=True, problem=answer.problem or _DOUBLE)
+    return replace(answer, overlapping=True, problem=answer.problem or _DOUBLE) if overlap > 0 else answer
 
 
 def answers_from(
