@@ -174,8 +174,8 @@ def sizes_picture(distribution: Any, source: str, suffix: str) -> bytes:
     return picture(figure, suffix)
 
 
-def draw_sizes(axes: Any, distribution: Any, truth: Any = None) -> None:
-    """Draw a distribution of sizes, with the true numbers (n_classes,) if given."""
+def draw_sizes(axes: Any, distribution: Any) -> None:
+    """Draw a distribution of sizes."""
     units = {"mass": "mass [kg]", "radius": "radius [m]", "speed": "speed [m/s]"}
     edges = distribution.edges
     middle = np.sqrt(edges[1:] * edges[:-1])
@@ -187,8 +187,6 @@ def draw_sizes(axes: Any, distribution: Any, truth: Any = None) -> None:
         middle[is_known], distribution.total[is_known], (below, above), fmt="o", ms=4, capsize=2, color=NEUTRAL,
         label="corrected for undetected impacts (90 %)",
     )  # fmt: skip
-    if truth is not None:
-        axes.stairs(truth, edges, color="k", lw=1.5, label="truth")
     unknown = np.flatnonzero(~is_known)
     if unknown.size and unknown[0] == 0:
         last = int(np.argmax(is_known)) if is_known.any() else is_known.size

@@ -170,18 +170,14 @@ def _is_attribute(name: str, value: Any) -> bool:
         return False
 
 
-def require_same(
-    output: Path,
-    present: Mapping[str, Any],
-    required: Mapping[str, Any],
-    hint: str = "give the options of the first run, or start again with --overwrite",
-) -> None:
+def require_same(output: Path, present: Mapping[str, Any], required: Mapping[str, Any]) -> None:
     """Raise `CannotCreate` with the first option that differs, unless two descriptions agree."""
     name = first_difference(present, required)
     if name is not None:
         values = [flat.get(name, "nothing") for flat in (_flat(present), _flat(required))]
         raise CannotCreate(
-            f"{output}: {name} must be that of the description, {values[0]!s:.200}, got {values[1]!s:.200}; {hint}"
+            f"{output}: {name} must be that of the description, {values[0]!s:.200}, got {values[1]!s:.200}; "
+            "give the options of the first run, or start again with --overwrite"
         )
 
 
