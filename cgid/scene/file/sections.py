@@ -561,8 +561,8 @@ class TailBeamSection(Section):
             raise ValueError("coupling must be auto or modes for measured modes: a table has no impedance")
         if self.length and self.width and self.thickness and self.thickness > _THICKEST * min(self.length, self.width):
             raise ValueError(
-                f"thickness must be at most {_THICKEST:g} of length and width, those of a plate, got {self.thickness:g} "
-                f"m; if it is in mm, give {self.thickness / 1e3:g}"
+                f"thickness must be at most {_THICKEST:g} of length and width, those of a plate, got "
+                f"{self.thickness:g} m; if it is in mm, give {self.thickness / 1e3:g}"
             )
         self._require_modes()
         self._require_shapes()
