@@ -137,10 +137,10 @@ def learn_chain(scene: Scene, beam: Beam, impacts: ImpactFrames, exact: Collecti
         return None
     impacts = impacts.taken(slice(_IMPACTS))
     stated_beam = Inversion(beam)
-    if outside(stated_beam, stated_beam.invert(impacts.observations(), impacts.start)) < SOUND:
+    if outside(stated_beam, stated_beam.settle(impacts.observations(), impacts.start)) < SOUND:
         return None
     inversion = Inversion(_with_every_filter(scene, beam))
-    estimate = inversion.invert(impacts.observations(), impacts.start)
+    estimate = inversion.settle(impacts.observations(), impacts.start)
     before = _median(ContactFit(inversion, _brief(beam)).fit(estimate))
     soft = stated.logs.copy()
     soft[1] = np.log(_SOFT * rate)

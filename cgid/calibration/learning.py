@@ -110,7 +110,7 @@ def evidence_of(inversion: Inversion, impacts: ImpactFrames) -> tuple[Floats, Fo
     """Return the log evidence of each impact per sample, (n,), and their locations and forces."""
     # White noise alone has -0.5. A beam that explains the impacts has a few tenths less, since locations and forces are
     # unknown; a wrong beam has much less.
-    force = inversion.invert(impacts.observations(), impacts.start)
+    force = inversion.settle(impacts.observations(), impacts.start)
     samples = _cut(impacts.frames, force.start, inversion.n_samples) / impacts.noise[:, None]
     power = np.sum(np.square(inversion.transformed(samples), dtype=np.float64) * impacts.weight(inversion), axis=1)
     return np.asarray(force.evidence - 0.5 * power / inversion.n_samples), force
@@ -290,7 +290,7 @@ class System:
         highest = np.inf if limit is None else limit
         self.columns = np.flatnonzero(np.repeat(frequency, 2) <= highest)
         self.active = np.flatnonzero(beam.modes.frequency <= _BEYOND * highest)
-        self.inverted = self.inversion.invert(impacts.observations(raised, limit), impacts.start)
+        self.inverted = self.inversion.settle(impacts.observations(raised, limit), impacts.start)
         self.root = np.sqrt(impacts.weight(self.inversion)[:, self.columns]).astype(np.float32)
         samples = (
             _cut(impacts.frames, self.inverted.start, self.inversion.n_samples) / (impacts.noise * raised)[:, None]

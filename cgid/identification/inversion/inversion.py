@@ -27,6 +27,9 @@ __all__ = ["ForceEstimate", "Inversion", "Observations", "Start"]
 _MAX_STEP, _FAR = 0.012, 0.006
 #: Prior standard deviation of the location about the best of the grid [m].
 _PRIOR_OF_LOCATION = 0.1
+#: The onset that low frequencies tell may be early by this [s]; later ones are tried every so many samples. Misfit and
+#: fraction of energy unexplained from which the location is searched again.
+_EARLY, _TRIED, _LOST = 0.5e-3, 4, (1.3, 1e-3)
 #: Shapes in the first step from the grid, and in slopes.
 _LEADING = 14
 #: Maximum error of mixtures of modes over the amplitude.
@@ -66,6 +69,11 @@ class ForceEstimate(Rowwise):
         """Return the start of another estimate at the same location, of a force that begins by some samples later."""
         level = np.sqrt(np.maximum(np.mean(np.square(self.coefficients), axis=1), 1.0))
         return Start(self.start + samples, self.x, self.y, level, self.evidence)
+
+    def or_better(self, other: ForceEstimate) -> ForceEstimate:
+        """Return the estimate of each row that has the higher evidence."""
+        rows = np.flatnonzero(other.evidence > self.evidence)
+        return self.replaced(rows, other.rows(rows)) if rows.size else self
 
 
 class Inversion(BeamResponses):
@@ -111,6 +119,20 @@ class Inversion(BeamResponses):
             start = own.grid.search(part, weight, exponent, own.grid.first(part, weight, onset[rows]))
             parts.append(own._refined(part, weight, start))
         return ForceEstimate.joined(parts)
+
+    def settle(self, observations: Observations, onset: NDArray[np.intp]) -> ForceEstimate:
+        """Return the same as `invert`, with more steps, of the onset that explains an impact best."""
+        found = self.invert(observations, onset)
+        begin, steps = found.start, np.arange(0, int(_EARLY * self.beam.sampling_rate) + 1, _TRIED)
+        for later in steps:
+            found = found.or_better(self.refine(observations, found.later(begin + later - found.start)))
+        lost = np.flatnonzero((found.misfit > _LOST[0]) & (found.unexplained > _LOST[1]))
+        if lost.size:
+            own = observations.rows(lost)
+            others = np.add.outer(found.start[lost] + TOUCH // 2, steps[:2])
+            other = self.refine(own, self.compare(own, others))
+            found = found.replaced(lost, found.rows(lost).or_better(other))
+        return found.or_better(self.refine(observations, found.later(np.zeros_like(begin))))
 
     def refine(self, observations: Observations, start: Start) -> ForceEstimate:
         """Return locations and forces by Gauss-Newton steps alone."""
