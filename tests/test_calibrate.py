@@ -14,6 +14,7 @@ from cgid.calibration.learning import ImpactFrames, System, newton, search_valle
 from cgid.calibration.modes import (
     check_scene,
     count_crossings,
+    frames_of,
     prepare_impacts,
     table_beside,
     uncertain,
@@ -21,6 +22,7 @@ from cgid.calibration.modes import (
 )
 from cgid.cli.main import run
 from cgid.errors import BadData, InvalidValue
+from cgid.identification.detection import ImpactDetector
 from cgid.identification.inversion.inversion import Inversion
 from cgid.identification.inversion.through_beam import ThroughBeam
 from cgid.identification.prediction import load_model
@@ -335,8 +337,6 @@ def test_a_beam_one_per_cent_off_that_nobody_has_learned():
 
 
 def test_usable_impacts_stand_alone(known):
-    from cgid.identification.detection import ImpactDetector
-
     rng = np.random.default_rng(0)
     blows = known[3][:6, BEFORE:]
     silence = [rng.normal(0, 0.5, 4000) for _ in range(7)]
@@ -345,6 +345,11 @@ def test_usable_impacts_stand_alone(known):
     events = detector.feed(stream[None]) + detector.finish()
     kept, lost = usable_impacts(events)
     assert len(kept) >= 4 and len(kept) + sum(lost.values()) == len(events)
+    # Ended or not, one is not alone if the next is in the stretch that is compared.
+    first = replace(kept[0], overlapping=False)
+    for gap, n in ((0.02, 1), (0.03, 2)):
+        kept, lost = usable_impacts([first, replace(first, onset=first.onset + round(gap * RATE))])
+        assert len(kept) == n and lost["overlapping"] == 2 - n and kept[-1].onset > first.onset
     detector = ImpactDetector(RATE, kind="vibration")
     events = detector.feed(np.clip(stream, *np.quantile(stream, [0.01, 0.99]))[None]) + detector.finish()
     kept, lost = usable_impacts(events)
@@ -393,6 +398,23 @@ def test_blows_in_coloured_noise_teach(known):
     assert np.median(np.abs(after[heard])) < 0.1 * np.median(np.abs(error[0, heard]))
     assert np.mean(np.abs(after[heard]) < 3 * found.learned.deviation[0][heard]) > 0.85
     assert found.has_converged and abs(found.after - found.expected) < 0.05
+
+
+@pytest.mark.long
+def test_onsets_that_low_frequencies_tell_too_early_are_found():
+    """A beam explains strong impacts only from the sample at which they begin, wherever a detector puts it."""
+    content = json.loads(load_scene("tail_beam").text)
+    content["sensor"] |= {"noise_density": 5e-3, "bits": 24}
+    rocks = {"duration": 24.0, "arrivals": {"rate": 3.0}, "mixture": {"times": [0.0], "gangue": [0.5]}}
+    content |= {"sampling": {"sampling_rate": 25600.0}, "stream": rocks}
+    scene = parse_scene(content)
+    detector = ImpactDetector(25600.0, kind="vibration")
+    kept, _ = usable_impacts(detector.feed(record(scene, seed=4)[0].samples[None]) + detector.finish())
+    beam, impacts = exact(beam_of(scene)), prepare_impacts(frames_of(kept)[0], 25600.0, kept[0].pre_trigger)
+    inversion, heard = Inversion(beam), impacts.observations()
+    first, found = inversion.invert(heard, impacts.start), inversion.settle(heard, impacts.start)
+    assert len(kept) > 30 and (found.evidence >= first.evidence).all()
+    assert np.mean(first.misfit < 1.3) < 0.65 < 0.85 < np.mean(found.misfit < 1.3)
 
 
 def test_weights_whiten_the_noise():

@@ -65,7 +65,7 @@ class ImpactFrames:
     def __len__(self) -> int:
         return len(self.frames)
 
-    def taken(self, rows: slice) -> ImpactFrames:
+    def taken(self, rows: slice | NDArray[np.intp]) -> ImpactFrames:
         """Return some of the impacts."""
         colour = ARNoise(self.colour.coefficients[rows], self.colour.innovation[rows])
         return ImpactFrames(self.frames[rows], self.start[rows], self.noise[rows], colour, self.n_quiet)

@@ -33,7 +33,7 @@ from cgid.identification.inversion.inversion import Inversion
 from cgid.identification.inversion.through_beam import REACH, clipped_samples
 from cgid.measure.features.vibration import VibrationBatch
 from cgid.measure.fit.ar_noise import ar_noise_of
-from cgid.measure.modal.beam import Beam, corrected
+from cgid.measure.modal.beam import SPAN_TIME, Beam, corrected
 from cgid.measure.modal.modes import Modes, text_of_table
 from cgid.scene.file.schema import Scene, load_scene, parse_scene
 from cgid.scene.file.sections import rows_of
@@ -51,6 +51,8 @@ __all__ = ["SiteCalibration", "calibrate", "usable_impacts"]
 FEWEST = 20
 #: Prior standard deviation of ln damping ratio over that of ln frequency, and its maximum.
 _DAMPING_A_FREQUENCY, _MAX_DAMPING = 10.0, 0.3
+#: No other impact begins for so long after a usable one, whose response is compared over this time [s].
+_ALONE = SPAN_TIME + REACH
 #: Number of impacts whose evidence is compared, and the seed of simulated ones.
 _COMPARED, _SEED = 256, 0x5EED_0002_CA11
 #: Maximum number of simulated recordings of a stream, and their maximum total length [s].
@@ -64,9 +66,10 @@ _WORST_OF_STREAM = 0.5
 #: A mode is silent at a sensor if its shape is below this fraction of its root mean square; a sensor at nodes of more
 #: than this fraction of the modes is unusable. On a line of symmetry it is half.
 _SILENT, _MAX_SILENT = 0.02, 0.6
-#: Of a beam or sensor that changes: the part that is learned by itself, how many times as far as permitted the evidence
-#: of the others is below, and the probability of such ranks by chance, of a recording that is explained or not.
-_PART, _FOREIGN, _BY_CHANCE, _PERHAPS = 0.4, 3.0, 1e-5, 0.05
+#: Of a beam or sensor that changes: the part that is learned by itself, but for one impact of so many, how many times
+#: as far as permitted the evidence of the others is below, and the probability of such ranks by chance, of a recording
+#: that is explained or not.
+_PART, _JUDGED, _FOREIGN, _BY_CHANCE, _PERHAPS = 0.4, 3, 3.0, 1e-5, 0.05
 #: Sensors of one beam do not place impacts so far apart [m].
 _APART = 0.05
 #: The location of a sensor is off by about this [m], and as stated within the second length.
@@ -159,21 +162,26 @@ def usable_impacts(events: Iterable[Event]) -> tuple[list[Event], dict[str, int]
     Parameters
     ----------
     events : iterable of Event
-        Detected impacts of a recording.
+        Detected impacts of a recording, those of each channel in order of time.
 
     Returns
     -------
     tuple of list and dict
-        The usable impacts, and the number of overlapping, clipped and cut ones.
+        The usable impacts, and the number of overlapping, clipped and cut ones; one with another in the stretch that is
+        compared overlaps.
     """
     usable, lost = [], {"overlapping": 0, "clipped": 0, "cut": 0}
-    for event in events:
+    following: dict[int, int] = {}
+    for event in reversed(list(events)):
         flaw = next((name for name in lost if getattr(event, name)), None)
+        if following.get(event.channel, np.inf) - event.onset < _ALONE * event.sampling_rate:
+            flaw = "overlapping"
+        following[event.channel] = event.onset
         if flaw is None and not event.problem:
             usable.append(event)
         elif flaw is not None:
             lost[flaw] += 1
-    return usable, lost
+    return usable[::-1], lost
 
 
 def calibrate(  # noqa: PLR0913
@@ -244,17 +252,10 @@ def calibrate(  # noqa: PLR0913
         validation.choice("exact", name, PARTS)
     if scene.tail_beam is not None and scene.tail_beam.learned is not None:
         exact = PARTS  # calibrated before
-    scenes = [moved(scene, point) for point in sensors] or [scene]
-    for one in scenes:
-        check_scene(one, sampling_rate)
+    scenes = check_sensors(scene, sensors, sampling_rate, participation_error)
     uncertain_dimensions = dimension_errors(scene, dimension_error)
     if sensors:  # the location of each sensor is learned with the modes
         uncertain_dimensions = {name: one for name, one in uncertain_dimensions.items() if name not in SENSOR}
-    if participation_error and len(scenes) > 1:
-        raise InvalidValue(
-            f"participation_error must be 0 for several sensors, got {participation_error:g}: participations are of "
-            "one point; calibrate each sensor by itself"
-        )
     frames = _unclipped(np.asarray(frames), len(scenes), grouped=bool(sensors))
     rows = np.unique(np.linspace(0, len(frames) - 1, min(len(frames), max_impacts)).round().astype(np.intp))
     if scene.stream is not None and next(_simulated_events(scene), None) is None:
@@ -470,12 +471,15 @@ class _Sensor:
     def _has_two_parts(self, prior: Floats, least: float, foreign: float) -> bool:
         """Return whether the first or the last impacts explain themselves alone, and not the others."""
         few = int(_PART * len(self.impacts))
-        for own, rest in (slice(few), slice(few, None)), (slice(-few, None), slice(-few)):
-            heard = replace(self.heard(placed=True), impacts=self.impacts.taken(own))
+        every = np.arange(len(self.impacts))
+        for own, rest in (every[:few], every[few:]), (every[-few:], every[:-few]):
+            # A third is kept to judge: few impacts explain themselves on any beam.
+            kept = own % _JUDGED == 0
+            heard = replace(self.heard(placed=True), impacts=self.impacts.taken(own[~kept]))
             alone = Learned([heard], prior)
             alone.approach()
             inversion = Inversion(heard.corrected(alone.places[0], alone.correction))
-            found = [evidence_of(inversion, self.impacts.taken(one))[0] for one in (own, rest)]
+            found = [evidence_of(inversion, self.impacts.taken(one))[0] for one in (own[kept], rest)]
             if self._is_foreign(found[0], found[1], least, foreign, _PERHAPS):
                 return True
         return False
@@ -535,6 +539,21 @@ def check_numbers(start_error: float, drift: float, participation_error: float, 
             least = "above 0" if name == "start_error" else "at least 0"
             raise InvalidValue(f"{name} must be {least} and at most {max_value:g}, got {value:g}")
     validation.whole("max_impacts", max_impacts, FEWEST)
+
+
+def check_sensors(
+    scene: Scene, sensors: Sequence[tuple[float, float]], sampling_rate: float, participation_error: float
+) -> list[Scene]:
+    """Return the scene of each sensor; raises as `check_scene`, or if one is not on the beam."""
+    scenes = [moved(scene, point) for point in sensors] or [scene]
+    for one in scenes:
+        check_scene(one, sampling_rate)
+    if participation_error and len(scenes) > 1:
+        raise InvalidValue(
+            f"participation_error must be 0 for several sensors, got {participation_error:g}: participations are of "
+            "one point; calibrate each sensor by itself"
+        )
+    return scenes
 
 
 def check_scene(scene: Scene, sampling_rate: float) -> None:
@@ -620,13 +639,15 @@ def _simulated_events(scene: Scene) -> Iterator[Event]:
     """Yield the usable impacts that a detector finds in recordings of a stream."""
     left = round(_MAX_STREAM * scene.sampling.sampling_rate)
     for number in range(_RECORDINGS):
-        detector = ImpactDetector(scene.sampling.sampling_rate, kind="vibration")
+        detector, events = ImpactDetector(scene.sampling.sampling_rate, kind="vibration"), []
         for samples, _ in parts_of_recording(scene, _SEED, number, dtype="float32"):
-            yield from usable_impacts(detector.feed(samples[np.newaxis]))[0]
+            events += detector.feed(samples[np.newaxis])
             left -= samples.size
             if left <= 0:
-                return
-        yield from usable_impacts(detector.finish())[0]
+                break
+        yield from usable_impacts(events + detector.finish())[0]
+        if left <= 0:
+            return
 
 
 def count_crossings(scene: Scene, learned: Modes) -> int:
