@@ -130,7 +130,7 @@ def calibrate(
     from cgid.calibration import dimensions
     from cgid.calibration.chain import PARTS
     from cgid.calibration.learning import MAX_ROUNDS
-    from cgid.calibration.modes import FEWEST, check_numbers, check_scene, scenes_beside, table_beside
+    from cgid.calibration.modes import FEWEST, check_numbers, check_sensors, scenes_beside, table_beside
     from cgid.scene import load_scene
 
     for path in reversed(scenes_beside(Path(output), max(len(sensors), 1))):
@@ -154,9 +154,10 @@ def calibrate(
         validation.choice("--exact", part, PARTS)
     validation.whole("--impacts", impacts, FEWEST)
     check_numbers(**errors, max_impacts=impacts)
-    check_scene(scene, scene.sampling.sampling_rate)
+    check_sensors(scene, points, scene.sampling.sampling_rate, errors["participation_error"])
     of_dimensions = dimensions.dimension_errors(scene, _of_each(dimension_error))
     frames, rate, before = _frames(recordings, scene, reading, len(points))
+    say(f"{path}: learning from {min(impacts, len(frames))} of {counted(len(frames), 'usable impact')}", err=True)
     n_rounds = MAX_ROUNDS + dimensions.MAX_ROUNDS * bool(of_dimensions)
     with progress_bar(n_rounds, "rounds at most", "fitting beam") as progress:
         errors["dimension_error"] = of_dimensions
@@ -205,9 +206,9 @@ def _frames(
     if len(rocks) < FEWEST:
         reasons = ", ".join(f"{n} {name}" for name, n in every.items() if n)
         raise BadData(
-            f"{recordings[0]}: usable impacts must be at least {FEWEST}, got {len(rocks)} of {n_found}"
+            f"{recordings[0]}: impacts that stand alone must be at least {FEWEST}, got {len(rocks)} of {n_found}"
             + (f" ({reasons})" if reasons else "")
-            + "; record longer, and below the sensor's range"
+            + "; record longer or with sparser drops, and below the sensor's range"
         )
     frames, before = frames_of([event for rock in rocks for event in rock])
     frames = np.asarray(frames, np.float64)
@@ -250,7 +251,8 @@ def _found(recording: Any, scene: Scene, reading: ReadingOptions, n_sensors: int
     if quantity != scene.sensor.quantity:
         raise BadData(
             f"{recording.source}: the recording must be of {scene.sensor.quantity} like scene {scene.name}, got "
-            f"{quantity} [{unit}]; choose another channel, or give --unit"
+            f"{quantity} [{unit}]; choose another channel, or give "
+            + ("--full-scale '500 g'" if quantity == "level" else "--unit")
         )
     check_scene(scene, recording.sampling_rate)
     factor = UNITS[quantity][unit] * (-1 if reading.invert else 1)
