@@ -118,6 +118,20 @@ def test_fit_with_a_baseline_is_that_of_scipy(e):
         assert found.baseline[row] == pytest.approx(0.3, abs=4 * deviation[4])
 
 
+def test_the_error_of_a_removed_baseline_is_in_the_covariance():
+    """Of the impulse of long pulses: a mean of few samples, times the duration, counts as much as the noise."""
+    frames, _ = frames_of(0.6, 150, 0.01, n=500, seed=8)
+    found = estimate(frames + 0.3, 1.0, pre_trigger=BEFORE - 4)
+    shape = np.log(found.restitution)
+    relative, _, slope, _ = relative_times(shape)
+    true = np.log(150 / relative_times(np.log([0.6]))[0])
+    slopes = np.zeros((500, 5))
+    slopes[:, :2], slopes[:, 3] = 1.0, -slope / relative
+    deviation = np.sqrt(np.einsum("ni,nij,nj->n", slopes, found.covariance, slopes))
+    away = np.log(found.peak * found.contact_duration / relative) - true
+    assert np.std(away / deviation) == pytest.approx(1, abs=0.12)
+
+
 @pytest.mark.parametrize("e", [0.5, 0.8])
 def test_fit_through_a_low_pass_is_that_of_scipy(e):
     rate, contact, noise = 200e3, 60, 0.01

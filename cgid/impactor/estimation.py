@@ -6,7 +6,7 @@ it is the restitution of the impact; on recordings of real shocks it varies with
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -19,8 +19,8 @@ from cgid.impactor.likelihood import cramer_rao_bound, profile
 from cgid.impactor.prior import Prior
 from cgid.measure.features.pulses import PulseBatch
 from cgid.measure.filters import low_pass_response
-from cgid.measure.fit.fit import PulseFit, fit_pulses, without_impact
-from cgid.measure.fit.template import parameters_of
+from cgid.measure.fit.fit import MODEL_ERROR, PulseFit, fit_pulses, without_impact
+from cgid.measure.fit.template import parameters_of, relative_times
 from cgid.measure.frames import LARGEST, frames_of
 
 __all__ = ["Estimates", "Posterior", "cramer_rao_bound", "estimate", "posterior"]
@@ -44,7 +44,8 @@ class Estimates:
     restitution : ndarray, (n,)
         Above 1 for a pulse that rises more slowly than it falls.
     covariance : ndarray, (n, 5, 5)
-        Covariance of ln(peak), ln(contact duration), onset [s], ln(restitution) and baseline; 0 for given quantities.
+        Covariance of ln(peak), ln(contact duration), onset [s], ln(restitution) and baseline, with the error of a
+        baseline that was removed; 0 for given quantities.
     restitution_deviation : ndarray, (n,)
         Standard deviation of the restitution; from the likelihood of all shapes if it is not a parabola, so that it
         includes a second likely shape.
@@ -220,6 +221,9 @@ def estimate(
                 n_quiet=pulses.n_quiet if given_noise is None else None,
             )
         )
+        if remove_baseline and not fit_baseline:
+            level_noise = pulses.noise if given_noise is None else given_noise[block]
+            parts[-1] = with_baseline_error(parts[-1], level_noise, pulses.n_quiet)
         if failures := without_impact(pulses.samples, parts[-1]):
             row = min(failures)
             raise BadData(f"signal {first + row}: {failures[row].text}" if n > 1 else failures[row].text)
@@ -306,6 +310,21 @@ def posterior(
         duration = np.sum(weight * np.exp(along.log_duration), axis=1) / rate
         parts.append((np.exp(along.shape), weight, peak, duration))
     return Posterior(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+
+
+def with_baseline_error(fit: PulseFit, noise: Floats, n_quiet: Floats) -> PulseFit:
+    """Return the pulses with the error of their baseline, the mean of `n_quiet` samples (n,), in the covariance."""
+    # A constant moves the parameters along the covariance times its products with the slopes of the pulse, the slopes
+    # of the impulse: that of duration [samples] times peak over `relative_times`.
+    with np.errstate(all="ignore"):  # a failed fit stays one
+        relative, _, slope, _ = relative_times(np.nan_to_num(fit.shape))
+        impulse = fit.peak * fit.width * noise / np.sqrt(n_quiet) / (noise**2 + (MODEL_ERROR * fit.peak) ** 2)
+        shift = (
+            fit.covariance[:, :, 0] + fit.covariance[:, :, 1] - (slope / relative)[:, None] * fit.covariance[:, :, 3]
+        )
+        most = np.sqrt(np.nan_to_num(np.diagonal(fit.covariance, axis1=1, axis2=2)))
+        shift = np.clip(np.nan_to_num(shift * impulse[:, None]), -most, most)  # beyond, it is not linear
+        return replace(fit, covariance=fit.covariance + shift[:, :, None] * shift[:, None])
 
 
 def _each(name: str, numbers: Floats, n: int) -> Floats:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from cgid._lib.validation import Floats
 from cgid.identification.inversion.contact import Contact
 from cgid.identification.inversion.inversion import ForceEstimate
-from cgid.impactor.estimation import FAMILY_LIMIT, Estimates
+from cgid.impactor.estimation import FAMILY_LIMIT, Estimates, with_baseline_error
 from cgid.measure.features.pulses import PulseBatch
 from cgid.measure.fit.fit import PulseFit
 from cgid.measure.fit.template import MAX_SHAPE, MIN_SHAPE, relative_times
@@ -120,7 +120,8 @@ class MeasuredPulses:
     @classmethod
     def of_frames(cls, pulses: PulseBatch) -> MeasuredPulses:
         """Return the pulses fitted to frames of force [N]; a frame that cannot be fitted is not usable."""
-        fit, failed = pulses.fit, {row: problem.text for row, problem in pulses.fit_problems().items()}
+        failed = {row: problem.text for row, problem in pulses.fit_problems().items()}
+        fit = with_baseline_error(pulses.fit, pulses.noise, pulses.n_quiet)
         return cls._of_fit(fit.duration / pulses.sampling_rate, fit.shape, fit, pulses.overload, failed)
 
     @classmethod
