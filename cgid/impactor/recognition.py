@@ -75,7 +75,7 @@ def estimate_impactors(
     Raises
     ------
     BadData
-        Samples are not finite rows of numbers or of another quantity or rate than stated, or a force has no impact.
+        Samples are not finite rows of numbers or of another quantity than stated, or a force has no impact.
     InvalidValue
         A number breaks its rule, or the scene has no population.
     MissingOption
