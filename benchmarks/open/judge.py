@@ -283,7 +283,8 @@ def calibration_error(probability: Floats, truth: NDArray[np.bool_], weights: ND
 def _share_of(metric: str, hits: NDArray[Any]) -> Result:
     share = float(hits.mean())
     low, high = wilson_interval(share, len(hits))
-    return Result(metric, share, max(low, 0.0), min(high, 1.0), len(hits))
+    # Rounding leaves 1e-19 where the interval begins at 0.
+    return Result(metric, share, low if hits.any() else 0.0, min(high, 1.0), len(hits))
 
 
 def judged_streams(own: Streams, streams: Sequence[Stream]) -> Iterator[Result]:
