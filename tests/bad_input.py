@@ -799,6 +799,7 @@ _COMMANDS = r"""
 65 | verify two.h5 --laws exits.py | SystemExit
 65 | check reference.toml --laws exits.py | SystemExit
 65 | check reference.toml --laws lawless.py | must have a class
+65 | check reference.toml --laws lawless | give lawless.py
 65 | check reference.toml --laws no/law.py | no/law.py
 66 | export nothing.h5 -o new.h5 | nothing.h5
 65 | export reference.toml -o new.h5 | reference.toml

@@ -17,7 +17,7 @@ from scipy.io import wavfile
 from cgid.cli.main import cli, run
 from cgid.cli.options import OutputName
 from cgid.errors import MissingExtra
-from cgid.shipped import SCENES
+from cgid.shipped import SCENES, path_of
 from tests.bad_input import CASES, Case, make_files
 
 ROOT = Path(__file__).parents[1]
@@ -217,6 +217,16 @@ def test_a_shipped_scene_is_checked_without_warnings(name: str, capsys: pytest.C
     assert run(["check", name, "--json"]) == 0
     out, err = capsys.readouterr()
     assert (err, json.loads(out)["warnings"]) == ("", {})
+
+
+def test_check_warns_of_a_radius_without_its_unit(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    reference = path_of("datasets", "reference.toml").read_text(encoding="utf-8")
+    (tmp_path / "mm.toml").write_text(
+        reference.replace('lowest = "10 mm", highest = "80 mm"', "lowest = 10, highest = 80")
+    )
+    assert run(["check", str(tmp_path / "mm.toml"), "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)["warnings"]
+    assert {share for text, share in told.items() if "larger than any rock" in text} == {1.0}
 
 
 @pytest.mark.parametrize(

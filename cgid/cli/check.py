@@ -144,12 +144,16 @@ def _shares(draws: list[Any], values: dict[str, Any], sampling_rate: Any, scene:
     import numpy as np
 
     from cgid.measure.features.pulses import RECOMMENDED_SAMPLES
+    from cgid.physics.contact.bodies import MAX_RADIUS
     from cgid.physics.contact.impact import BEYOND_THIN_PLATE, HERTZ_LIMIT, INELASTICITY_LIMIT
 
     strain = np.concatenate([d.strain for d in draws])
     inelasticity = np.concatenate([d.inelasticity for d in draws])
     end = values.get("onset", 0.0) + np.nan_to_num(values.get("second_hit_delay", 0.0)) + values["contact_duration"]
     beyond = {
+        f"have a radius above {MAX_RADIUS:g} m, larger than any rock; if it is in mm, give it as '25 mm'": (
+            values["radius"] > MAX_RADIUS
+        ),
         f"exceed Hertz's range (displacement over radius above {HERTZ_LIMIT:g})": strain > HERTZ_LIMIT,
         f"exceed the range of the thin plate (lambda above {INELASTICITY_LIMIT:g}): {BEYOND_THIN_PLATE}": (
             inelasticity > INELASTICITY_LIMIT

@@ -46,7 +46,8 @@ def load_model(model: str | Path = "default") -> Model:
     ----------
     model : str or Path
         A file, or "default" (pulses of force), "default-drop-height" (these, with a given drop height) or
-        "default-acceleration" (vibrations of a tail beam); a `Path` is always a file.
+        "default-acceleration" (vibrations of a tail beam), or these in a version, as "default@2", which raises
+        `NoInput` if this cgid has another; a `Path` is always a file.
 
     Returns
     -------
@@ -119,7 +120,9 @@ def predict(
     **settings
         Fields of `cgid.identification.prediction.PredictionSettings`, such as ``mass=2.5`` [kg] of an
         accelerated impactor, ``drop_height=1.5`` [m], ``invert=True``, ``lines=False`` (keep tones of machines),
-        ``costs={"gangue": 3.0}``, ``coverage=0.9`` or, for channels of one beam, ``same_beam=[("1", "2")]``.
+        ``costs={"gangue": 3.0}`` and ``coverage=0.9``, which change labels (the first to that of the lowest expected
+        cost, the second to "unknown" unless the prediction set is one label); or, for channels of one beam,
+        ``same_beam=[("1", "2")]``.
 
     Returns
     -------

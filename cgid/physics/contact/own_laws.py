@@ -69,9 +69,9 @@ def add_laws(source: str | Path) -> None:
         raise
     # The module may fail in any way, and may end the process.
     except BaseException as error:
+        cure = f"{source}.py" if Path(f"{source}.py").is_file() else "its name, or the path of its file"
         raise InvalidValue(
-            f"laws {source}: must be a module that can be loaded, got {type(error).__name__}: {error}; give its "
-            "name, or the path of its file"
+            f"laws {source}: must be a module that can be loaded, got {type(error).__name__}: {error}; give {cure}"
         ) from None
     _add(module, str(Path(source).resolve()) if source.endswith(".py") else source)
 
