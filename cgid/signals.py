@@ -191,10 +191,10 @@ def require_stated(samples: Any, sampling_rate: float | None = None, unit: str |
     stated, kind = samples.sampling_rate, type(samples).__name__
     if sampling_rate is not None and not rates_agree(rate := require_rate(sampling_rate), stated):
         raise InvalidValue(
-            f"sampling_rate must be that of the {kind}, {stated:.10g} Hz, got {rate:.10g} Hz; leave it out"
+            f"sampling_rate must be that of the {kind}, {stated:.10g} Hz, got {rate:.10g} Hz; correct one"
         )
     if unit is not None and units.meaning_of(unit) != units.meaning_of(samples.unit):
-        raise InvalidValue(f"unit must be that of the {kind}, {samples.unit}, got {unit}; leave it out")
+        raise InvalidValue(f"unit must be that of the {kind}, {samples.unit}, got {unit}; correct one")
 
 
 def channel_name(source: str, channel: str) -> str:

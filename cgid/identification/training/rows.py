@@ -373,8 +373,8 @@ def measure(
         for part in measured:
             if parts and part.unit != parts[0].unit:
                 raise BadData(
-                    f"all signals must be in one unit, got {parts[0].unit} and {part.unit}; convert them or train "
-                    "separately"
+                    f"all signals must be in one unit, got {parts[0].unit} and {part.unit}; convert them (in_si) or "
+                    "train separately"
                 )
             parts.append(part)
             if progress is not None:
