@@ -4,12 +4,14 @@ import multiprocessing
 import os
 import subprocess
 import sys
+import threading
 from pathlib import Path
 
 import pytest
 
 from cgid.errors import BadData, CannotCreate
 from cgid.scene import generate, generate_recordings, parse_scene
+from cgid.scene.output import generation
 from cgid.store import Dataset
 from cgid.store.verification import verify
 from tests import few
@@ -99,6 +101,26 @@ def test_a_stopped_run_goes_on_to_the_same_bytes(whole, path, make, older):
     assert files(path) == whole[make]
     assert first.stat().st_mtime_ns == time
     assert [left.name for left in path.parent.iterdir()] == ["data"]
+
+
+def test_a_shard_is_written_beside_the_making_of_the_next(whole, path, monkeypatch):
+    made, write = threading.Event(), generation.write_whole
+
+    def waiting(file, *content, **options):
+        assert made.wait(60) or file.name != "shard-00000.h5"
+        write(file, *content, **options)
+
+    monkeypatch.setattr(generation, "write_whole", waiting)
+    n_made = 0
+
+    def count(number):
+        nonlocal n_made
+        n_made += number
+        if n_made > OPTIONS["shard_signals"]:
+            made.set()
+
+    dataset(path, progress=count)
+    assert files(path) == whole[dataset]
 
 
 @pytest.mark.long

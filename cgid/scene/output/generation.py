@@ -46,7 +46,7 @@ MAX_SIGNALS = 10**9
 #: Largest error of a signal made again, over its peak; processors differ less.
 SAME = 1e-6
 #: Limits of the signals made in advance: memory [bytes], but at least one block, and number of blocks.
-_AHEAD_BYTES, _AHEAD_BLOCKS = 32 << 20, 16
+_AHEAD_BYTES, _AHEAD_BLOCKS = 8 << 20, 4
 #: Largest size of a number in a table, and in CSV with its comma [bytes].
 _BYTES, _BYTES_OF_TEXT = 8, 25
 #: The order in which root attributes are written: the bytes depend on it, and HDF5 does not store it.
