@@ -431,7 +431,7 @@ def test_weights_whiten_the_noise():
     level = np.full(400, noise.std())
     colour = ARNoise(np.tile(own, (400, 1)), np.full(400, 3.0))
     part = noise[:, 1000 : 1000 + inversion.n_samples]
-    blows = ImpactFrames(part, np.zeros((400, 2), np.intp), level, colour)
+    blows = ImpactFrames(part, np.zeros((400, 2), np.intp), level, colour, part.shape[1])
     power = np.square(inversion.transformed(part / level[:, None])).mean(axis=0)
     weighed = power * blows.weight(inversion)[0]
     half = weighed.size // 2
