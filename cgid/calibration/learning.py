@@ -341,6 +341,8 @@ class System:
         bins = np.repeat(np.arange(inversion.bins.start, inversion.bins.stop), 2)[self.columns]
         own = bins / inversion.n_samples * self.beam.sampling_rate
         least = _NEAR_BINS / inversion.n_samples * self.beam.sampling_rate
+        # Modes above the band are told by its end alone.
+        frequency = np.minimum(frequency, own[-1])
         near = np.abs(own - frequency[:, None]) < np.maximum(_NEAR * frequency, least)[:, None]
         return np.asarray(near @ self.left)
 
