@@ -297,6 +297,13 @@ def test_the_command_writes_a_scene_that_trains(known, tmp_path, capsys):
     assert run(["generate", str(output), "-n", "16", "-o", str(tmp_path / "more.h5")]) == 0
 
 
+def test_a_sensor_off_the_beam_is_named_before_the_recording_is_read(tmp_path, capsys):
+    (tmp_path / "empty.wav").write_bytes(b"")
+    command = ["calibrate", str(tmp_path / "empty.wav"), "--scene", "tail_beam", "-o", str(tmp_path / "site.toml")]
+    assert run([*command, "--sensor", "450,350"]) != 0
+    assert "sensor_point.x" in capsys.readouterr().err
+
+
 def test_a_model_of_modes_that_nobody_has_learned(known, tmp_path, capsys):
     """It trains on drawn modes, its file says how far they may be off, and it answers blows on a beam that is off."""
     scene = uncertain(known[0], 0.02)
