@@ -13,6 +13,7 @@ import pytest
 
 from cgid import shipped
 from cgid.cli.main import run
+from cgid.errors import BadData
 from cgid.impactor import Detection, MeasuredPulses, estimate_impactors, population_of, size_distribution
 from cgid.impactor.columns import match_times
 from cgid.impactor.estimation import estimate
@@ -235,6 +236,19 @@ def test_saturated_and_failed_pulses_have_no_interval(reference):
     assert "all samples are 0" in found.reason[3] and "no impact" in found.reason[4]
     whole, cut = (np.log(np.divide(*found.interval("mass", 0.9)[::-1]))[row] for row in (0, 2))
     assert np.isfinite(cut) and cut > 0.9 * whole
+
+
+@pytest.mark.parametrize("among", ["reference", COAL])
+def test_a_row_without_an_impact_is_unknown_beside_others(among):
+    rows = np.stack([pulse(), np.zeros(1000), pulse()])
+    found = estimate_impactors(rows, RATE, among)
+    assert np.isfinite(found.median("mass")).tolist() == [True, False, True]
+    assert "all samples are 0" in found.reason[1] and repr(found).startswith("ImpactorEstimates(3 impacts, 2 with")
+    assert len(repr(found)) < 100
+    with pytest.raises(BadData, match="signal 1: no impact"):
+        estimate_impactors(rows, RATE, among, invalid="raise")
+    assert len(estimate_impactors(rows[:0], RATE, among)) == 0
+    assert np.isnan(estimate(rows, RATE, invalid="nan").covariance).any(axis=(1, 2)).tolist() == [False, True, False]
 
 
 # -- through a beam -----------------------------------------------------------------------------------

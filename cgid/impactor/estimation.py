@@ -6,8 +6,8 @@ it is the restitution of the impact; on recordings of real shocks it varies with
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import dataclass, fields, replace
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -54,6 +54,8 @@ class Estimates:
     overload : ndarray, (n,)
         Peak over the clipping level, minus 1; 0 without clipping.
     converged : ndarray of bool, (n,)
+    problem : ndarray of str, (n,)
+        Why a signal has no impact; else empty.
     """
 
     peak: Floats
@@ -66,6 +68,7 @@ class Estimates:
     misfit: Floats
     overload: Floats
     converged: NDArray[np.bool_]
+    problem: NDArray[np.str_]
 
     @property
     def of_family(self) -> NDArray[np.bool_]:
@@ -150,6 +153,7 @@ def estimate(
     onset: ArrayLike | None = None,
     clip_level: ArrayLike | None = None,
     bandwidth: float | None = None,
+    invalid: Literal["raise", "nan"] = "raise",
 ) -> Estimates:
     """Fit the most likely damped-Hertz pulse to each signal.
 
@@ -177,6 +181,8 @@ def estimate(
         Limit of the sensor; by default the top level that at least three samples share.
     bandwidth : float, optional
         Edge of the sensor's low-pass [Hz], as in `cgid.scene.Sensor`; the fit includes this filter.
+    invalid : {"raise", "nan"}
+        Treatment of a signal without impact; `Estimates.problem` has the reason of a row of nan.
 
     Returns
     -------
@@ -203,7 +209,8 @@ def estimate(
     onsets = None if onset is None else _each("onset", validation.between("onset", onset, 0, last, "s") * rate, n)
     limit = None if clip_level is None else _each("clip_level", validation.positive("clip_level", clip_level), n)
     response = None if bandwidth is None else low_pass_response(rate, bandwidth)
-    parts, overloads = [], []
+    validation.choice("invalid", invalid, ("raise", "nan"))
+    parts, overloads, problem = [PulseFit.nothing()], [np.empty(0)], np.full(n, "", object)
     for first in range(0, n, _ROWS):
         block = slice(first, first + _ROWS)
         pulses = PulseBatch(frames[block], rate, pre_trigger, remove_baseline).uncoupled()
@@ -224,16 +231,19 @@ def estimate(
         if remove_baseline and not fit_baseline:
             level_noise = pulses.noise if given_noise is None else given_noise[block]
             parts[-1] = with_baseline_error(parts[-1], level_noise, pulses.n_quiet)
-        if failures := without_impact(pulses.samples, parts[-1]):
+        failures = without_impact(pulses.samples, parts[-1])
+        if failures and invalid == "raise":
             row = min(failures)
             raise BadData(f"signal {first + row}: {failures[row].text}" if n > 1 else failures[row].text)
+        for row, failure in failures.items():
+            problem[first + row] = failure.text
         cut = parts[-1].clipped > 0
         overloads.append(np.where(cut, parts[-1].peak / (level if level is not None else 1.0) - 1, 0.0).clip(0.0))
     fit = PulseFit.joined(parts)
     covariance = fit.covariance.copy()
     covariance[:, 2] /= rate
     covariance[:, :, 2] /= rate
-    return Estimates(
+    found = Estimates(
         peak=fit.peak,
         contact_duration=fit.duration / rate,
         onset=fit.onset / rate,
@@ -244,7 +254,12 @@ def estimate(
         misfit=fit.misfit,
         overload=np.concatenate(overloads),
         converged=fit.converged,
+        problem=problem.astype(np.str_),
     )
+    for one in fields(Estimates):
+        if (column := getattr(found, one.name)).dtype.kind == "f":
+            column[problem != ""] = np.nan
+    return found
 
 
 def posterior(

@@ -115,7 +115,9 @@ class MeasuredPulses:
         The covariance is multiplied by the misfit: the deviation of other laws of loss is treated like noise (Birge
         1932, Phys. Rev. 40, 207).
         """
-        return cls._of_fit(estimates.contact_duration, np.log(estimates.restitution), estimates, estimates.overload, {})
+        failed = {row: str(estimates.problem[row]) for row in np.flatnonzero(estimates.problem != "").tolist()}
+        shape = np.log(estimates.restitution)
+        return cls._of_fit(estimates.contact_duration, shape, estimates, estimates.overload, failed)
 
     @classmethod
     def of_frames(cls, pulses: PulseBatch) -> MeasuredPulses:

@@ -73,6 +73,10 @@ class ImpactorEstimates:
     def __len__(self) -> int:
         return len(self.reason)
 
+    def __repr__(self) -> str:
+        known = int(np.isfinite(self.quantiles["mass"][:, 0]).sum())
+        return f"ImpactorEstimates({len(self)} impacts, {known} with intervals of {', '.join(QUANTITIES)})"
+
     def quantile(self, quantity: str, probability: float) -> Floats:
         """Return a quantile (.005 to .995) of the mass [kg], radius [m] or speed [m/s] of each impact, (n,).
 

@@ -64,18 +64,19 @@ def estimate_impactors(
     pre_trigger : int, optional
         Samples before onset, as in `cgid.impactor.estimation.estimate`.
     **options
-        Other arguments of `estimate`, for forces: noise, clip_level, bandwidth and others.
+        Other arguments of `estimate`, for forces: noise, clip_level, bandwidth and others; ``invalid="raise"`` refuses
+        a signal without impact.
 
     Returns
     -------
     ImpactorEstimates
-        Nan, with the reason, without an estimate: the fit failed, the pulse is saturated, or the population contains no
-        such impactor.
+        Nan, with the reason, without an estimate: a signal has no impact, the pulse is saturated, or the population
+        contains no such impactor.
 
     Raises
     ------
     BadData
-        Samples are not finite rows of numbers or of another quantity than stated, or a force has no impact.
+        Samples are not finite rows of numbers, or of another quantity.
     InvalidValue
         A number breaks its rule, or the scene has no population.
     MissingOption
@@ -126,7 +127,8 @@ def _in_si(own: Signal | Batch, sensor: Sensor) -> NDArray[Any]:
 def _of_forces(
     samples: ArrayLike, sampling_rate: float, pre_trigger: int | None, options: dict[str, Any]
 ) -> MeasuredPulses:
-    return MeasuredPulses.of_estimates(estimate(samples, sampling_rate, pre_trigger=pre_trigger, **options))
+    options = {"pre_trigger": pre_trigger, "invalid": "nan"} | options
+    return MeasuredPulses.of_estimates(estimate(samples, sampling_rate, **options))
 
 
 def through_beam(
