@@ -8,6 +8,7 @@ package makes the signals.
     python benchmarks/beam/chain.py                      # every row
     python benchmarks/beam/chain.py --rows 3 --seed 7    # random chains alone, as many as that
     python benchmarks/beam/chain.py --sound 40           # sound calibrations, modes 1 % off: refused or moved
+    python benchmarks/beam/chain.py --several            # two sensors together: one is moved, one has another filter
 """
 
 from __future__ import annotations
@@ -27,16 +28,16 @@ from threadpoolctl import threadpool_limits
 
 from benchmarks.beam import independent_beam as other
 from benchmarks.beam.through_beam import batches_of, judged
-from cgid.calibration import calibrate
+from cgid.calibration import SiteCalibration, calibrate
 from cgid.errors import BadData
 from cgid.identification.inversion.through_beam import ThroughBeam
-from cgid.identification.model import Model
+from cgid.identification.model.model import StoredModel
 from cgid.identification.prediction import load_model
 from cgid.identification.prediction.diagnosis import MISSHAPEN
 from cgid.measure.features.vibration import VibrationBatch
 from cgid.scene import load_scene, parse_scene
 from cgid.scene.synthesis.impacts import beam_modes
-from cgid.scene.synthesis.through_beam import beam_of
+from cgid.scene.synthesis.through_beam import beam_of, moved
 
 #: The beam as the package has it, but for a thousandth of shear.
 VARIANT = "0.001 mindlin"
@@ -117,20 +118,20 @@ def made(case: Case, n: int, seed: int) -> dict[str, Any]:
     return other.generate(n, seed, VARIANT, sensors=(case.sensor,), recorder=recorder_of(case), modes=modes)
 
 
-def asked(model: Model, beam: Any, tests: dict[str, Any]) -> dict[str, Any]:
+def asked(model: StoredModel, beam: Any, tests: dict[str, Any]) -> dict[str, Any]:
     through = replace(model)
     through.__dict__["beam"] = ThroughBeam(beam)
     return judged(through, batches_of(tests))
 
 
-def warned(model: Model, signals: Any) -> float:
+def warned(model: StoredModel, signals: Any) -> float:
     """Return the median share of the forces outside of contacts [%]."""
     assert model.beam is not None
     _, contact = model.beam.look(VibrationBatch(signals.astype(float), other.RATE, other.PRE_TRIGGER))
     return 100 * float(np.nanmedian(contact.outside))
 
 
-def row(case: Case, model: Model, n: int, n_test: int, seed: int) -> str:
+def row(case: Case, model: StoredModel, n: int, n_test: int, seed: int) -> str:
     """Return a row: right through the stated, the learned and the true beam."""
     assert model.beam is not None
     whole = made(case, n + n_test, seed)
@@ -156,14 +157,7 @@ def row(case: Case, model: Model, n: int, n_test: int, seed: int) -> str:
             learned = beam_of(found.scene)
             told = asked(model, replace(learned, modes=replace(learned.modes, deviation=None)), tests)
             after = f"{told['accuracy']:.3f}"
-            said = ", ".join(
-                [f"{one.name[-1]} {1e3 * (one.after - one.before):+.1f} mm" for one in found.dimensions]
-                + [
-                    f"{name.rpartition('.')[0][:4]} {new:.4g}"
-                    for name, (_, new) in found.chain.items()
-                    if isinstance(new, float | int)
-                ]
-            )
+            said = learned_of(found)
     clock = time.process_time() - clock
     before = asked(model, model.beam.beam, tests)
     cells = (
@@ -176,6 +170,39 @@ def row(case: Case, model: Model, n: int, n_test: int, seed: int) -> str:
     return f"| {' | '.join(cells)} |"
 
 
+def several(model: StoredModel, n: int, n_test: int, seed: int) -> list[str]:
+    """Return rows of two sensors of one beam, calibrated together, modes 1 % off: one by one through their scenes."""
+    x, y = other.SENSOR
+    stated = (other.SENSOR, (0.7, 0.8))
+    true = (Case("10 mm off", sensor=(x + 0.01, y)), Case("edge 8 kHz", edge=8e3, sensor=stated[1]))
+    modes = modes_of_case(Case("modes", modes=0.01), seed)
+    made_by = [
+        other.generate(n + n_test, seed, VARIANT, sensors=[one.sensor for one in true], recorder=recorder, modes=modes)
+        for recorder in map(recorder_of, true)
+    ]
+    heard = np.stack([made_by[number]["acceleration"][:, number] for number in range(2)], axis=1)
+    scene, clock = load_scene("tail_beam"), time.process_time()
+    with threadpool_limits(1):
+        found = calibrate(scene, heard[:n], other.RATE, other.PRE_TRIGGER, sensors=stated, max_impacts=n)
+    clock = time.process_time() - clock
+    rows = []
+    for number, one in enumerate((found, *found.others)):
+        tests = {key: part[n:] if np.ndim(part) else part for key, part in made_by[number].items()}
+        tests["acceleration"] = heard[n:, number]
+        learned = beam_of(one.scene)
+        beams = beam_of(moved(scene, stated[number])), replace(learned, modes=replace(learned.modes, deviation=None))
+        before, after = (asked(model, beam, tests)["accuracy"] for beam in beams)
+        rows.append(f"| {true[number].name} | {before:.3f} | {after:.3f} | {learned_of(one)} | {clock:.0f} |")
+    return rows
+
+
+def learned_of(found: SiteCalibration) -> str:
+    """Return what a calibration has moved: location [mm], mounting and filter."""
+    moves = [f"{one.name[-1]} {1e3 * (one.after - one.before):+.1f} mm" for one in found.dimensions]
+    chain = [(name.rpartition(".")[0][:4], new) for name, (_, new) in found.chain.items()]
+    return ", ".join(moves + [f"{name} {new:.4g}" for name, new in chain if isinstance(new, float | int)])
+
+
 def sound(n: int, seed: int) -> str:
     """Return a row of a sound calibration: what was moved or refused, and how the modes hold, by band."""
     case = Case("as stated", modes=0.01)
@@ -186,7 +213,7 @@ def sound(n: int, seed: int) -> str:
             found = calibrate(scene, impacts, other.RATE, other.PRE_TRIGGER, max_impacts=n)
         except BadData as error:
             return f"| {seed} | refused: {str(error)[:60]} | | | {time.process_time() - clock:.0f} |"
-    moved = [one.name for one in found.dimensions] + list(found.chain)
+    changed = [one.name for one in found.dimensions] + list(found.chain)
     own = found.scene.tail_beam
     assert own is not None and own.learned_modes is not None
     frequency = beam_modes(found.scene).frequency
@@ -197,7 +224,7 @@ def sound(n: int, seed: int) -> str:
     change = np.log(frequency / truth.frequency[np.abs(alike).argmax(axis=1)])
     held = np.abs(change) < 1.96 * own.learned_modes.deviation[0]
     cells = [f"{np.mean(held[(frequency >= low) & (frequency < high)]):.2f}" for low, high in pairwise(_BANDS)]
-    said = ", ".join(moved) or "kept"
+    said = ", ".join(changed) or "kept"
     return f"| {seed} | {said} | {100 * found.outside:.1f} % | {', '.join(cells)} | {time.process_time() - clock:.0f} |"
 
 
@@ -206,6 +233,7 @@ def main() -> None:
     parser.add_argument("--rows", type=int, default=4, help="random chains")
     parser.add_argument("--only", default="", help="rows whose name contains this")
     parser.add_argument("--sound", type=int, default=0, help="so many sound calibrations instead")
+    parser.add_argument("--several", action="store_true", help="two sensors calibrated together instead")
     parser.add_argument("--seed", type=int, default=600_001)
     parser.add_argument("--impacts", type=int, default=300)
     parser.add_argument("--test", type=int, default=768)
@@ -217,6 +245,10 @@ def main() -> None:
             print(sound(options.impacts, options.seed + number), flush=True)
         return
     model = load_model("default-acceleration")
+    if options.several:
+        print("| true | right, stated | after | learned | s |\n|---|---|---|---|---|")
+        print("\n".join(several(model, options.impacts, options.test, options.seed)))
+        return
     print("| true | force outside of contacts (* warned) | right, stated (unknown) | after | true beam | learned | s |")
     print("|---|---|---|---|---|---|---|")
     chosen = [case for case in cases(options.rows, options.seed) if options.only in case.name]
