@@ -201,7 +201,7 @@ class MeasuredPulses:
         sound &= np.isfinite(covariance).all(axis=(1, 2)) & (diagonal >= 0).all(axis=1)
         vague = sound & (diagonal[:, :2] > _COARSEST**2).any(axis=1)
         problem[~sound & usable] = "the fit of the pulse failed"
-        problem[vague & (problem == "")] = "the pulse determines neither peak nor width"
+        problem[vague & usable] = "the pulse determines neither peak nor width"
         usable = usable & sound & ~vague
         bad = ~(sound & ~vague)
         covariance[bad] = np.eye(3)
