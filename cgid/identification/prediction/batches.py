@@ -44,7 +44,7 @@ def identify_batches(
         quantity = quantity_of(batch.unit)
         if quantity != model.quantity:
             raise BadData(
-                f"{source}: the quantity must be the model's, {model.quantity} [{model.unit}], got {quantity} "
+                f"{source}: the quantity must be {model.quantity} [{model.unit}], got {quantity} "
                 f"[{batch.unit}]; train a model on such signals"
             )
         factor = UNITS[quantity][batch.unit] / UNITS[quantity][model.unit] * (-1 if settings.invert else 1)

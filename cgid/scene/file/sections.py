@@ -70,8 +70,6 @@ CONTACT_SHAPE = {key: getattr(PowerLaw, key) for key in PowerLaw.keys if key != 
 _MAX_MODES, _PLACES = 10_000, (6, 2_000)
 #: Impacts may be this far outside of the places of a table of shapes [m].
 _WITHIN = 1e-6
-#: A plate is at most so thick, over its length and width.
-_THICKEST = 0.2
 
 
 def _or_custom_law(value: Any, handler: Callable[[Any], Any]) -> Any:
@@ -559,10 +557,10 @@ class TailBeamSection(Section):
             raise ValueError(f"must have either modes or a panel; remove {', '.join(given)}")
         if self.modes is not None and self.coupling == "impedance":
             raise ValueError("coupling must be auto or modes for measured modes: a table has no impedance")
-        if self.length and self.width and self.thickness and self.thickness > _THICKEST * min(self.length, self.width):
+        if self.length and self.width and self.thickness and self.thickness > min(self.length, self.width):
             raise ValueError(
-                f"thickness must be at most {_THICKEST:g} of length and width, those of a plate, got "
-                f"{self.thickness:g} m; if it is in mm, give {self.thickness / 1e3:g}"
+                f"thickness must be at most length and width, as of a plate, got {self.thickness:g} m; if it is in mm, "
+                f"give {self.thickness / 1e3:g}"
             )
         self._require_modes()
         self._require_shapes()
