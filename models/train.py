@@ -2,7 +2,7 @@
 
     python models/train.py -n 60000 --selection 2000   # models/default.npz, default.md and its pictures
     python models/train.py --drop-height          # with known drop height, without corners: default-drop-height.npz
-    python models/train.py --acceleration         # for the vibration of a tail beam: default-acceleration.npz
+    python models/train.py --acceleration -n 44000 --selection 2000   # for vibrations: default-acceleration.npz
     python models/train.py --seams                # the same with its simulated seams and recordings anew
     python models/train.py --finish -n 5000       # that of acceleration with its guards and all its streams anew
     python models/train.py -o mine.npz -n 20000   # elsewhere, smaller
@@ -16,9 +16,9 @@ and says how the model performs on other scenes (`models/domain_shift.py`).
 
 The model of acceleration looks through the beam of `tail_beam` at the contact force. It trains on blows all over that
 beam (`EVERYWHERE`), in many noises (`BEAM_RIGS`), and on impacts as found in streams like `caving`, where rocks
-bounce, overlap and ring; on rocks of `corners` and lumps of 10 to 30 cm, too (`other_rocks`), which its version 3 did
-not. It is judged on the blows of `tail_beam`, and finished on further streams (`cgid.learning.streams`). Its card
-compares it with a model of force on the same impacts (`models/beside_force.py`).
+bounce, overlap and ring; on rocks of `corners` and lumps of 10 to 30 cm, too (`other_rocks`). It is judged on the blows
+of `tail_beam`, and finished on further streams (`cgid.learning.streams`). Its card compares it with a model of force on
+the same impacts (`models/beside_force.py`).
 """
 
 import argparse

@@ -215,7 +215,8 @@ class ContactFit:
         both = np.where(first == second, 2.0, 4.0) * information[:, first, second]
         gained = np.maximum(vector.astype(np.float32) @ bank, 0)
         gained *= gained
-        gained /= np.maximum(both.astype(np.float32) @ products, 1e-30)
+        with np.errstate(over="ignore"):  # a beam that hardly responds, as a damaged model may have
+            gained /= np.maximum(both.astype(np.float32) @ products, 1e-30)
         gained -= prior
         gained = gained.reshape(len(gained), len(at), -1)
         best = np.argmax(gained, axis=2)
