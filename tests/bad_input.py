@@ -556,6 +556,7 @@ _COMMANDS = r"""
 65 | predict good.csv --class-conditional | --coverage
 65 | predict good.csv --channel 7 | 7
 65 | predict two.h5 --index 64 | index
+2 | predict two.h5 --index -1 | --index
 65 | predict good.csv --index 0 | --index
 65 | predict two.h5 --unit V | --unit
 65 | predict good.csv --dead-time -1 | --dead-time

@@ -104,9 +104,12 @@ def test_dataset_by_index(dataset: cgid.Dataset) -> None:
     assert len(list(dataset)) == len(dataset) == len(signals)
     for index in (0, 24, 25, 59, -1, -60, np.int64(7)):
         np.testing.assert_array_equal(dataset[index].samples, signals[index])
+        np.testing.assert_array_equal(dataset.impact(index).signals[0], signals[index])
+        assert dataset.signal(index).source == dataset[index % 60].source
     for index in (60, -61):
-        with pytest.raises(InvalidValue, match="index must be"):
-            dataset[index]
+        for read in (dataset.__getitem__, dataset.impact, dataset.signal):
+            with pytest.raises(InvalidValue, match="index must be"):
+                read(index)
     with pytest.raises(InvalidValue, match="batches"):
         dataset[1:3]  # type: ignore[index]
 

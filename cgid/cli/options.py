@@ -383,7 +383,7 @@ _READING: dict[str, Callable[[Any], Any]] = {
         metavar="NAME",
         help="Read recordings as this format, such as WAV, text, or the reader of a package; by default detected.",
     ),
-    "index": click.option("--index", type=int, help="Read only this signal of a dataset, counted from 0."),
+    "index": click.option("--index", type=click.IntRange(min=0), help="Read only this signal of a dataset, from 0."),
     "invert": click.option("--invert", is_flag=True, help="Invert the signal; impacts must point upwards."),
     "milliseconds": click.option(
         "--dead-time",

@@ -152,9 +152,7 @@ class Dataset:
         """Return one signal; a negative index counts from the end."""
         if isinstance(index, slice):
             raise InvalidValue(f"{self.path}: index must be one number, got a slice; batches() yields several signals")
-        n_signals = len(self)
-        index = validation.whole(f"{self.path}: index", index, -n_signals, n_signals - 1)
-        return self.signal(index + n_signals if index < 0 else index)
+        return self.signal(index)
 
     def _repr_html_(self) -> str:
         header = self.header
@@ -281,7 +279,7 @@ class Dataset:
         Parameters
         ----------
         index : int
-            Number of the signal, from 0.
+            Number of the signal, from 0; a negative one counts from the end.
 
         Returns
         -------
@@ -291,9 +289,9 @@ class Dataset:
         Raises
         ------
         InvalidValue
-            The index is negative, or not below the number of signals.
+            There is no such signal.
         """
-        index = validation.whole(f"{self.path}: index", index, 0, len(self) - 1)
+        index = validation.whole(f"{self.path}: index", index, -len(self), len(self) - 1) % len(self)
         number = bisect_right(list(accumulate(self._counts)), index)
         row = index - sum(self._counts[:number])
         (batch,) = self._read(number, row, row + 1, 1)
@@ -305,7 +303,7 @@ class Dataset:
         Parameters
         ----------
         index : int
-            Number of the signal, from 0.
+            As `impact`.
 
         Returns
         -------
@@ -316,7 +314,7 @@ class Dataset:
         InvalidValue
             As `impact`.
         """
-        return self._named(self.impact(index).signals[0], index)
+        return self._named(self.impact(index).signals[0], index % len(self))
 
     def _named(self, samples: NDArray[Any], index: int) -> Signal:
         return Signal(
