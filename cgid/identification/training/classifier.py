@@ -291,8 +291,9 @@ class ImpactClassifier(ClassifierMixin, BaseEstimator):  # type: ignore[misc]
         groups : array_like, (n_impacts,), optional
             Number of the specimen of each impact; those of one specimen stay together.
         sample_weight : array_like, (n_impacts,), optional
-            Weight of each impact, 0 or more, times that of its class. The training range has no weights: an impact is
-            in it or not.
+            Weight of each impact, 0 or more, times that of its class. A weight of 2 is not a row given twice where
+            rows are counted: in the shrinkage of "linear", the leaves of "boosting", the folds of the calibration and
+            the training range.
         workers : Workers, optional
             Processes for the fits, in place of `n_jobs`.
 
