@@ -17,6 +17,7 @@ import cgid
 from cgid import shipped
 from cgid.cli.main import run
 from cgid.errors import BadData, CannotCreate, InvalidValue, MissingOption
+from cgid.identification.model.model import stored
 from cgid.identification.training import Training, train_on_specimens
 from cgid.impactor import population_of
 from cgid.physics import STEEL, YANG2018_SPHERES
@@ -378,6 +379,17 @@ def test_a_model_shows_what_users_need(training: Training) -> None:
     assert [name for name in dir(cgid.Model) if not name.startswith("_")] == ["inputs", *METHODS]
     with pytest.raises(InvalidValue, match="load_model"):
         cgid.identification.prediction.identify_frames(np.zeros((1, 64)), 1e5, "default", pre_trigger=8)
+
+
+def test_models_of_the_same_content_are_equal(training: Training, tmp_path: Path) -> None:
+    path = training.model.save(tmp_path / "model.npz")
+    one, two = cgid.load_model(path), cgid.load_model(path)
+    assert one == two == training.model and hash(one) == hash(two) and len({one, two}) == 1
+    arrays = stored(one).arrays
+    moved = arrays | {"family.intercepts": arrays["family.intercepts"] + 1.0}
+    for other in (replace(stored(one), arrays=moved), replace(one, training={}), training, None):
+        assert one != other
+    assert training != replace(training, test_probabilities=training.test_probabilities.copy())  # no ValueError
 
 
 def test_model_and_training_are_saved(training: Training, tmp_path: Path) -> None:

@@ -32,7 +32,7 @@ _ROWS, _MAX_NODES = 512, 4096
 FAMILY_LIMIT = 2.5
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Estimates:
     """Fitted damped-Hertz pulses, one per row, in the unit of the signal and seconds.
 
@@ -76,7 +76,7 @@ class Estimates:
         return np.asarray(self.misfit <= FAMILY_LIMIT)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Posterior:
     """Posterior of the restitution of each pulse.
 

@@ -45,6 +45,7 @@ from cgid.identification.model.model_file import (
     check_names,
     check_numbers,
     check_training,
+    digest,
     fields_of,
     read_header,
     signed,
@@ -130,9 +131,9 @@ def level_weights(
     return weights, deviation
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Model(ABC):
-    """A trained model, as `cgid.load_model` and training return it.
+    """A trained model, as `cgid.load_model` and training return it; two of the same content are equal.
 
     Attributes
     ----------
@@ -232,7 +233,7 @@ class Model(ABC):
         """
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class StoredModel(Model):
     """The content of a model file, and what predictions compute from it: every `Model` is one.
 
@@ -278,6 +279,18 @@ class StoredModel(Model):
         # They check their arrays.
         _ = self._classifier, self.conformal, self.contrast, self.beam, self.confusion, self.seams, self.world
         _ = self._level_weights
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, StoredModel):
+            return NotImplemented
+        return self.estimator is other.estimator and self._digest == other._digest
+
+    def __hash__(self) -> int:
+        return hash(self._digest)
+
+    @cached_property
+    def _digest(self) -> str:
+        return digest(self.header, self.arrays)
 
     def _repr_html_(self) -> str:
         metrics, (low, high) = self.training.get("metrics", {}), self.sampling_rates

@@ -77,7 +77,7 @@ class Shift:
         return softmax(self.slope * logs + self.bias)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Correction:
     """A corrected model, and its accuracy and that of the original model."""
 

@@ -89,7 +89,7 @@ MAX_LIMITS, LEFT_TO_CONTRAST = {"unexplained": MAX_UNEXPLAINED}, 4.0
 MIN_CALIBRATION_SPECIMENS = 20
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Training:
     """A trained model, its metrics, and its predictions for the test rows.
 
