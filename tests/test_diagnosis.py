@@ -26,6 +26,7 @@ from cgid.cli.hints import OWN_SCENE, Hints
 from cgid.cli.main import run
 from cgid.identification.model.model import StoredModel
 from cgid.identification.model.model_file import LEVELS
+from cgid.identification.model.world import Misfit, MisfitPart
 from cgid.identification.prediction import Answer, PredictionSettings, identify_frames
 from cgid.identification.prediction.diagnosis import (
     Cause,
@@ -35,7 +36,10 @@ from cgid.identification.prediction.diagnosis import (
     Diagnosis,
     Hint,
     _factor_of,
+    misfit_text,
+    scale_warning,
 )
+from cgid.identification.prediction.prediction import read_model
 from cgid.identification.prediction.stream import identify_blocks
 from cgid.identification.training import train_on_specimens
 from cgid.identification.training.grouped import level_range
@@ -194,6 +198,17 @@ def test_each_cause_has_a_text() -> None:
     # Too weak to measure; the shape through a beam; channels of a beam; levels that are not those of the training.
     more = {"hidden", "other_beam", "same_beam", "scale"}
     assert set(texts) == {*CauseKind, *more}
+
+
+@pytest.mark.parametrize(
+    ("factor", "told"), [(1.04, "1.04"), (0.97, "0.97"), (1.8, "1.8"), (0.1, "0.1"), (162.3, "160")]
+)
+def test_any_factor_is_told_in_words_that_are_right(factor: float, told: str) -> None:
+    model = read_model("default")
+    assert f"about {told} times as large as in the training" in scale_warning(factor, model)
+    for part, word in ((MisfitPart.SCALE, "large"), (MisfitPart.SIZES, "large"), (MisfitPart.SEAM, "hard")):
+        text = misfit_text(Misfit(part, 50, factor), model)
+        assert f"about {told} times as {word}" in text and text.endswith("(told of at most 1 % of recordings that are)")
 
 
 def test_causes_add_up_to_the_distance() -> None:
@@ -621,7 +636,7 @@ def test_a_wrong_scale_is_told_from_ten_impacts_on(model: str) -> None:
     assert ("9.81" in text) == (model == "default-acceleration")
     assert 6 < float(text.partition("about ")[2].split()[0]) < 16
     small = level_of(model, own_answers(model, 0.102))
-    assert small is not None and "small" in small
+    assert small is not None and 0.06 < float(small.partition("about ")[2].split()[0]) < 0.16
 
 
 # -- the level of models of labelled recordings ----------------------------------------------------------

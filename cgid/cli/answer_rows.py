@@ -118,7 +118,7 @@ class AnswerLines:
     def turn(self, source: str, name: str, state: SupportState, turn: Switch, costs: Mapping[str, float]) -> None:
         """Print that continuing costs more than shutting, or less again."""
         word, side = ("SHUT", "above") if turn.shut else ("OPEN", "below")
-        share, limit, sure = turn.share, 1 / (1 + costs["dilution_cost"]), f"{turn.evidence:.1%} sure"
+        share, limit, sure = turn.share, 1 / (1 + costs["dilution_cost"]), f"{min(turn.evidence, 0.999):.1%} sure"
         why = f"{'going on' if turn.shut else 'staying shut'} is expected to lose {abs(turn.cost):.2f} coal a rock"
         if not turn.shut:
             why += f", as shut too early costs {costs['cost_early']:g} where too late costs {costs['cost_late']:g}"

@@ -13,7 +13,15 @@ import numpy as np
 
 from cgid.cli.options import untold_beams
 from cgid.identification.model.world import Misfit, MisfitPart
-from cgid.identification.prediction.diagnosis import CauseKind, Diagnosis, Hint, InWords, misfit_text, scale_warning
+from cgid.identification.prediction.diagnosis import (
+    CauseKind,
+    Diagnosis,
+    Hint,
+    InWords,
+    misfit_text,
+    scale_warning,
+    times,
+)
 from cgid.units import UNITS
 
 if TYPE_CHECKING:
@@ -126,9 +134,7 @@ class Hints(Diagnosis):
             "kind": self._kind,
             "what": "parts of recordings" if self._kind == "window" else "impacts",
             "rate": self._rate,
-            "times": _times(value) if value > 0 else "",
-            "strong": "strong" if value > 1 else "weak",
-            "long": "long" if value > 1 else "short",
+            "times": times(value),
             "units": ", ".join(_spellings(model.quantity)),
             "correct_rate": self._correction("--rate"),
             "correct_unit": self._correction("--unit"),
@@ -317,11 +323,6 @@ def _without(options: Sequence[str], dropped: Sequence[str]) -> list[str]:
         if flag not in dropped:
             remaining.append(option)
     return remaining
-
-
-def _times(factor: float) -> str:
-    """Return how many times larger or smaller: one digit, because only powers of 10^(1/4) are tried."""
-    return f"{float(f'{max(factor, 1 / factor):.1g}'):.0f}"
 
 
 def _spellings(quantity: str) -> list[str]:

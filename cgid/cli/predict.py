@@ -259,7 +259,7 @@ class _Tally:
             return text
         answered = n_impacts - self.unknown
         others = counted(answered, "other answer")
-        right = f", {self.answered_right / answered:.4f} of the {others} are right" if answered else ""
+        right = f", {self.answered_right / answered:.4f} of {others} right" if answered else ""
         return f"{text}{right}; prediction sets contain the truth in {self.covered / self.measured:.4f}"
 
 

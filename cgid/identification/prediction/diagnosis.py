@@ -662,35 +662,39 @@ def upper_end(levels: Floats, deviation: float) -> float:
     return float(clipped.mean() + clipped.std())
 
 
+def times(factor: float) -> str:
+    """Return a factor above or below 1 in words.
+
+    >>> times(1.04), times(0.31), times(162.3)
+    ('1.04 times', '0.31 times', '160 times')
+    """
+    return f"{float(f'{factor:.{2 + (0.95 < factor < 1.95)}g}'):g} times"
+
+
 def scale_warning(factor: float, model: StoredModel) -> str:
     """Return one line with both explanations of levels that are not those of the training."""
-    size = max(factor, 1 / factor)
-    is_like_g = model.quantity == "acceleration" and _LIKE_G[0] < size < _LIKE_G[1]
+    is_like_g = model.quantity == "acceleration" and _LIKE_G[0] < max(factor, 1 / factor) < _LIKE_G[1]
     as_g = " (g taken for m/s^2 or the other way round is a factor of 9.81)" if is_like_g else ""
     what = "forces" if model.kind == "pulse" or model.beam is not None else "signals"
     return (
-        f"the {what} are about {size:.2g} times as {'large' if factor > 1 else 'small'} as in the training: the scale "
-        f"of the samples is wrong{as_g}, or the rocks are of other sizes, drop heights or mixture; check unit, "
-        "sensitivity, gain and full scale"
+        f"the {what} are about {times(factor)} as large as in the training: the scale of the samples is wrong{as_g}, "
+        "or the rocks are of other sizes, drop heights or mixture; check unit, sensitivity, gain and full scale"
     )
 
 
 def misfit_text(misfit: Misfit, model: StoredModel) -> str:
     """Return in words what of a recording does not fit, and how sure that is."""
     what = ", or ".join(map(_part_text, (misfit, *misfit.others)))
-    sure = f" (said of at most {model.world.rate:.2g} of those that are)" if model.world is not None else ""
+    sure = "" if model.world is None else f" (told of at most {100 * model.world.rate:.2g} % of recordings that are)"
     return f"its first {misfit.n_impacts} impacts are not like those of a recording of the training: {what}{sure}"
 
 
 def _part_text(misfit: Misfit) -> str:
-    size = max(misfit.factor, 1 / misfit.factor) if misfit.factor > 0 else float("nan")
-    more = misfit.factor > 1
+    size, touch = times(misfit.factor), "faces" if misfit.factor > 1 else "corners"
     return {
-        MisfitPart.SCALE: f"all forces are about {size:.2g} times as {'large' if more else 'small'}",
-        MisfitPart.SIZES: f"impulses are about {size:.2g} times as {'large' if more else 'small'}, of other sizes or "
-        "falls",
-        MisfitPart.SEAM: f"the rocks are about {size:.2g} times as "
-        + ("hard, or touch with faces" if more else "soft, or touch with corners"),
+        MisfitPart.SCALE: f"all forces are about {size} as large",
+        MisfitPart.SIZES: f"impulses are about {size} as large, of other sizes or falls",
+        MisfitPart.SEAM: f"the rocks are about {size} as hard, or touch with {touch}",
         MisfitPart.BEAM: "more is unexplained, as on another beam, with a sensor at another place, or of large rocks",
         MisfitPart.NOISE: "the noise is another",
     }[misfit.part]

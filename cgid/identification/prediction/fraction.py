@@ -497,7 +497,7 @@ class HeldOut(NamedTuple):
     def __str__(self) -> str:
         """Return why it proves nothing."""
         return (
-            f"it called {self.gangue:.2f} of the gangue of its test gangue, and {self.others:.2f} of the rest "
+            f"it took {self.gangue:.2f} of the gangue of its test for gangue, and {self.others:.2f} of the rest "
             f"(difference {self.low:.2f} to {self.high:.2f})"
         )
 
