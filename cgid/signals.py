@@ -14,6 +14,7 @@ from cgid import units
 from cgid._lib import validation
 from cgid._lib.lazy import picture_of
 from cgid._lib.notebook import counts_text, facts_table
+from cgid._lib.terminal import counted
 from cgid._lib.validation import Floats, rates_agree, require_rate
 from cgid.errors import BadData, InvalidValue
 
@@ -283,7 +284,7 @@ class Batch:
         return len(self.signals)
 
     def __repr__(self) -> str:
-        size = f"{len(self)} signals of {self.signals.shape[-1]} samples"
+        size = f"{counted(len(self), 'signal')} of {self.signals.shape[-1]} samples"
         return f"Batch({size} at {self.sampling_rate:g} Hz [{self.unit}]: {counts_text(self.counts) or 'no labels'})"
 
     def _repr_html_(self) -> str:

@@ -151,6 +151,31 @@ def test_long_signal_keeps_its_extremes() -> None:
     matplotlib.pyplot.close("all")
 
 
+def batch_of(signals: np.ndarray) -> cgid.Batch:
+    return cgid.Batch(signals=signals, sampling_rate=1e5, unit="N", pre_trigger=0)
+
+
+def test_odd_objects_are_drawn_or_refused() -> None:
+    """No warning, and nothing drawn that is not there: without labels, of two sensors, of one sample, of none."""
+    rng = np.random.default_rng(1)
+    plain, several = batch_of(rng.normal(size=(3, 40))), batch_of(rng.normal(size=(3, 2, 40)))
+    assert plain.plot().get_legend() is None
+    drawn = [line.get_ydata() for line in several.plot().lines]
+    np.testing.assert_array_equal(drawn, several.signals.reshape(6, 40))
+    labelled = replace(several, labels=np.array(["coal", "coal", "gangue"]))
+    assert [text.get_text() for text in labelled.plot().get_legend().get_texts()] == ["coal", "gangue"]
+    assert cgid.Signal([1.0], 1e5, "N").plot().lines[0].get_marker() == "."
+    with pytest.raises(InvalidValue, match="must have a signal to be drawn, it has none"):
+        batch_of(np.empty((0, 40))).plot()
+    matplotlib.pyplot.close("all")
+
+
+def test_texts_of_odd_objects_are_right(dataset: cgid.Dataset) -> None:
+    assert repr(dataset.impact(0)).startswith("Batch(1 signal of ")
+    assert "force [N] at a random rate" in cgid.load_scene("randomised")._repr_html_()
+    assert "[m/s^2] at 25600 Hz<" in stored(cgid.load_model("default-acceleration"))._repr_html_()
+
+
 def test_many_impacts_are_not_drawn() -> None:
     impact = cgid.Impact(
         sphere=cgid.Sphere(material=YANG2018_SPHERES[1], radius=np.full(201, 0.02)),

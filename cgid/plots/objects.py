@@ -32,7 +32,8 @@ def plot_signal(signal: Signal, axes: Any = None) -> Any:
     """Draw a signal over time."""
     axes, short = _axes(axes), signal.duration <= _SHORT
     times, samples = _thinned(signal.samples)
-    axes.plot(times / signal.sampling_rate * (1e3 if short else 1.0), samples, lw=0.8, color=NEUTRAL)
+    marker = "." * (samples.size == 1)  # a line of one point is nothing
+    axes.plot(times / signal.sampling_rate * (1e3 if short else 1.0), samples, marker, lw=0.8, color=NEUTRAL)
     axes.set(xlabel=f"time [{'ms' if short else 's'}]", ylabel=_quantity(signal.unit), title=plain(signal.name))
     return axes
 
@@ -55,17 +56,19 @@ def plot_batches(batches: Iterable[Batch], n: int, title: str, axes: Any = None)
     drawn: dict[str, list[tuple[NDArray[Any], NDArray[Any]]]] = {}
     batch = None
     for batch in batches:
-        times = (np.arange(batch.signals.shape[1]) - batch.pre_trigger) / batch.sampling_rate * 1e3
+        times = (np.arange(batch.signals.shape[-1]) - batch.pre_trigger) / batch.sampling_rate * 1e3
         for label in np.unique(batch.labels).tolist():
             lines = drawn.setdefault(label, [])
             lines += [(times, row) for row in batch.signals[batch.labels == label][: n - len(lines)]]
-    if batch is None:
+    if batch is None or not drawn:
         raise InvalidValue(f"{title}: must have a signal to be drawn, it has none")
     for label, colour in colours_of(drawn).items():
         for number, (times, row) in enumerate(drawn[label]):
-            axes.plot(times, row, color=colour, lw=0.8, alpha=0.6, label=None if number else label)
+            line, *_ = axes.plot(times, row.T, color=colour, lw=0.8, alpha=0.6)  # of each sensor
+            line.set_label("" if number else label)
     axes.set(xlabel="time after onset [ms]", ylabel=_quantity(batch.unit), title=plain(title))
-    axes.legend()
+    if any(drawn):
+        axes.legend()
     return axes
 
 

@@ -144,7 +144,7 @@ class Dataset:
 
     def __repr__(self) -> str:
         return (
-            f"Dataset({str(self.path)!r}: {len(self)} signals of {self.header.n_samples} samples at "
+            f"Dataset({str(self.path)!r}: {counted(len(self), 'signal')} of {self.header.n_samples} samples at "
             f"{self.sampling_rate:g} Hz [{self.unit}])"
         )
 

@@ -293,11 +293,11 @@ class StoredModel(Model):
         return digest(self.header, self.arrays)
 
     def _repr_html_(self) -> str:
-        metrics, (low, high) = self.training.get("metrics", {}), self.sampling_rates
+        metrics = self.training.get("metrics", {})
         facts = {
             "labels": ", ".join(self.labels),
             "inputs": f"{len(self.inputs)}, such as {self.inputs[0]}",
-            "signals": f"{self.quantity} [{self.unit}] at {low:g} to {high:g} Hz",
+            "signals": f"{self.quantity} [{self.unit}] at {self._rates}",
             "trained on": f"{self.training.get('n_train', 'some')} {self.kind}s",
         }
         if isinstance(metrics.get("accuracy"), float):
@@ -307,15 +307,18 @@ class StoredModel(Model):
     def __repr__(self) -> str:
         n_more = len(self.inputs) - 4
         inputs = ", ".join(self.inputs[:4]) + (f" and {n_more} more" if n_more > 0 else "")
-        low, high = self.sampling_rates
-        rates = f"{low:g}" if low == high else f"{low:g} to {high:g}"
         accuracy = self.training.get("metrics", {}).get("accuracy")
         accuracy_text = f", accuracy {accuracy:.3f}" if isinstance(accuracy, float) else ""
         return (
             f"Model({self.family}: {', '.join(self.labels)} from {inputs};\n"
             f"      trained on {self.training.get('n_train', 'some')} {self.kind}s of {self.quantity} [{self.unit}] at "
-            f"{rates} Hz{accuracy_text})"
+            f"{self._rates}{accuracy_text})"
         )
+
+    @property
+    def _rates(self) -> str:
+        low, high = self.sampling_rates
+        return f"{low:g} Hz" if low == high else f"{low:g} to {high:g} Hz"
 
     @property
     def quantity(self) -> str:

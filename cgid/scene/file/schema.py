@@ -130,18 +130,20 @@ class Scene(Section):
         size = f"frames of {samples_of(self)} samples"
         if self.stream is not None:
             size = f"a recording of {self.stream.duration:g} s"
-        rate = "a random rate" if self.draws("sampling_rate") else f"{self.sampling.sampling_rate:g} Hz"
-        return f"Scene({self.name!r}: {sources}; {size} at {rate} [{self.sensor.unit}])"
+        return f"Scene({self.name!r}: {sources}; {size} at {self._rate} [{self.sensor.unit}])"
 
     __str__ = __repr__
 
+    @property
+    def _rate(self) -> str:
+        return "a random rate" if self.draws("sampling_rate") else f"{self.sampling.sampling_rate:g} Hz"
+
     def _repr_html_(self) -> str:
-        sampling = self.sampling
         facts = {
             "description": self.description,
             "labels": ", ".join(self.labels),
             "target": "tail beam" if self.tail_beam is not None else "half space or plate",
-            "sensor": f"{self.sensor.quantity} [{self.sensor.unit}] at {sampling.sampling_rate:g} Hz",
+            "sensor": f"{self.sensor.quantity} [{self.sensor.unit}] at {self._rate}",
             "recording" if self.stream is not None else "frames": (
                 f"{self.stream.duration:g} s" if self.stream is not None else f"{samples_of(self)} samples"
             ),
