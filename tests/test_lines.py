@@ -253,6 +253,8 @@ def test_the_warning_names_the_channel_and_a_cure() -> None:
     (line,) = answers(samples[None])[1]
     assert line.startswith("signal: tones of a machine begin, end or move")
     assert "--no-lines" in line
+    (line,) = answers((noise(40) + rings(n, 4.0, damping=0.005)[0] + tone(n, 297.0))[None])[1]
+    assert "or the beam rings long beside them" in line  # the machine is steady
     assert not answers(samples[None], lines=False)[1]
 
 
@@ -276,6 +278,7 @@ def test_tones_are_noted_however_long_the_blocks_are(size: int) -> None:
         steps = list(identify_blocks(blocks, RATE, model, ["1"], PredictionSettings(lines=lines), "belt"))
         (note,) = (note for step in steps for note in step.notes)
         assert note.startswith("belt: tones of a machine are taken out")
+        assert "where no machine runs and the beam rings long" in note
 
 
 def test_a_machine_is_heard_each_time_it_begins() -> None:

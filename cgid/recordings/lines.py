@@ -35,7 +35,8 @@ _LOWEST, _WIDTH = 20.0, 4.0
 #: A line is a tone where in so many successive frames (2.25 s) its power is steady, as all but one have this share of
 #: the mean at least, and so is the change of its advance of phase from frame to frame, by the length of its mean
 #: direction: in streams without tones at most .81 where modes have .2 % of damping or more, beside as steady a power,
-#: .94 with .1 %; with tones .99. After so many frames without any (a minute), no machine runs.
+#: .94 with .1 % (in two of twelve minutes with 16 to 30 rocks a second, more); with tones .99. After so many frames
+#: without any (a minute), no machine runs.
 _N_STEADY, _STEADY, _COHERENT, _N_SILENT = 8, 0.7, 0.96, 240
 #: In a recording with a machine from the start, lines go from the frame that begins so late on [s].
 HEARD_AFTER = (_N_STEADY - 1) * FRAME_TIME / 2

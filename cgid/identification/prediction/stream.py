@@ -56,10 +56,14 @@ _NEVER_QUIET = (
 )
 _QUIET_AGAIN = "there are quiet moments again"
 _UNSTEADY = (
-    "tones of a machine begin, end or move too fast to be taken out in full, so the gangue fraction may be wrong while "
-    "they do; move the sensor away from the machine, or keep tones with --no-lines"
+    "tones of a machine begin, end or move too fast to be taken out in full, or the beam rings long beside them, so "
+    "the gangue fraction may be wrong while they do; move the sensor away from the machine, or keep tones with "
+    "--no-lines"
 )
-_TONES = "tones of a machine are taken out, the strongest at {:.0f} Hz; --no-lines keeps them"
+_TONES = (
+    "tones of a machine are taken out, the strongest at {:.0f} Hz; --no-lines keeps them, as where no machine runs and "
+    "the beam rings long"
+)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
