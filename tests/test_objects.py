@@ -18,6 +18,7 @@ from cgid import shipped
 from cgid.cli.main import run
 from cgid.errors import BadData, CannotCreate, InvalidValue, MissingOption
 from cgid.identification.model.model import stored
+from cgid.identification.prediction.answers import unmeasured
 from cgid.identification.training import Training, train_on_specimens
 from cgid.impactor import population_of
 from cgid.physics import STEEL, YANG2018_SPHERES
@@ -174,6 +175,8 @@ def test_texts_of_odd_objects_are_right(dataset: cgid.Dataset) -> None:
     assert repr(dataset.impact(0)).startswith("Batch(1 signal of ")
     assert "force [N] at a random rate" in cgid.load_scene("randomised")._repr_html_()
     assert "[m/s^2] at 25600 Hz<" in stored(cgid.load_model("default-acceleration"))._repr_html_()
+    assert repr(unmeasured("it is cut off", 0.12)) == "Answer(unknown at 0.12 s: not measured; it is cut off)"
+    assert repr(cgid.estimate_impactors(dataset.impact(0), among="reference")).startswith("ImpactorEstimates(1 impact,")
 
 
 def test_many_impacts_are_not_drawn() -> None:

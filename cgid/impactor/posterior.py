@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid._lib import validation
+from cgid._lib.terminal import counted
 from cgid._lib.validation import Floats
 from cgid.errors import InvalidValue
 from cgid.impactor.measured import MeasuredPulses
@@ -75,7 +76,7 @@ class ImpactorEstimates:
 
     def __repr__(self) -> str:
         known = int(np.isfinite(self.quantiles["mass"][:, 0]).sum())
-        return f"ImpactorEstimates({len(self)} impacts, {known} with intervals of {', '.join(QUANTITIES)})"
+        return f"ImpactorEstimates({counted(len(self), 'impact')}, {known} with intervals of {', '.join(QUANTITIES)})"
 
     def quantile(self, quantity: str, probability: float) -> Floats:
         """Return a quantile (.005 to .995) of the mass [kg], radius [m] or speed [m/s] of each impact, (n,).

@@ -105,12 +105,11 @@ class Answer:
     impactor: Mapping[str, Any] | None = None
 
     def __repr__(self) -> str:
-        probabilities = (
-            ", ".join(f"p({label}) {value:.3f}" for label, value in self.probabilities.items()) or "not measured"
-        )
+        numbers = [f"p({label}) {value:.3f}" for label, value in self.probabilities.items()]
+        measured = ", ".join([*numbers, f"novelty {self.novelty:.3g}"]) if numbers else "not measured"
         where = f"{self.time:.6g} s" if self.channel == "1" else f"{self.time:.6g} s of channel {self.channel}"
         reason = f"; {self.problem}" if self.problem else ""
-        return f"Answer({self.label} at {where}: {probabilities}, novelty {self.novelty:.3g}{reason})"
+        return f"Answer({self.label} at {where}: {measured}{reason})"
 
     @property
     def probability(self) -> float:
