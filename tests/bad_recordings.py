@@ -155,7 +155,6 @@ RECORDING_CASES: tuple[tuple[str, tuple[str, ...], int, tuple[str, ...]], ...] =
     ("stream of odd numbers", ("monitor", "half.raw", *_RAW[:5], "s17le"), 65, ("s16le", "'s17le'")),
     ("stream of no channels", ("monitor", "half.raw", "--channels", "0"), 65, ("--channels", "got 0")),
     ("stream of too many", ("monitor", "half.raw", "--channels", "5000"), 65, ("--channels", "at most 4096")),
-    ("stream at another rate", ("monitor", "blow.wav", "--unit", "g", "--rate", "48000"), 65, ("25600 Hz", "--rate")),
     ("address of no port", ("monitor", "half.raw", *_RAW, "--modbus", "plc"), 65, ("--modbus", "HOST:PORT", "'plc'")),
     ("port too high", ("monitor", "half.raw", *_RAW, "--prometheus", ":70000"), 65, ("--prometheus", "1 to 65535")),
     ("page of another kind", ("monitor", "half.raw", *_RAW, "--live", "page.pdf"), 65, ("--live", "a file .html")),

@@ -179,6 +179,11 @@ def test_a_wrong_sampling_rate_is_told_by_the_true_one() -> None:
     assert hint.cause == "sampling_rate"
     assert "at 25600 Hz they would be inside" in hint.line
     assert hint.commands == ("cgid predict x.csv --unit g --mass 2 --rate 25600",)
+    # As well if the file states the wrong rate, but not of a dataset.
+    hints._options, hints._labelled = ("--unit", "g"), False
+    assert hints.hints()[0].commands == hint.commands
+    hints._labelled = True
+    assert hints.hints()[0].commands == () and "correct it in the file" in hints.hints()[0].line
 
 
 @pytest.mark.parametrize("model", [PULSES, BEAM])

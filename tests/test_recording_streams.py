@@ -218,6 +218,19 @@ def test_wav_that_contradicts_itself_is_told(write, content, word):
     assert [word in warning for warning in recording.warnings] == [True]
 
 
+@pytest.mark.parametrize("content", [wav_file(WORDS.tobytes()), wav_file(b"ab").replace(b"\xe8\x03", b"\0\0")])
+def test_a_given_rate_is_used_instead_of_a_wrong_one_of_the_header_and_told(write, content):
+    path = write(content)
+    for recording in (open_recording(path, sampling_rate=1024), live_stream(io.BytesIO(content), sampling_rate=1024)):
+        assert recording.sampling_rate == 1024
+        assert ["Hz; 1024 Hz is used, as given" in warning for warning in recording.warnings][-1:] == [True]
+    if b"\xe8\x03" in content:
+        assert open_recording(path, sampling_rate=1000.5).warnings == ()
+    else:
+        with pytest.raises(BadData, match="states 0 Hz; give it with --rate HZ"):
+            open_recording(path)
+
+
 def test_absurd_headers_take_no_memory(write):
     content = bytearray(wav_file(WORDS.tobytes(), size=4_000_000_000))
     assert read_recording(write(content))[0].samples.size == 100

@@ -173,8 +173,7 @@ class Hints(Diagnosis):
             case CauseKind.UPSIDE_DOWN:
                 ways = [self._turned()]
             case CauseKind.SAMPLING_RATE:
-                is_open = "--rate" in self._options
-                ways = [(self._predict("--rate", f"{finding.value:g}"),) if is_open else ()]
+                ways = [() if self._labelled else (self._predict("--rate", f"{finding.value:g}"),)]
             case CauseKind.AMPLITUDE:
                 ways = [self._in_other_unit(finding.value)]
             case CauseKind.CHAIN:
@@ -229,10 +228,11 @@ class Hints(Diagnosis):
         return (self._predict("--unit", nearest),) if away[nearest] < _SAME_UNIT else ()
 
     def _correction(self, flag: str) -> str:
-        """Return how to correct a value: by the option, or in the file, which no option may contradict."""
+        """Return how to correct a value: by the option, or in the file, whose unit no option may contradict."""
         if self._is_converted(flag):
             flag = "--sensitivity"
-        return f"correct it with {flag}" if flag in self._options else "correct it in the file"
+        is_open = flag in self._options or (flag == "--rate" and not self._labelled)
+        return f"correct it with {flag}" if is_open else "correct it in the file"
 
     def _is_converted(self, flag: str) -> bool:
         """Return whether a flag is the unit of volts, which a sensitivity converts."""

@@ -364,7 +364,10 @@ laws_option, given_laws_option = _laws_option(expose_value=False), _laws_option(
 #: Options for reading a recording: field of `ReadingOptions` -> option.
 _READING: dict[str, Callable[[Any], Any]] = {
     "sampling_rate": click.option(
-        "--rate", "sampling_rate", type=float, help="Set the sampling rate [Hz] if the file does not state it."
+        "--rate",
+        "sampling_rate",
+        type=float,
+        help="Set the sampling rate [Hz] if the file does not state it, or states a wrong one.",
     ),
     "unit": click.option(
         "--unit",

@@ -255,8 +255,8 @@ def open_recording(
     path : str or Path
         The file; "-" is the standard input.
     sampling_rate : float, optional
-        [Hz]; required if the file does not state it. If both do, they must agree to 0.1 %, and this one, which is not
-        rounded, is used.
+        [Hz]; required if the file does not state it. If both do, this one is used, with a warning if they differ
+        by more than 0.1 %.
     unit : str, optional
         Unit of the numbers if the file does not state it; nothing is converted. "1=N, beam=m/s^2" gives those of single
         channels, by number or name.

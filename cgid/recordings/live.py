@@ -127,7 +127,8 @@ def live_stream(
                 )
         contents = _contents(head.n_channels, head.coding, "FS", head.sampling_rate)
         size = head.data_size if 0 < head.data_size < ENDLESS else None
-        about: dict[str, Any] = {"coding": head.coding, "size": size, "warnings": head.warnings}
+        contents.warnings.extend(head.warnings)
+        about: dict[str, Any] = {"coding": head.coding, "size": size}
     else:
         whole = _FILES.get(start) or _named_format(source) or ("text" if coding is None and _is_text(start) else None)
         if whole is not None:
@@ -149,6 +150,7 @@ def live_stream(
         channels=[Channel(name=str(k), unit=link.unit, origin=link.origin) for k, link in enumerate(links, 1)],
         factors=[link.factor for link in links],
         source=source,
+        warnings=contents.warnings,
         **about,
     )
 

@@ -209,24 +209,21 @@ class Blocks:
         raise InvalidValue(f"{source}: channel {channel!r} {fault}; choose one of {listed}{more} by {option}")
 
     def rate(self, given: float | None, source: str) -> float:
-        """Return the sampling rate [Hz] stated by file or user, which must agree."""
+        """Return the sampling rate [Hz] of the user, else of the file; one that the user overrules is told."""
         stated = self.sampling_rate
-        if stated is not None and not (np.isfinite(stated) and stated > 0):
-            raise BadData(
-                f"{source}: sampling rate must be above 0 and finite, the {self.rate_from} states {stated:g} Hz; "
-                "correct it"
-            )
-        if stated is None:
-            if given is None:
-                raise MissingOption(f"{source}: the file does not state the sampling rate; give it with --rate HZ")
-            return given
         if given is None:
+            if stated is None:
+                raise MissingOption(f"{source}: the file does not state the sampling rate; give it with --rate HZ")
+            if not (np.isfinite(stated) and stated > 0):
+                raise BadData(
+                    f"{source}: sampling rate must be above 0 and finite, the {self.rate_from} states {stated:g} Hz; "
+                    "give it with --rate HZ"
+                )
             return stated
-        if not rates_agree(given, stated):
-            raise InvalidValue(
-                f"{source}: sampling_rate must agree with the file to 0.1 %, got {given:.10g} Hz where the "
-                f"{self.rate_from} states {stated:.10g} Hz; leave out --rate or correct it"
-            )
+        if stated is not None and not rates_agree(given, stated):
+            # Some recorders write the nearest rate of a sound card into a WAV, where nobody can correct it.
+            says = f"the {self.rate_from} states {stated:.10g} Hz"
+            self.warnings.append(Remark(f"{says}; {given:.10g} Hz is used, as given"))
         return given
 
     def unit(self, index: int, given: str | None, source: str) -> str | None:

@@ -108,8 +108,8 @@ def predict(
         length, with their rate, unit and names. A batch or dataset has one impact a signal. An array is in `unit`; the
         columns of a DataFrame name its channels, else they are numbered from 1.
     sampling_rate : float, optional
-        [Hz]; required for an array, and for a file that does not state it; one that contradicts what `samples` states
-        is refused.
+        [Hz]; required for an array, and for a file that does not state it. Where a file states another one, this is
+        used, with a warning; one that contradicts an object is refused.
     unit : str, optional
         One of `cgid.units.UNITS`, such as "N", "kN", "g", "m/s^2" or "V"; required likewise.
     model : Model, Training, str or Path, optional
@@ -190,6 +190,8 @@ def predict(
         signals = read_recording(
             samples, sampling_rate=sampling_rate, unit=unit, sensitivity=sensitivity, gain=gain, full_scale=full_scale
         )
+        for text in signals[0].warnings:
+            warnings.warn(text, stacklevel=2)
     else:
         signals = _measured(samples, sampling_rate, unit, Chain.of(sensitivity, gain, full_scale))
     first = signals[0]
