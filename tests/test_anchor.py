@@ -280,6 +280,28 @@ def test_records_say_what_the_fraction_rests_on(command: str, folder: Path, caps
             assert all((line["basis"] == "anchor") == (line["time_s"] >= 1) for line in shares)
 
 
+def test_a_window_that_does_not_fit_the_coal_refuses_it_in_a_file_as_in_a_stream(
+    folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Wherever it ends: a file is told of fewer windows than a stream."""
+    seen: list[bytes] = []
+    wrong = [b""]
+
+    def foreignness(_: SeamNetworks, window: np.ndarray, anchor: np.ndarray) -> np.ndarray:
+        seen.append(window.tobytes())
+        return np.array([1.0 if seen[-1] == wrong[0] else -1.0])
+
+    monkeypatch.setattr(SeamNetworks, "foreignness", foreignness)
+    lines_of(folder, capsys, "monitor", "--coal-until", "1")
+    for wrong[0] in list(dict.fromkeys(seen))[1:5]:
+        lines = {one: lines_of(folder, capsys, one, "--coal-until", "1")[0] for one in ("monitor", "predict")}
+        warned = {one: [line["message"] for line in found if line["kind"] == "warning"] for one, found in lines.items()}
+        told = {one: [text.split(": ")[1] for text in texts if "hardly" in text] for one, texts in warned.items()}
+        assert told["predict"] == told["monitor"] and len(told["predict"]) == 1
+        last = {one: [line["basis"] for line in found if line["kind"] == "share"][-1] for one, found in lines.items()}
+        assert last == {"monitor": "anchor_foreign", "predict": "anchor_foreign"}
+
+
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="named pipes are POSIX")
 def test_a_line_on_stdin_begins_another_cycle(folder: Path, tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pipe")

@@ -163,8 +163,6 @@ class Inbox:
                 self.on_pause[1](self.waited)
 
 
-#: A gangue fraction is printed this many times per window.
-_STEPS = 10
 #: Maximum delay of predictions that keep up [s].
 _BEHIND = 1.0
 
@@ -223,11 +221,12 @@ def monitor(
     stream, a warning reports the delay.
     """
     from cgid.identification.prediction.settings import SHARE_TIME
+    from cgid.identification.prediction.support import STEPS
     from cgid.identification.training.manifest import read_manifest
     from cgid.recordings.chain import Chain
     from cgid.recordings.live import live_stream
 
-    step = (SHARE_TIME if options["share_time"] is None else options["share_time"]) / _STEPS
+    step = (SHARE_TIME if options["share_time"] is None else options["share_time"]) / STEPS
     models, settings = settings_of(reading, **options, batch=1, share_step=step)
     stated = Chain.of(**reading.chain)
     if clock and not as_json:

@@ -62,6 +62,8 @@ class Ground(StrEnum):
 
 #: Grounds are looked at this often at least [s].
 _LONGEST_STEP = 1.0
+#: In a live stream a gangue fraction is told so many times per window.
+STEPS = 10
 #: What came so long before the tones of a machine went is no evidence [s]: impacts of its tones look like gangue.
 _BEFORE_HEARD = 5.0
 
@@ -167,8 +169,8 @@ class CavingWatch:
         shares = settings.shares
         gangue = as_in(model, shares.gangue)
         self._gangue, self._blind_after = gangue, settings.blinded_after
-        # Grounds are looked at in between, where the windows advance slowly.
-        self._every = max(math.ceil(shares.step / _LONGEST_STEP), 1)
+        # Grounds and stated coal are looked at in between, as often as in a live stream.
+        self._every = max(math.ceil(shares.step / min(shares.window / STEPS, _LONGEST_STEP) - 1e-9), 1)
         self._step = shares.step / self._every
         self.diagnosis = Diagnosis(model, live=True) if diagnosis is None else diagnosis
         #: Fraction above which continuing costs more than shutting; None for a model without gangue or another label.
@@ -337,7 +339,12 @@ class CavingWatch:
         for name, support in self._supports.items():
             ground, since, reason = self._ground(name, support, end)
             support.foreign = str(foreign[name].part) if name in foreign else ""
-            if not in_between or ground != (Ground.SEEN if support.state is None else support.state.ground):
+            is_told = not in_between or ground != (Ground.SEEN if support.state is None else support.state.ground)
+            anchor = support.window.anchor
+            if not is_told and anchor is not None and not anchor.is_foreign:
+                support.window.at(end)  # which finds out
+                is_told = anchor.is_foreign
+            if is_told:
                 is_known = end >= self._deaf_until
                 yield from support.at(support.window.at(end), ground, since, reason, is_known=is_known)
 
