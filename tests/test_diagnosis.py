@@ -353,20 +353,26 @@ def test_forces_that_no_contact_has_are_told_with_the_way_to_find_out() -> None:
 
 @pytest.mark.long
 def test_a_changed_beam_in_a_stream(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    path, model = tmp_path / "stream.raw", tmp_path / "off.npz"
+    path, wav, model = tmp_path / "stream.raw", tmp_path / "stream.wav", tmp_path / "off.npz"
     of_the_trained_beam(4.0).astype("<f4").tofile(path)
+    wavfile.write(wav, round(BEAM_RATE), of_the_trained_beam(4.0).astype("<f4"))
     model.write_bytes(with_modes_off(0.01).to_bytes())
     how = ["--rate", f"{BEAM_RATE:g}", "--channels", "1", "--sample-format", "f32le", "--unit", "m/s^2", "--json"]
-    for arguments, n_hints in ((["--model", str(model)], 1), ([], 0)):
-        assert run(["monitor", str(path), *how, *arguments]) == 0
+    # Commands for files read a WAV, and no raw numbers.
+    for arguments, n_hints, file in (
+        ([str(path), *how, "--model", str(model)], 1, "RECORDING"),
+        ([str(wav), *how[-3:], "--model", str(model)], 1, str(wav)),
+        ([str(path), *how], 0, ""),
+    ):
+        assert run(["monitor", *arguments]) == 0
         told = capsys.readouterr()
         found = [line for line in map(json.loads, told.out.splitlines()) if line["kind"] == "hint"]
         assert len(found) == n_hints
         assert told.err.count("cgid: hint: ") == n_hints
         for line in found:
             assert line["cause"] == "beam"
-            assert line["commands"][0].startswith("cgid events RECORDING ")
-            assert line["instead"][0].startswith("cgid calibrate RECORDING ")
+            assert line["commands"][0].startswith(f"cgid events {file} ")
+            assert line["instead"][0].startswith(f"cgid calibrate {file} ")
 
 
 # -- the line -----------------------------------------------------------------------------------------

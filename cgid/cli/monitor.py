@@ -289,9 +289,10 @@ def _follow(
     if labelled is not None:
         settings = settings_with_coal(settings, labelled, live.source, live.channels, model)
     inbox, delay = Inbox(live, live.sampling_rate), DelayReport(live.source, lines)
-    # The stream is over when the next command runs: it is for a recording of it.
+    # A stream is over when the next command runs: that is for a recording of it.
+    file = live.source if live.is_wav and Path(live.source).is_file() else "RECORDING"
     beams = beam_words(map("+".join, settings.same_beam))
-    hints = Hints(model, live.sampling_rate, "RECORDING", given_options()[0], beams, channels=names, live=True)
+    hints = Hints(model, live.sampling_rate, file, given_options()[0], beams, channels=names, live=True)
     pipeline = Pipeline(
         model, live.channels, live.sampling_rate, settings, live.source, warned, live=True, diagnosis=hints
     )

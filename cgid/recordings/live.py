@@ -52,6 +52,7 @@ class LiveStream:
     warnings: list[str] = field(default_factory=list)
     head: bytes = b""
     size: int | None = None
+    is_wav: bool = False
 
     @property
     def n_channels(self) -> int:
@@ -128,7 +129,7 @@ def live_stream(
         contents = _contents(head.n_channels, head.coding, "FS", head.sampling_rate)
         size = head.data_size if 0 < head.data_size < ENDLESS else None
         contents.warnings.extend(head.warnings)
-        about: dict[str, Any] = {"coding": head.coding, "size": size}
+        about: dict[str, Any] = {"coding": head.coding, "size": size, "is_wav": True}
     else:
         whole = _FILES.get(start) or _named_format(source) or ("text" if coding is None and _is_text(start) else None)
         if whole is not None:
