@@ -105,7 +105,7 @@ RECORDING_CASES: tuple[tuple[str, tuple[str, ...], int, tuple[str, ...]], ...] =
     ("several arrays", ("predict", "several.npz"), 65, ("a (12800), b (500)", "--variable NAME")),
     ("unknown array", ("predict", "several.npz", "--variable", "c"), 65, ("'c'", "a (12800), b (500)")),
     ("array of a format with one", ("info", "blow.wav", "--variable", "a"), 65, ("WAV", "leave out --variable")),
-    ("unit of a WAV not said", ("predict", "blow.wav"), 2, ("level [FS]", "--unit N", "--unit m/s^2")),
+    ("unit of a WAV not said", ("predict", "blow.wav"), 2, ("level [FS]", "'500 g'", "--unit N", "--unit m/s^2")),
     ("WAV without sound", ("predict", "head.wav", "--unit", "g"), 65, ("head.wav", "at least one sample")),
     ("unknown channel", ("predict", "blow.npy", *_SAID, "--channel", "2"), 65, ("channel '2'", "--channel")),
     (

@@ -205,9 +205,9 @@ def factor_to(model: Measurand, unit: str | None, name: str, mass: float | None 
                 "signal.as_force(mass)"
             )
         elif quantity == "level":
-            example = "500 g" if model.quantity == "acceleration" else "2 kN"
+            example = "'500 g'" if model.quantity == "acceleration" else "'2 kN', or '500 g' of an accelerometer"
             hint = (
-                f"state full scale, as in --full-scale '{example}', or with --full-scale '10 V' "
+                f"state full scale, as in --full-scale {example}, or with --full-scale '10 V' "
                 f"and the --sensitivity of the sensor; floats may be in a unit as they are: {_unit_options(model)}"
             )
         # Of sound without a full scale, as of volts without a sensitivity, only an option is missing.
