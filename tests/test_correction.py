@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import csv
 import json
+import re
+import shlex
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -151,7 +153,9 @@ def test_labelled_impacts_correct_a_shipped_model(tmp_path: Path, capsys: Any) -
     assert run([*arguments, "--json", "--overwrite"]) == 0
     told = json.loads(capsys.readouterr().out)
     assert told["n"] + told["n_unknown"] >= 12 and told["accuracy"] > 0.6
-    assert run(["predict", str(tmp_path / "blows.npy"), "--model", str(tmp_path / "s.npz"), *UNIT]) == 0
+    (then,) = re.findall("; now cgid (.*)", said.err)
+    assert shlex.split(then)[2:-2] == UNIT
+    assert run(shlex.split(then.replace("FILE", str(tmp_path / "blows.npy")))) == 0
 
 
 UNIT = ["--rate", "25600", "--unit", "m/s^2"]

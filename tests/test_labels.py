@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import csv
 import json
+import re
+import shlex
 import threading
 from dataclasses import replace
 from itertools import pairwise
@@ -17,8 +19,10 @@ import cgid
 from cgid import impact_table, open_recording
 from cgid._lib.workers import Workers
 from cgid.cli import main
+from cgid.cli.options import ReadingOptions, prediction_by
 from cgid.errors import BadData, InvalidValue, Stopped
 from cgid.identification.model.confusion import wilson_interval
+from cgid.identification.model.model import StoredModel
 from cgid.identification.training import train_on_groups
 from cgid.identification.training.audacity import read_track
 from cgid.identification.training.manifest import Annotation, Manifest, read_manifest
@@ -28,6 +32,20 @@ from cgid.identification.training.rows import Slicing
 
 RATE = 10_000.0
 N_IMPACTS = 40
+
+
+def test_the_command_after_a_training_reads_recordings_like_its_own(capsys: Any, tmp_path: Path) -> None:
+    folder, model = Path(__file__).parents[1] / "datasets" / "labelled", str(tmp_path / "m.npz")
+    assert main(["train", str(folder / "labels.csv"), "-o", model, "--dead-time", "5"]) == 0
+    (then,) = re.findall("; now cgid (.*)", capsys.readouterr().err)
+    assert shlex.split(then)[2:-2] == ["--dead-time", "5", "--full-scale", "10000 m/s^2"]
+    assert main(shlex.split(then.replace("FILE", str(folder / "thursday.wav")))) == 0
+    # What differs between the rows is left to the reader, and an option is for rows without a value.
+    row = Annotation(path=Path("a.wav"), written="a.wav", label="coal", gain=10.0, unit="V", channels=(2,), invert=True)
+    rows = (row, replace(row, path=Path("b.wav"), unit="mV"), replace(row, gain=None, reference=True))
+    reading = ReadingOptions(unit="g", sensitivity=("10 mV/g", "a.wav:2=9 mV/g"), gain=("2",))
+    words = prediction_by(Path("m.npz"), StoredModel.load(model), Manifest(source="x", annotations=rows), reading)
+    assert words == "cgid predict FILE --channel 2 --invert --sensitivity '10 mV/g' --gain 10 --model m.npz"
 
 
 def rung(seed: int, n: int = N_IMPACTS) -> tuple[np.ndarray, list[str], np.ndarray]:

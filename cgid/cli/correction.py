@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cgid.cli.options import warn_of_chance
+from cgid.cli.options import ReadingOptions, prediction_by, warn_of_chance
 from cgid.cli.output import accuracy_text, print_json, progress_bar, say, warn
 
 if TYPE_CHECKING:
@@ -18,7 +17,7 @@ _LOOK = 20
 
 
 def correct_model(
-    manifest: Manifest, base: str, path: Path, dead_time: float | None, how: Reading, *, plots: bool, as_json: bool
+    manifest: Manifest, base: str, path: Path, reading: ReadingOptions, how: Reading, *, plots: bool, as_json: bool
 ) -> int:
     """Write a model corrected by labelled impacts, and report its accuracy."""
     from cgid.identification.model.model import StoredModel
@@ -32,7 +31,7 @@ def correct_model(
 
     model = StoredModel.load(model_path(base))
     require_correctable(model)
-    slicing = Slicing(by="impact", dead_time=dead_time)
+    slicing = Slicing(by="impact", dead_time=reading.dead_time)
     if (manifest.n_intervals or 0) > _LOOK:
         sample = record(manifest.sample(_LOOK), slicing=slicing, reading=how, model=model)
         require_known(model, sample, manifest.n_intervals or 0)
@@ -64,6 +63,6 @@ def correct_model(
             say(f"unknown {summary['n_unknown']} more, out of distribution for the model and not used")
         for line in advice(correction):
             say(f"cgid: hint: {line}", err=True)
-        then = f"cgid predict FILE --model {shlex.quote(str(path))}"
+        then = prediction_by(path, correction.model, manifest, reading)
         say(f"wrote {', '.join(map(str, written))}; now {then}", err=True)
     return rows.failures[0].exit_code if rows.failures else 0

@@ -622,6 +622,23 @@ def given_options() -> tuple[list[str], list[str]]:
     return found
 
 
+def prediction_by(path: Path, model: StoredModel, manifest: Manifest | None, reading: ReadingOptions) -> str:
+    """Return the command for predictions by a new model, on a recording that is read like all of its manifest."""
+    words, own = [], {**vars(reading), **reading.chain_of("")}
+    flags, fields = (
+        {"sampling_rate": "rate", "milliseconds": "dead-time"},
+        {"channel": "channels", "gain": "recording_gain"},
+    )
+    rows = [] if manifest is None else [one for one in manifest.annotations if not one.reference]
+    for name in _READING:
+        stated = {getattr(one, fields.get(name, name), None) or getattr(one, name, None) or own[name] for one in rows}
+        value = stated.pop() if len(stated) == 1 else None
+        for part in value if isinstance(value, tuple) else (value,) if value else ():
+            text = f"{part:.12g}" if isinstance(part, float) else f"{part}"
+            words += [f"--{flags.get(name, name).replace('_', '-')}", *([] if part is True else [text])]
+    return shlex.join(["cgid", "predict", "FILE", *words, "--model", str(path), *beam_words(model.same_beam)])
+
+
 class Models:
     """The given model; else the default model of each quantity, loaded when a signal needs it."""
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import replace
@@ -21,12 +20,12 @@ from cgid.cli.options import (
     SCENE,
     OutputName,
     ReadingOptions,
-    beam_words,
     given_flags,
     json_option,
     laws_option,
     overwrite_option,
     point_of,
+    prediction_by,
     reading_options_for,
     refuse,
     require_one_executor,
@@ -244,7 +243,7 @@ def train(
         else:
             training, failures = _from_signals(others, options)
     written = write_model(training, path, plots=plots, overwrite=overwrite)
-    print_training(training, path, written, as_json)
+    print_training(training, path, written, prediction_by(path, training.model, manifest, reading), as_json)
     if failures:
         warn(f"{counted(len(failures), 'recording')} failed and are not in the model")
     return failures[0].exit_code if failures else 0
@@ -256,7 +255,7 @@ def _correct(data: tuple[str, ...], base: str, path: Path, reading: ReadingOptio
 
     if len(data) != 1 or not _recorded(data[0]):
         raise BadData(f"{data[-1]}: --from needs one table of labelled impacts, as written by cgid events")
-    return correct_model(_manifest(data[0]), base, path, reading.dead_time, how, **given)
+    return correct_model(_manifest(data[0]), base, path, reading, how, **given)
 
 
 def _recorded(item: str) -> bool:
@@ -454,8 +453,8 @@ def _with_synthetic(data: list[str], recorded: Any, options: dict[str, Any]) -> 
         return recorded, measure(alike, recorded.names, progress, workers=options["workers"])
 
 
-def print_training(training: Any, path: Path, written: list[Path], as_json: bool) -> None:
-    """Print the results of a training, with warnings."""
+def print_training(training: Any, path: Path, written: list[Path], then: str, as_json: bool) -> None:
+    """Print the results of a training, with warnings, and the command `then` that comes next."""
     from cgid.identification.training.metrics import drawn_text
 
     metrics, about = training.metrics, training.model.training
@@ -487,7 +486,6 @@ def print_training(training: Any, path: Path, written: list[Path], as_json: bool
     say(f"Brier score {metrics['brier_score']:.4f}")
     chance = metrics["calibration_error_by_chance"]
     say(f"expected calibration error {metrics['expected_calibration_error']:.4f} (by chance alone {chance:.4f})")
-    then = shlex.join(["cgid", "predict", "FILE", "--model", str(path), *beam_words(training.model.same_beam)])
     say(f"wrote {', '.join(map(str, written))}; now {then}", err=True)
 
 
