@@ -1,7 +1,10 @@
 """`cgid calibrate`: the modes of a beam from unlabelled blows, against beams whose modes are known."""
 
+import itertools
 import json
+import re
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -283,14 +286,18 @@ def test_drawn_modes_have_their_deviations(known):
     assert np.array_equal(own.sampled(ndtri(uniform[0])).damping_ratio, modes.damping_ratio)
 
 
-def test_the_command_writes_a_scene_that_trains(known, tmp_path, capsys):
+def test_the_command_writes_a_scene_that_trains(known, tmp_path, capsys, monkeypatch):
     _, site, _, _ = known
     generate(site, tmp_path / "blows.h5", 30, seed=12)
     scene_file = tmp_path / "panel.toml"
     scene_file.write_text(toml(json.loads(known[0].text)))
     output = tmp_path / "site.toml"
+    monkeypatch.setattr("cgid.cli.output.time", SimpleNamespace(monotonic=itertools.count(0, 5).__next__))
     assert run(["calibrate", str(tmp_path / "blows.h5"), "--scene", str(scene_file), "-o", str(output), "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)
+    out, err = capsys.readouterr()
+    told = json.loads(out)
+    # Where stderr is no terminal, a line is printed every ten seconds: for each other round here.
+    assert re.findall(r"cgid: fitting beam: (\d+) of \d+ rounds at most", err)[:3] == ["2", "4", "6"]
     assert told["n_impacts"] == 30 and told["evidence"]["after"] > told["evidence"]["before"]
     assert run(["check", str(output), "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["tail_beam"]["modes"] == told["n_modes"]

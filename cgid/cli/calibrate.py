@@ -159,7 +159,7 @@ def calibrate(
     frames, rate, before = _frames(recordings, scene, reading, len(points))
     say(f"{path}: learning from {min(impacts, len(frames))} of {counted(len(frames), 'usable impact')}", err=True)
     n_rounds = MAX_ROUNDS + dimensions.MAX_ROUNDS * bool(of_dimensions)
-    with progress_bar(n_rounds, "rounds at most", "fitting beam") as progress:
+    with progress_bar(n_rounds, "rounds at most", "fitting beam", every=10.0) as progress:
         errors["dimension_error"] = of_dimensions
         errors |= {"exact": parts, "sensors": points, "max_impacts": impacts}
         found = calibrated(scene, frames, rate, before, progress=progress, **errors)

@@ -10,6 +10,7 @@ import os
 import signal
 import sys
 import threading
+import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
@@ -217,10 +218,22 @@ def _note(number: int, _frame: FrameType | None) -> None:
 
 
 @contextmanager
-def progress_bar(total: int | None, what: str, task: str) -> Iterator[Callable[[int], object]]:
-    """Yield a function that moves a progress bar, if stderr is a terminal; without a total it counts."""
+def progress_bar(
+    total: int | None, what: str, task: str, *, every: float = math.inf
+) -> Iterator[Callable[[int], object]]:
+    """Yield a function that moves a progress bar; without a terminal it prints a line `every` so many seconds."""
     if sys.stderr is None or not sys.stderr.isatty():
-        yield lambda number: stop_if_interrupted()
+        done, due = 0, time.monotonic() + every
+
+        def count(number: int) -> None:
+            nonlocal done, due
+            stop_if_interrupted()
+            done += number
+            if time.monotonic() >= due:
+                due = time.monotonic() + every
+                say(f"cgid: {task}: {done} of {total} {what}", err=True)
+
+        yield count
         return
     from tqdm import tqdm
 
