@@ -684,7 +684,7 @@ _COMMANDS = r"""
 65 | calibrate few_blows.csv --scene tail_beam -o new.toml --dimension-error '20 %' | --dimension-error
 65 | calibrate few_blows.csv --scene tail_beam -o new.toml --exact sensor,filters | --exact
 65 | calibrate other_beam.csv --scene taps.toml -o new.toml | must explain the impacts
-65 | calibrate other_beam.csv --scene tail_beam --sensor 0.5,0.45 --sensor 1,1 -o new.toml | 2 sensors
+65 | calibrate other_beam.csv --scene tail_beam --sensor 0.5,0.45 --sensor 1,1 -o new.toml | by --sensor X,Y
 65 | calibrate other_beam.csv --scene tail_beam --sensor 0.5,9 -o new.toml | sensor_point.y
 65 | calibrate other_beam.csv --scene taps.toml --sensor 0.5,0.45 -o new.toml | dimensions of a beam
 65 | calibrate other_beam.csv --scene taps_on_node.toml -o new.toml | sensor_point

@@ -89,7 +89,8 @@ def _modes_beside(path: Path) -> list[Path]:
     "sensors",
     multiple=True,
     metavar="X,Y",
-    help="Calibrate sensors at these points [m] of the scene's beam together: the channels, in this order.",
+    help="Calibrate sensors at these points [m] of the scene's beam together: the channels, in this order. It "
+    "takes the place of --same-beam.",
 )
 @click.option("--impacts", type=int, default=300, show_default=True, help="Use at most this many impacts.")
 @click.option(
@@ -244,7 +245,7 @@ def _found(recording: Any, scene: Scene, reading: ReadingOptions, n_sensors: int
     if len(recording.channels) != n_sensors:
         raise BadData(
             f"{recording.source}: the recording must be of {counted(n_sensors, 'sensor')}, got "
-            f"{counted(len(recording.channels), 'channel')}; pick with --channel, and give each point by --sensor"
+            f"{counted(len(recording.channels), 'channel')}; pick by --channel, or place each by --sensor X,Y"
         )
     unit = unit_of(recording)
     quantity = quantity_of(unit)
