@@ -300,8 +300,10 @@ def test_modes_that_are_off_by_a_hundredth_are_noticed(noise: float | None) -> N
     assert hint.cause == "beam"
     assert hint.line.startswith("the beam has changed, or it is another: the modes of the model's leave ")
     assert hint.commands[0] == "cgid events 'my file.csv' --unit g -o events.csv"
+    # The beam of a user is not that of the shipped scene.
     assert hint.instead == (
-        "cgid calibrate 'my file.csv' --unit g --scene tail_beam -o site.toml",
+        "write YOUR_BEAM.toml, a scene with the size and sensor of your beam",
+        "cgid calibrate 'my file.csv' --unit g --scene YOUR_BEAM.toml -o site.toml",
         "cgid train site.toml -o site.npz",
         "cgid predict 'my file.csv' --unit g --model site.npz",
     )
@@ -349,6 +351,9 @@ def test_forces_that_no_contact_has_are_told_with_the_way_to_find_out() -> None:
     hints.add([replace(one, time=float(time), misshapen=6.0) for one, time in zip(answers, times, strict=True)])
     (hint,) = hints.hints()
     assert hint.line.endswith("cgid calibrate 'my file.csv' --unit g --scene caving -o site.toml")
+    # Behind the beam of a user, neither of them does.
+    hints.model = with_modes_off(0.05)
+    assert hints.hints()[0].commands[1].startswith("cgid calibrate 'my file.csv' --unit g --scene YOUR_BEAM.toml ")
 
 
 @pytest.mark.long
@@ -372,7 +377,7 @@ def test_a_changed_beam_in_a_stream(tmp_path: Path, capsys: pytest.CaptureFixtur
         for line in found:
             assert line["cause"] == "beam"
             assert line["commands"][0].startswith(f"cgid events {file} ")
-            assert line["instead"][0].startswith(f"cgid calibrate {file} ")
+            assert line["instead"][1].startswith(f"cgid calibrate {file} ")
 
 
 # -- the line -----------------------------------------------------------------------------------------

@@ -162,6 +162,15 @@ class Hints(Diagnosis):
     def _is_of_beam(self) -> bool:
         return self.model.beam is not None and not self._labelled
 
+    @property
+    def _is_of_shipped_beam(self) -> bool:
+        """Whether the modes of the model are near those of the shipped one, and so its scene suits."""
+        from cgid.identification.prediction.prediction import read_model
+
+        beams = [one.beam for one in (self.model, read_model("default-acceleration"))]
+        own, shipped = (np.empty(0) if one is None else one.beam.modes.frequency for one in beams)
+        return own.shape == shipped.shape and bool(np.allclose(own, shipped, rtol=0.03))
+
     # -- steps ----------------------------------------------------------------------------------------
 
     def _steps(self, finding: ChannelFinding) -> tuple[tuple[str, ...], tuple[str, ...]]:
@@ -177,12 +186,10 @@ class Hints(Diagnosis):
             case CauseKind.AMPLITUDE:
                 ways = [self._in_other_unit(finding.value)]
             case CauseKind.CHAIN:
-                ways = [self._calibration()]
+                ways = [self._calibration(is_of_scene=self._is_of_shipped_beam)]
             case CauseKind.VIBRATION:
                 ways = [self._as_acceleration(), self._training()]
-            case CauseKind.BEAM:
-                ways = [self._training(), self._calibration()]
-            case CauseKind.SHAPE if self._is_of_beam:
+            case CauseKind.BEAM | CauseKind.SHAPE if self._is_of_beam:
                 ways = [self._training(), self._calibration(is_of_scene=False)]
             case CauseKind.SHAPE | CauseKind.FEATURES:
                 ways = [self._training()]
@@ -290,7 +297,7 @@ class Hints(Diagnosis):
             self._predict_with(model),
         )
 
-    def _calibration(self, *, is_of_scene: bool = True) -> tuple[str, ...]:
+    def _calibration(self, *, is_of_scene: bool) -> tuple[str, ...]:
         """Return the steps to calibrate this recording's beam; none if the shipped scene does not suit."""
         if not self._has_usable(CALIBRATED) or abs(self._rate / SCENE_RATE - 1) > 1e-3:
             return ()
