@@ -697,6 +697,8 @@ _COMMANDS = r"""
 73 | calibrate few_blows.csv --scene tail_beam -o modes.toml | modes.toml
 66 | calibrate gone.wav --scene tail_beam -o new.toml | gone.wav
 65 | tap silent_taps.csv -o new.csv | silent_taps.csv
+65 | tap blow.wav --hammer 1 -o new.csv | such as '1=5 kN'
+65 | invert blow.wav --modes modes.csv | give --full-scale, such as '500 g'
 65 | tap double_taps.csv -o new.csv | double tap
 65 | tap clipped_taps.csv -o new.csv | 2 clipped
 65 | tap short_taps.csv -o new.csv | too close to the end

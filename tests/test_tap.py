@@ -344,13 +344,18 @@ def test_command_with_a_scene_and_one_tap(tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     response, _, _ = taps(1, seed=1)
     file = recording(tmp_path / "one.csv", [response], "acceleration [m/s^2]")
-    assert run(["tap", file, "-o", "learned.csv", "--scene", "tail_beam", "--band", "60", "300"]) == 0
+    (tmp_path / "scenes").mkdir()
+    site, text = tmp_path / "scenes" / "site.toml", scene_path("tail_beam").read_text()
+    site.write_text(text)
+    assert run(["tap", file, "-o", "learned.csv", "--scene", "scenes/site.toml", "--band", "60", "300"]) == 0
     printed = capsys.readouterr()
-    assert "of 188 modes of tail_beam corrected" in printed.out
+    assert "of 188 modes of scenes/site.toml corrected" in printed.out
     assert "cgid: warning: one tap" in printed.err
-    text = scene_path("tail_beam").read_text().replace("[tail_beam]\n", '[tail_beam]\nlearned = "learned.csv"\n')
-    (tmp_path / "site.toml").write_text(text)
-    assert beam_modes(load_scene(tmp_path / "site.toml")).frequency.size == 188
+    # The hint names the table as the scene has to.
+    assert printed.err.endswith("cgid calibrate RECORDING --scene scenes/site.toml -o site.toml\n")
+    (key,) = re.findall("put (.*) below", printed.err)
+    site.write_text(text.replace("[tail_beam]\n", f"[tail_beam]\n{key}\n"))
+    assert beam_modes(load_scene(site)).frequency.size == 188
 
 
 def test_a_hammer_without_a_tap_and_a_tap_that_is_cut_off_are_refused():

@@ -709,8 +709,9 @@ def factor_of(unit: str, source: str) -> tuple[str, float]:
     """Return quantity and factor to SI of a response's unit; raises `BadData` if it is not of motion."""
     quantity = quantity_of(unit)
     if quantity not in DERIVATIVES:
+        cure = "choose with --channel, and name the channel of the force with --hammer"
         raise BadData(
             f"{source}: the response must be an acceleration, velocity or displacement, got {quantity} [{unit}]; "
-            "choose with --channel, and name the channel of the force with --hammer"
+            + ("give --full-scale, such as '500 g'" if quantity == "level" else cure)
         )
     return quantity, UNITS[quantity][unit]

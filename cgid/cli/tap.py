@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -232,8 +233,10 @@ def read_with_hammer(
         recorded_hammer = open_recording(path, channel=hammer, unit=by_name, **chain)
         unit = unit_of(recorded_hammer)
         if quantity_of(unit) != "force" or len(recorded_hammer.channels) > 1:
+            is_level = quantity_of(unit) == "level"
             raise BadData(
-                f"{path}: --hammer must be one channel of force, got {quantity_of(unit)} [{unit}]; correct it"
+                f"{path}: --hammer must be one channel of force, got {quantity_of(unit)} [{unit}]; "
+                + (f"give its --full-scale, such as '{hammer}=5 kN'" if is_level else "correct it")
             )
         pull = UNITS["force"][unit]
     channels: Any = reading.channel or None
@@ -336,9 +339,10 @@ def _say(test: TapTest, path: Path, scene: str | None, known: Any, alike: Any, a
                 f"MAC of matched modes {shown[len(shown) // 2]:.2f} (median), {sum(one < LEAST_MAC for one in shown)} "
                 f"below {LEAST_MAC:g} not corrected"
             )
+        table = Path(os.path.relpath(path, Path(scene or "").parent)).as_posix()
         say(
-            f'cgid: hint: put learned = "{path.name}" below [tail_beam] of {scene}, then cgid calibrate shift.wav '
-            "--scene with it learns the other modes",
+            f'cgid: hint: put learned = "{table}" below [tail_beam] of {scene}; impacts then teach '
+            f"the other modes: cgid calibrate RECORDING --scene {scene} -o site.toml",
             err=True,
         )
 
