@@ -400,6 +400,15 @@ def test_the_unit_that_explains_the_size_is_named() -> None:
         assert hint is not None and (hint.cause, hint.commands) == ("amplitude", wanted)
 
 
+def test_the_coal_of_another_seam_ends_within_a_recording_of_fifty_impacts() -> None:
+    """At eight rocks a second these take ten seconds."""
+    for part in (MisfitPart.SEAM, MisfitPart.SIZES):
+        hints = Hints(BEAM, BEAM_RATE, "a.wav", ("--unit", "g"))
+        hints.add(answers_of(0.0, None))
+        text = hints.misfit_warning(Misfit(part, 50, 2.0))
+        assert text.endswith("is that of this seam: cgid predict a.wav --unit g --coal-until 10s")
+
+
 # -- every command that is printed --------------------------------------------------------------------
 
 

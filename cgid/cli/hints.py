@@ -89,7 +89,7 @@ class Hints(Diagnosis):
                 advice = "learn the modes of this beam with a scene of its size, or label impacts and train on them"
             case MisfitPart.SIZES | MisfitPart.SEAM if self.model.seams is not None and not stated:
                 advice = "say how long coal alone falls at first, and the gangue fraction is that of this seam"
-                steps = (self._predict("--coal-until", "30s"),)
+                steps = (self._predict("--coal-until", "10s"),)  # shorter than recordings with so many impacts
             case MisfitPart.SIZES | MisfitPart.SEAM if self.model.seams is not None:
                 advice = "the gangue fraction is that of this seam; for single impacts, label some and train on them"
         return f"{misfit_text(misfit, self.model)}; {advice}" + (f": {steps[0]}" if steps else "")
