@@ -174,12 +174,7 @@ _BEHIND = 1.0
     "cgid monitor sample.f32 --rate 200000 --channels 1 --sample-format f32le --unit N",
 )
 @click.argument("stream", type=PATH, default="-")
-@click.option(
-    "--rate",
-    "sampling_rate",
-    type=float,
-    help="Set the sampling rate [Hz] of raw numbers, or of a WAV that states a wrong one.",
-)
+@click.option("--rate", "sampling_rate", type=float, help="Set the rate [Hz] of raw numbers, or the true one of a WAV.")
 @click.option("--channels", "n_channels", type=int, help="Set the number of channels of raw numbers.")
 @click.option(
     "--sample-format", help="Set the format of raw numbers: u8, s16le, s24le, s32le, f32le, ...; be for big-endian."

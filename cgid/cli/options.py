@@ -364,10 +364,7 @@ laws_option, given_laws_option = _laws_option(expose_value=False), _laws_option(
 #: Options for reading a recording: field of `ReadingOptions` -> option.
 _READING: dict[str, Callable[[Any], Any]] = {
     "sampling_rate": click.option(
-        "--rate",
-        "sampling_rate",
-        type=float,
-        help="Set the sampling rate [Hz] if the file does not state it, or states a wrong one.",
+        "--rate", "sampling_rate", type=float, help="Set the sampling rate [Hz] that a file lacks, or states wrongly."
     ),
     "unit": click.option(
         "--unit",
@@ -625,17 +622,15 @@ def given_options() -> tuple[list[str], list[str]]:
 def prediction_by(path: Path, model: StoredModel, manifest: Manifest | None, reading: ReadingOptions) -> str:
     """Return the command for predictions by a new model, on a recording that is read like all of its manifest."""
     words, own = [], {**vars(reading), **reading.chain_of("")}
-    flags, fields = (
-        {"sampling_rate": "rate", "milliseconds": "dead-time"},
-        {"channel": "channels", "gain": "recording_gain"},
-    )
+    flags = {"sampling_rate": "rate", "milliseconds": "dead-time", "full_scale": "full-scale"}
+    fields = {"channel": "channels", "gain": "recording_gain"}
     rows = [] if manifest is None else [one for one in manifest.annotations if not one.reference]
     for name in _READING:
         stated = {getattr(one, fields.get(name, name), None) or getattr(one, name, None) or own[name] for one in rows}
         value = stated.pop() if len(stated) == 1 else None
         for part in value if isinstance(value, tuple) else (value,) if value else ():
             text = f"{part:.12g}" if isinstance(part, float) else f"{part}"
-            words += [f"--{flags.get(name, name).replace('_', '-')}", *([] if part is True else [text])]
+            words += [f"--{flags.get(name, name)}", *([] if part is True else [text])]
     return shlex.join(["cgid", "predict", "FILE", *words, "--model", str(path), *beam_words(model.same_beam)])
 
 
