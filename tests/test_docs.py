@@ -307,7 +307,8 @@ def test_packages_say_what_is_public(monkeypatch: pytest.MonkeyPatch) -> None:
         module = importlib.import_module(name)
         assert module.__all__, name
         if module.__file__.endswith("__init__.py") and module.__name__ in described:
-            assert set(module.__all__) <= set(dir(module)) <= {*module.__all__, *getattr(module, "_MODULES", ())}, name
+            # That of `cgid` has its modules, too, which tests/test_types.py compares.
+            assert {*module.__all__} == {*dir(module)} or (name == "cgid" and {*module.__all__} < {*dir(module)}), name
         for one in module.__all__:
             assert hasattr(module, one) or importlib.util.find_spec(f"{name}.{one}"), f"{name}.{one}"
 

@@ -75,9 +75,9 @@ def test_a_user_of_scenes() -> None:
 def test_types_are_those_of_what_is_loaded() -> None:
     """The imports that a type checker sees, against the objects that a user gets."""
     checked: dict[str, str] = {}
-    tree = ast.parse(Path(cgid.__file__).read_text(encoding="utf-8"))
-    (block,) = [node for node in tree.body if isinstance(node, ast.If) and isinstance(node.test, ast.Name)]
-    for node in block.body:
+    *imports, version = ast.parse(Path(cgid.__file__).with_suffix(".pyi").read_text(encoding="utf-8")).body
+    assert ast.unparse(version) == "__version__: str"
+    for node in imports:
         assert isinstance(node, ast.ImportFrom)
         for one in node.names:
             assert one.asname == one.name  # else a type checker hides it

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable
 from importlib import import_module
 from typing import Any
 
@@ -13,23 +13,30 @@ def picture_of(what: str, *arguments: Any) -> Any:
     return getattr(import_module("cgid.plots.objects"), what)(*arguments)
 
 
-def on_first_use(
-    package: str, names: Mapping[str, Sequence[str]], modules: Sequence[str] = ()
-) -> tuple[list[str], Callable[[str], object], Callable[[], list[str]]]:
-    """Return `__all__`, `__getattr__` and `__dir__` of a package.
+def homes_of(package: str) -> dict[str, str]:
+    """Return the public names of a package, each with the module that defines it, from its `__init__.pyi`.
 
-    `names` has the public names of its modules, `modules` those that are public themselves. `__all__` has the names, or
-    the modules if there are none.
+    Type checkers and editors read the same lines, `from MODULE import NAME as NAME`. Public modules are from the
+    package itself.
     """
-    homes = {name: module for module, listed in names.items() for name in listed}
-    public = sorted(homes) or list(modules)
+    with open(f"{sys.modules[package].__file__}i", encoding="utf-8") as stub:  # noqa: PTH123 - pathlib loads slowly
+        return {name: module for _, module, _, name, *_ in (line.split() for line in stub if line.startswith("from "))}
+
+
+def on_first_use(package: str) -> tuple[list[str], Callable[[str], object], Callable[[], list[str]]]:
+    """Return `__all__`, `__getattr__` and `__dir__` of a package, which has an `__init__.pyi` (`homes_of`).
+
+    `__all__` has the names, or the modules if there are no others.
+    """
+    homes = homes_of(package)
+    public = sorted(name for name, module in homes.items() if module != package) or list(homes)
 
     def load(name: str) -> object:
-        if name in modules:
-            return import_module(f"{package}.{name}")
         if name not in homes:
             raise AttributeError(f"module {package!r} has no attribute {name!r}")
-        found = vars(sys.modules[package])[name] = getattr(import_module(f"{package}.{homes[name]}"), name)
+        if homes[name] == package:
+            return import_module(f"{package}.{name}")
+        found = vars(sys.modules[package])[name] = getattr(import_module(homes[name]), name)
         return found
 
-    return public, load, lambda: sorted({*public, *modules})
+    return public, load, lambda: sorted({*public, *homes})

@@ -16,6 +16,8 @@ from numpydoc.xref import DEFAULT_LINKS
 from sphinx.application import Sphinx
 from sphinx.pycode import ModuleAnalyzer
 
+from cgid._lib.lazy import homes_of
+
 #: Page -> title, and modules whose `__all__` is public.
 PAGES: dict[str, tuple[str, tuple[str, ...]]] = {
     "cgid": ("Everyday names: cgid", ("cgid",)),
@@ -76,10 +78,8 @@ def names_of(module: str) -> list[str]:
 
 def comment_on(package: str, name: str) -> list[str]:
     """Return the lines of the comment on a constant, from the module that defines it for its package."""
-    for module, names in getattr(import_module(package), "_NAMES", {}).items():
-        if name in names:
-            return ModuleAnalyzer.for_module(f"{package}.{module}").find_attr_docs().get(("", name), [])
-    return []
+    homes = homes_of(package) if hasattr(import_module(package), "__getattr__") else {}
+    return ModuleAnalyzer.for_module(homes[name]).find_attr_docs().get(("", name), []) if name in homes else []
 
 
 def write_pages(app: Sphinx, _: Any) -> None:

@@ -1,0 +1,13 @@
+from cgid.calibration.forces import ImpactForce as ImpactForce
+from cgid.calibration.forces import forces_in as forces_in
+from cgid.calibration.gain import Calibration as Calibration
+from cgid.calibration.gain import calibrated as calibrated
+from cgid.calibration.modes import SiteCalibration as SiteCalibration
+from cgid.calibration.modes import calibrate as calibrate
+from cgid.calibration.modes import usable_impacts as usable_impacts
+from cgid.calibration.roving import RovingTest as RovingTest
+from cgid.calibration.roving import roving_test as roving_test
+from cgid.calibration.taps import Flaw as Flaw
+from cgid.calibration.taps import Tap as Tap
+from cgid.calibration.taps import TapTest as TapTest
+from cgid.calibration.taps import tap_test as tap_test

@@ -1,0 +1,1 @@
+from cgid.export.c99 import c_source as c_source

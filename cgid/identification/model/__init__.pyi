@@ -1,0 +1,1 @@
+from cgid.identification.model.model import Model as Model

@@ -1,0 +1,2 @@
+from cgid.measure.modal.modes import Modes as Modes
+from cgid.measure.modal.modes import read_modes as read_modes

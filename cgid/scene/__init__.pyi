@@ -1,0 +1,14 @@
+from cgid.scene.file.schema import Scene as Scene
+from cgid.scene.file.schema import load_scene as load_scene
+from cgid.scene.file.schema import parse_scene as parse_scene
+from cgid.scene.file.schema import varied as varied
+from cgid.scene.file.sensor import Sensor as Sensor
+from cgid.scene.output.changes import changed as changed
+from cgid.scene.output.generation import generate as generate
+from cgid.scene.output.recordings import generate_recordings as generate_recordings
+from cgid.scene.synthesis.given_pulses import SolvedImpacts as SolvedImpacts
+from cgid.scene.synthesis.given_pulses import synthesise_given as synthesise_given
+from cgid.scene.synthesis.plan import Plan as Plan
+from cgid.scene.synthesis.plan import plan as plan
+from cgid.scene.synthesis.stream import record as record
+from cgid.scene.synthesis.synthesis import synthesise as synthesise

@@ -1,0 +1,9 @@
+from cgid.store.dataset import export as export
+from cgid.store.description import FORMAT as FORMAT
+from cgid.store.description import SCHEMA_VERSION as SCHEMA_VERSION
+from cgid.store.reading import Dataset as Dataset
+from cgid.store.table import Table as Table
+from cgid.store.table import read_table as read_table
+from cgid.store.verification import Verified as Verified
+from cgid.store.verification import remedy as remedy
+from cgid.store.verification import verify as verify
