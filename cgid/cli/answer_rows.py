@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from cgid._lib.terminal import counted
 from cgid.cli.output import finite, print_json, say, warn
 from cgid.cli.table import TableOutput
+from cgid.errors import BadData
 from cgid.units import Column, numbers
 
 if TYPE_CHECKING:
@@ -59,7 +60,6 @@ class AnswerLines:
 
     def begin(self, source: str, model: StoredModel, settings: PredictionSettings) -> None:
         """Set the columns; raises `BadData` if earlier rows have different ones."""
-        from cgid.errors import BadData
         from cgid.identification.prediction.answers import answer_columns
 
         if self.as_json or not self._has_rows:
@@ -299,8 +299,6 @@ class RecordingRows:
 
     def finish(self, start_time: Any = None) -> None:
         """Print pending lines at the end of a recording, and its silent channels."""
-        from cgid.errors import BadData
-
         last = self._pipeline.finish()
         self.lines.begin(self.source, self._pipeline.model, self.settings)  # the head of an empty table
         silent = self._silent

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
+import numpy as np
 
+from cgid._lib import validation
 from cgid._lib.terminal import counted
 from cgid.cli.help import Command
 from cgid.cli.options import (
@@ -24,6 +27,7 @@ from cgid.cli.options import (
 )
 from cgid.cli.output import print_json, progress_bar, say, warn, warn_of_one_place
 from cgid.errors import BadData, InvalidValue
+from cgid.units import UNITS, quantity_of
 
 if TYPE_CHECKING:
     import numpy as np
@@ -125,7 +129,6 @@ def calibrate(
     train site.toml. Nothing is written if the beam does not explain the impacts sufficiently. Several sensors of one
     beam share its modes; each has its own location, filter and mounting, and a scene: site.toml, site-2.toml.
     """
-    from cgid._lib import validation
     from cgid._lib.files import check_new
     from cgid.calibration import calibrate as calibrated
     from cgid.calibration import dimensions
@@ -182,8 +185,6 @@ def _frames(
     recordings: tuple[str, ...], scene: Scene, reading: ReadingOptions, n_sensors: int
 ) -> tuple[NDArray[np.floating], float, int]:
     """Return frames of all usable impacts in the unit of the scene's sensor, their rate, and samples before onset."""
-    import numpy as np
-
     from cgid.calibration.modes import FEWEST, frames_of, usable_impacts
 
     if any(reading.wants_complete_dataset(path) for path in recordings):
@@ -218,8 +219,6 @@ def _frames(
 
 def _together(usable: list[Event], n_sensors: int, rate: float, path: str) -> list[list[Event]]:
     """Return the impacts that all sensors measure, each by channel."""
-    import math
-
     from cgid.identification.prediction.same_beam import CROSSING, SAME, RockAssigner
 
     usable = sorted(usable, key=lambda event: event.onset)
@@ -240,7 +239,6 @@ def _found(recording: Any, scene: Scene, reading: ReadingOptions, n_sensors: int
     from cgid.calibration.modes import check_scene
     from cgid.identification.training.impact_table import found_impacts
     from cgid.identification.training.recordings import unit_of
-    from cgid.units import UNITS, quantity_of
 
     if len(recording.channels) != n_sensors:
         raise BadData(
@@ -262,10 +260,7 @@ def _found(recording: Any, scene: Scene, reading: ReadingOptions, n_sensors: int
 
 def _of_dataset(path: str, scene: Scene) -> tuple[NDArray[np.floating], float, int]:
     """Return the frames of a dataset, their rate and samples before onset."""
-    import numpy as np
-
     from cgid.store import Dataset
-    from cgid.units import UNITS
 
     dataset = Dataset(path)
     first = dataset.signal(0)
@@ -287,8 +282,6 @@ def _draw(found: SiteCalibration, path: Path, overwrite: bool) -> None:
 
 def _content(found: SiteCalibration, path: Path) -> dict[str, Any]:
     """Return what is told of a calibrated sensor."""
-    import numpy as np
-
     modes, change = found.learned, np.log(found.learned.frequency / found.start.frequency)
     deviation = modes.columns["frequency_deviation"]
     known = deviation < 0.5 * found.start.columns["frequency_deviation"]

@@ -5,7 +5,9 @@ from __future__ import annotations
 from typing import Any
 
 import click
+import numpy as np
 
+from cgid import shipped
 from cgid.cli.help import Command
 from cgid.cli.options import SCENE, json_option, laws_option, seed_option
 from cgid.cli.output import print_json, say, warn, warn_of_one_place
@@ -22,8 +24,6 @@ _BLOCKS = 16
 @json_option
 def check(scene: str | None, as_list: bool, seed: int, as_json: bool) -> None:
     """Validate SCENE (a .toml file or the name of a shipped one), and preview 4096 of its impacts."""
-    from cgid import shipped
-
     if as_list:
         texts = shipped.scene_descriptions()
         if as_json:
@@ -73,8 +73,6 @@ def check(scene: str | None, as_list: bool, seed: int, as_json: bool) -> None:
 
 
 def _preview(scene: Any, seed: int, name: str) -> dict[str, Any]:
-    import numpy as np
-
     from cgid.scene.synthesis.draws import BLOCK, parameter_units, require_seed
     from cgid.scene.synthesis.impacts import draw
 
@@ -107,8 +105,6 @@ def _preview(scene: Any, seed: int, name: str) -> dict[str, Any]:
 
 def _tail_beam(scene: Any) -> dict[str, float]:
     """Return the facts about a scene's tail beam; empty without one."""
-    import numpy as np
-
     from cgid.scene.synthesis.impacts import beam_modes, placed_shapes
 
     if scene.tail_beam is None:
@@ -141,8 +137,6 @@ def _randomised(scene: Any) -> dict[str, tuple[float, float]]:
 
 def _shares(draws: list[Any], values: dict[str, Any], sampling_rate: Any, scene: Any) -> dict[str, float]:
     """Return the fraction of the pulses that each warning concerns."""
-    import numpy as np
-
     from cgid.measure.features.pulses import RECOMMENDED_SAMPLES
     from cgid.physics.contact.bodies import MAX_RADIUS
     from cgid.physics.contact.impact import BEYOND_THIN_PLATE, HERTZ_LIMIT, INELASTICITY_LIMIT
@@ -176,8 +170,6 @@ def _shares(draws: list[Any], values: dict[str, Any], sampling_rate: Any, scene:
 
 def _stream(scene: Any) -> dict[str, Any]:
     """Return the contents of a scene with a stream, and its label fractions over the recording."""
-    import numpy as np
-
     from cgid.scene.file.schema import samples_of
     from cgid.scene.output.recordings import require_capacity
     from cgid.scene.synthesis.noise import background_of

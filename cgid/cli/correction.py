@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 from cgid.cli.options import ReadingOptions, prediction_by, warn_of_chance
 from cgid.cli.output import accuracy_text, print_json, progress_bar, say, warn
+from cgid.shipped import model_path
 
 if TYPE_CHECKING:
     from cgid.identification.training.manifest import Manifest
@@ -27,7 +28,6 @@ def correct_model(
     from cgid.identification.training.metrics import drawn_text
     from cgid.identification.training.recordings import record
     from cgid.identification.training.rows import Slicing
-    from cgid.shipped import model_path
 
     model = StoredModel.load(model_path(base))
     require_correctable(model)

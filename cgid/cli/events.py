@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
+import numpy as np
 
 from cgid._lib.terminal import counted
 from cgid.cli.help import Command
@@ -24,6 +25,7 @@ from cgid.cli.options import (
 )
 from cgid.cli.output import FileErrors, say, say_error, warn
 from cgid.errors import CgidError, InvalidValue, MissingOption
+from cgid.units import quantity_of
 
 if TYPE_CHECKING:
     from cgid.recordings import RecordingFile
@@ -130,7 +132,6 @@ def require_trainable(files: Sequence[str], reading: ReadingOptions, beams: Grou
     """Return the sampling rates [Hz] of the recordings; raise an error if no model could be trained on them."""
     from cgid.identification.training.recordings import measurable, require_alike, unit_of
     from cgid.measure.features.extraction import kind_for
-    from cgid.units import quantity_of
 
     first: RecordingFile | None = None
     rates: set[float] = set()
@@ -181,14 +182,11 @@ def _rows(
     file: str, folder: Path, reading: ReadingOptions, beams: Groups, rates: Collection[float]
 ) -> Iterator[dict[str, str]]:
     """Yield a row for each impact of a recording; the columns are those of a manifest and informative ones."""
-    import numpy as np
-
     from cgid.identification.detection import Event
     from cgid.identification.prediction.same_beam import RockAssigner, grouped
     from cgid.identification.training.impact_table import interval_rows, measured_impacts
     from cgid.identification.training.recordings import unit_of
     from cgid.measure.features.extraction import kind_for
-    from cgid.units import quantity_of
 
     if file == "-":
         raise InvalidValue("stdin: a table of impacts must name files, a stream has no name; save it first")

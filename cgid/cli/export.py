@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import click
 
 from cgid.cli.help import Command
@@ -50,8 +52,6 @@ def export_model(model: str, to: str, output: str, overwrite: bool) -> None:
     head of the C file lists the required values, their order and units, and how to compile it. ONNX needs the extra
     onnx.
     """
-    from pathlib import Path
-
     from cgid._lib.files import check_new, write_whole
     from cgid.export import c_source
     from cgid.export.onnx import onnx_bytes

@@ -12,7 +12,7 @@ from cgid.cli.help import Command
 from cgid.cli.options import PATH, ReadingOptions, printing_options, reading_options
 from cgid.cli.output import FileErrors, print_json, say, warn
 from cgid.cli.table import TableOutput, output_options
-from cgid.errors import BadData
+from cgid.errors import BadData, InvalidValue
 from cgid.signals import Signal
 from cgid.units import Column, numbers, times
 
@@ -194,7 +194,6 @@ class _FeatureRows:
 
     def _measured(self, signal: Signal, dead_time: float | None) -> tuple[list[Column], list[_Impact]]:
         """Return the measured impacts of one channel."""
-        from cgid.errors import InvalidValue
         from cgid.identification.detection import find_impacts
         from cgid.measure.features.extraction import extract_array, kind_for, kind_of
         from cgid.recordings.chain import require_measured

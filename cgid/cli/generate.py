@@ -22,6 +22,7 @@ from cgid.cli.options import (
     worker_options,
 )
 from cgid.cli.output import print_json, progress_bar, say, warn
+from cgid.errors import InvalidValue
 
 #: Options for tables and their outputs; and the options for the columns, with the table that they need.
 _ONLY = {"features_only": "features", "closed_form_only": "closed-form", "parameters_only": "parameters"}
@@ -237,8 +238,6 @@ def _write_table(synthesis_plan: Any, options: dict[str, Any]) -> None:
 
 def _explain(synthesis_plan: Any, n_signals: int, as_json: bool) -> None:
     """Print the plan: a line for each stage, and the bytes of all signals."""
-    from cgid.errors import InvalidValue
-
     if n_signals < 1:
         raise InvalidValue(f"n_signals must be 1 or more, got {n_signals}")
     size, noun = synthesis_plan.signal_bytes, "signal" if synthesis_plan.scene.stream is None else "recording"
@@ -263,8 +262,6 @@ def _explain(synthesis_plan: Any, n_signals: int, as_json: bool) -> None:
 
 def _require_recordings(scene: Any, options: dict[str, Any]) -> None:
     """Raise `InvalidValue` for options that do not apply to recordings."""
-    from cgid.errors import InvalidValue
-
     for name, default in _OF_MANY.items():
         if options[name] != default:
             raise InvalidValue(

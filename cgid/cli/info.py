@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import shlex
+from collections import Counter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
+import numpy as np
 
+from cgid import shipped
 from cgid._lib.terminal import counted
 from cgid.cli.help import Command
 from cgid.cli.options import (
@@ -20,6 +24,8 @@ from cgid.cli.options import (
 )
 from cgid.cli.output import FileErrors, print_json, say, warn
 from cgid.cli.table import written_table
+from cgid.errors import BadData, CgidError
+from cgid.signals import channel_name
 
 if TYPE_CHECKING:
     from cgid.identification.detection import Event
@@ -47,7 +53,6 @@ def info(file: str, as_json: bool, same_beam: tuple[str, ...], reading: ReadingO
 
     Shipped models and scenes have names, such as default or caving.
     """
-    from cgid import shipped
     from cgid.identification.prediction.settings import require_groups
     from cgid.identification.training.manifest import recordings_of
 
@@ -102,8 +107,6 @@ def _text(value: Any) -> str:
 
 
 def _dataset(file: str) -> dict[str, Any]:
-    from collections import Counter
-
     from cgid.store import Dataset
 
     dataset = Dataset(file)
@@ -132,7 +135,6 @@ def _laws(dataset: Dataset) -> dict[str, Any]:
     """Return the laws by their number in the column dissipation, if it is there and the stored scene can be read."""
     if "dissipation" not in dataset.header.parameter_units:
         return {}
-    from cgid.errors import CgidError
     from cgid.scene.file.schema import stored_scene
 
     try:
@@ -144,8 +146,6 @@ def _laws(dataset: Dataset) -> dict[str, Any]:
 
 
 def _table(file: str) -> dict[str, Any]:
-    import numpy as np
-
     from cgid.store import read_table
 
     table = read_table(file)
@@ -185,9 +185,6 @@ def _model(file: str) -> dict[str, Any]:
 
 def _manifest(file: str) -> dict[str, Any]:
     """Return the content of a manifest, a table of `cgid events` or a scene; empty for any other file."""
-    import shlex
-    from collections import Counter
-
     from cgid.identification.training.manifest import is_manifest, labels_in, read_manifest
 
     is_toml = file.lower().endswith(".toml") and Path(file).is_file()
@@ -256,13 +253,9 @@ def _channels(recording: Any, as_json: bool, beams: Groups) -> tuple[dict[str, A
     A long recording has no median, which needs all samples, but a mean.
     """
     # A channel with samples that are no numbers is described by the others; the rest of the recording may be sound.
-    import numpy as np
-
-    from cgid.errors import BadData
     from cgid.identification.detection.detector import INVERT_HINT, ImpactDetector
     from cgid.identification.prediction.same_beam import Detected, RockAssigner, grouped
     from cgid.measure.features.extraction import kind_for
-    from cgid.signals import channel_name
 
     names, rate = recording.channels, recording.sampling_rate
     blocks, is_short = recording.gaps(range(len(names))).marked(recording.blocks(gaps=True)), False
@@ -346,8 +339,6 @@ def _channels(recording: Any, as_json: bool, beams: Groups) -> tuple[dict[str, A
 
 def _made(file: str) -> dict[str, Any]:
     """Return the attributes of a recording made by cgid; empty for any other."""
-    from collections import Counter
-
     from cgid.store.description import is_hdf5
 
     if not is_hdf5(Path(file)):  # the rest loads h5py

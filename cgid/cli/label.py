@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from cgid._lib import validation
 from cgid._lib.terminal import counted
 from cgid.cli.events import cells_of, require_trainable
 from cgid.cli.help import Command
@@ -25,6 +26,7 @@ from cgid.cli.options import (
 )
 from cgid.cli.output import say, warn
 from cgid.errors import CannotCreate, CgidError, InvalidValue
+from cgid.units import quantity_of
 
 if TYPE_CHECKING:
     from cgid.cli.events import Groups
@@ -73,7 +75,6 @@ def label(
     With --same-beam, each beam and each other channel of a file is a recording of its own, and a model learns one row
     of an impact. Each label is saved to disk at once; the table is one for cgid train. Ctrl-C ends the page.
     """
-    from cgid._lib import validation
     from cgid._lib.files import check_new
     from cgid.identification.prediction.settings import require_groups
     from cgid.identification.training.manifest import recordings_of
@@ -133,7 +134,6 @@ def _base(model: str | None, file: str, reading: ReadingOptions) -> StoredModel 
     from cgid.identification.prediction.settings import PredictionSettings
     from cgid.identification.training.correction import require_correctable
     from cgid.identification.training.recordings import unit_of
-    from cgid.units import quantity_of
 
     quantity = quantity_of(unit_of(reading.recording(file)))
     loaded = read_model(default_model(quantity, PredictionSettings()) if model is None else model)
@@ -174,7 +174,6 @@ def _opened(
     from cgid.labelling.learning import BASE, NEW
     from cgid.labelling.recording import LabelledRecording
     from cgid.measure.features.extraction import choose, kind_for, require_supported
-    from cgid.units import quantity_of
 
     cells = {**cells_of(file, folder, reading), "same_beam": beam}
     annotation = annotation_of({**{name: cell for name, cell in cells.items() if cell}, "label": "x"}, folder, None)

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import click
 
+from cgid import shipped
 from cgid.cli.help import Command
 from cgid.cli.options import json_option
+from cgid.cli.output import print_json
 from cgid.cli.table import TableOutput
 from cgid.units import Column
 
@@ -18,8 +20,6 @@ def models(as_json: bool) -> None:
     A version of a model never changes. Commands take it as NAME@VERSION, and refuse it if this cgid has another one, so
     that an update does not change answers unnoticed.
     """
-    from cgid import shipped
-    from cgid.cli.output import print_json
     from cgid.identification.model.model import StoredModel
 
     rows = []

@@ -36,6 +36,7 @@ from cgid.cli.options import (
 )
 from cgid.cli.output import say, warn
 from cgid.cli.table import TableOutput
+from cgid.errors import InvalidValue, NoInput
 
 if TYPE_CHECKING:
     from cgid.identification.prediction import PredictionSettings
@@ -307,8 +308,6 @@ def _follow(
     warn_of_model(live.source, live.source, live.sampling_rate, model, settings, names)
 
     def begun(name: str) -> None:
-        from cgid.errors import InvalidValue
-
         assert pipeline.watch is not None
         name, time = name.strip(), pipeline.duration
         try:
@@ -371,8 +370,6 @@ class DelayReport:
 @contextmanager
 def _opened(stream: str) -> Iterator[Any]:
     """Open a stream whose data is available at once."""
-    from cgid.errors import NoInput
-
     if stream == "-" and sys.stdin is None:
         raise NoInput("stdin: the standard input must be open, it is closed; pipe a stream in, or name one")
     with ExitStack() as stack:

@@ -13,10 +13,12 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import click
 from click.shell_completion import CompletionItem
 
+from cgid._lib import validation
 from cgid.cli.output import say_error, warn
-from cgid.errors import BadData, CannotCreate, CgidError, InvalidValue
+from cgid.errors import BadData, CannotCreate, CgidError, InvalidValue, MissingOption
 from cgid.shipped import MODELS, SCENES
 from cgid.signals import Signal, channel_name
+from cgid.units import number_and_unit, parse
 
 if TYPE_CHECKING:
     from cgid.identification.model.model import StoredModel
@@ -69,8 +71,6 @@ class Seconds(click.types.FloatParamType):
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
         """Return the time [s], or fail with a usage error."""
-        from cgid.units import number_and_unit, parse
-
         found = number_and_unit(value) if isinstance(value, str) else (value, "")
         if found is not None and not found[1]:
             return float(found[0])
@@ -166,7 +166,6 @@ def require_one_executor(context: click.Context) -> None:
 
 def warn_of_volts(recording: RecordingFile) -> list[str]:
     """Explain how volts and coulombs are converted to the measured quantity, if unknown; return what was said."""
-    from cgid.errors import MissingOption
     from cgid.recordings.chain import require_measured
 
     said = []
@@ -736,8 +735,6 @@ def warn_of_chance(model: StoredModel, source: str = "", gangue: Sequence[str] =
 
 def point_of(text: str) -> tuple[float, float]:
     """Return the point [m] of a sensor."""
-    from cgid._lib import validation
-
     try:
         x, y = (float(validation.not_negative("--sensor", float(part))) for part in text.split(","))
     except ValueError:
@@ -747,8 +744,6 @@ def point_of(text: str) -> tuple[float, float]:
 
 def share_of(flag: str, text: str) -> float:
     """Return a fraction such as "1 %"."""
-    from cgid.units import parse
-
     try:
         return parse(float(text) if text.replace(".", "", 1).isdigit() else text, "ratio")
     except (CgidError, ValueError):

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from cgid._lib import validation
 from cgid._lib.terminal import counted
 from cgid.cli.help import Command
 from cgid.cli.options import (
@@ -21,6 +22,7 @@ from cgid.cli.options import (
     warn_of_volts,
 )
 from cgid.cli.output import print_json, say, warn
+from cgid.errors import InvalidValue
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -201,9 +203,6 @@ def _opened(file: str, reading: ReadingOptions) -> RecordingFile:
 
 
 def _require_order(begin: float, end: float | None) -> None:
-    from cgid._lib import validation
-    from cgid.errors import InvalidValue
-
     validation.not_negative("--from", begin, "s")
     if end is not None and not validation.real("--to", end, "s") > begin:
         raise InvalidValue(f"--to must be after --from ({begin:g} s), got {end:g} s")
@@ -211,8 +210,6 @@ def _require_order(begin: float, end: float | None) -> None:
 
 def _between(recording: RecordingFile, begin: float, end: float | None) -> Iterator[NDArray[Any]]:
     """Yield the blocks of the recording between two times [s]."""
-    from cgid.errors import InvalidValue
-
     first = round(begin * recording.sampling_rate)
     last = None if end is None else round(end * recording.sampling_rate)
     if last is not None and last <= first:

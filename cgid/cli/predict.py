@@ -11,7 +11,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
+import numpy as np
 
+from cgid import shipped
 from cgid._lib.terminal import counted
 from cgid.cli.answer_rows import AnswerLines, RecordingRows
 from cgid.cli.help import Command
@@ -31,7 +33,7 @@ from cgid.cli.options import (
 )
 from cgid.cli.output import FileErrors, progress_bar, say
 from cgid.cli.table import TableOutput, output_options
-from cgid.errors import CgidError
+from cgid.errors import BadData, CgidError, InvalidValue
 
 if TYPE_CHECKING:
     from cgid.identification.model.model import StoredModel
@@ -114,7 +116,6 @@ class _Prediction:
     ) -> None:
         """Print the predictions for the channels of a recording that use this model."""
         from cgid.cli.hints import Hints
-        from cgid.errors import InvalidValue
         from cgid.identification.prediction.pipeline import Pipeline
 
         source, rate = recording.source, recording.sampling_rate
@@ -190,9 +191,6 @@ class _Prediction:
 
     def dataset_signal(self, path: str, index: int, signal: Signal) -> None:
         """Print the prediction for one signal of a dataset."""
-        import numpy as np
-
-        from cgid.errors import BadData
         from cgid.identification.prediction import identify, suited
         from cgid.identification.prediction.batches import drop_heights, require_one_signal
         from cgid.store import Dataset
@@ -323,7 +321,6 @@ def predict(
     stderr. With --json all of it goes to stdout in lines that have a kind: impact, window, share, shut, open, warning,
     summary.
     """
-    from cgid import shipped
     from cgid.recordings import is_dataset
 
     if not files and not sample:

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import itertools
 import os
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
+import numpy as np
 
 from cgid._lib.terminal import counted
 from cgid.cli.help import Command
@@ -25,6 +27,7 @@ from cgid.cli.options import (
 )
 from cgid.cli.output import print_json, progress_bar, say, warn
 from cgid.errors import BadData, InvalidValue
+from cgid.units import UNITS, quantity_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -115,8 +118,6 @@ def tap(
     A roving hammer taps a grid of places once or more each, one of them next to the sensor. Places closer than half of
     the shortest wave length give the shapes between them, in a table beside the first for tail_beam.shapes.
     """
-    from dataclasses import replace
-
     from cgid._lib.files import check_new, write_whole
     from cgid.calibration.roving import roving_test
     from cgid.calibration.splice import Splice
@@ -195,8 +196,6 @@ def _require_roving(
 
 def _modes_of(name: str) -> Modes:
     """Return the modes of a scene's beam."""
-    import numpy as np
-
     from cgid.scene import load_scene
     from cgid.scene.synthesis.impacts import beam_modes
 
@@ -218,7 +217,6 @@ def read_with_hammer(
     from cgid.calibration.taps import factor_of
     from cgid.identification.training.recordings import unit_of
     from cgid.recordings import is_dataset, open_recording
-    from cgid.units import UNITS, quantity_of
 
     if path == "-":
         raise InvalidValue("stdin: a recording of taps must be a file, it is read more than once; save it first")
@@ -257,8 +255,6 @@ def read_with_hammer(
 
 def _spans(recording: Any, hammer: Any, factor: float, pull: float, overlap: float) -> Iterator[Span]:
     """Yield stretches of a recording and of its hammer, in SI units; warnings are told at the end."""
-    import numpy as np
-
     from cgid.calibration.splice import MINUTE, moved, spans_of
 
     rate = recording.sampling_rate

@@ -5,11 +5,13 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import replace
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import click
 
+from cgid import shipped
 from cgid._lib import validation
 from cgid._lib.terminal import counted
 from cgid.cli.help import Command
@@ -374,8 +376,6 @@ def _points_of_one_beam(scene: Scene | None, options: dict[str, Any]) -> list[tu
 
 def _behind(training: Any, scene: Scene | None, points: list[tuple[float, float]], *, full: bool = False) -> Any:
     """Return a training on the first of some sensors of a beam, with a model that knows the places of all."""
-    from dataclasses import replace
-
     from cgid.scene.synthesis.through_beam import beam_of, full_beam
 
     if not points or scene is None:
@@ -427,8 +427,6 @@ def _from_recordings(
 
 def _with_synthetic(data: list[str], recorded: Any, options: dict[str, Any]) -> tuple[Any, Any]:
     """Return recorded impacts, and those of datasets and scenes, with the features that both can have."""
-    from itertools import chain
-
     from cgid.identification.training.rows import in_unit, measure
     from cgid.measure.features.extraction import supported
 
@@ -528,8 +526,6 @@ def _beam(sources: list[Scene | Dataset], options: dict[str, Any]) -> Any:
 
 def _means_scene(item: str) -> bool:
     """Return whether data is a scene; a non-existing name similar to a shipped one is taken as a misspelling."""
-    from cgid import shipped
-
     named = bool(item in shipped.SCENES or validation.suggestion(item, shipped.SCENES))
     return Path(item).suffix == ".toml" or (named and not Path(item).exists())
 

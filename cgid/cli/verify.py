@@ -11,6 +11,7 @@ from cgid._lib.terminal import counted
 from cgid.cli.help import Command
 from cgid.cli.options import PATH, SCENE, ReadingOptions, given_laws_option, json_option, reading_options_for
 from cgid.cli.output import FileErrors, print_json, progress_bar, say
+from cgid.errors import BadData, CgidError, MissingOption
 
 if TYPE_CHECKING:
     from cgid.recordings import RecordingFile
@@ -66,7 +67,6 @@ def verify(
 
 def _recordings_of(path: str) -> list[str]:
     """Return the recordings of other programs in a folder, sorted; none for anything else."""
-    from cgid.errors import CgidError
     from cgid.identification.training.manifest import recordings_in
     from cgid.store.folder import is_dataset_folder
 
@@ -82,7 +82,6 @@ def _recordings_of(path: str) -> list[str]:
 def _verify_rows(path: str, as_json: bool) -> bool:
     """Report an intact table of predictions or features, or raise its damage; return whether it is one."""
     from cgid.cli.table import written_table
-    from cgid.errors import BadData
 
     try:
         table = written_table(path)
@@ -100,7 +99,6 @@ def _verify_rows(path: str, as_json: bool) -> bool:
 
 def _verify_model(path: str, as_json: bool) -> None:
     """Report an intact model, or raise its damage."""
-    from cgid.errors import BadData
     from cgid.identification.model.model import StoredModel
 
     try:
@@ -134,8 +132,6 @@ def _is_foreign(path: str) -> bool:
 
 def _verify_foreign(path: str, reading: ReadingOptions, as_json: bool) -> None:
     """Report a recording without checksums that is readable to its end, or raise its damage."""
-    from cgid.errors import BadData
-
     source = Path(path)
     try:
         recording, n_samples = _read(path, reading)
@@ -154,7 +150,6 @@ def _verify_foreign(path: str, reading: ReadingOptions, as_json: bool) -> None:
 
 def _read(path: str, reading: ReadingOptions) -> tuple[RecordingFile, int]:
     """Read a recording to its end, whether or not its rate is known; return it and its samples per channel."""
-    from cgid.errors import MissingOption
     from cgid.recordings import open_recording
 
     try:
@@ -170,7 +165,6 @@ def _read(path: str, reading: ReadingOptions) -> tuple[RecordingFile, int]:
 
 
 def _verify_data(path: str, scene: Any, laws: bool, as_json: bool) -> None:
-    from cgid.errors import BadData
     from cgid.store.verification import remedy
     from cgid.store.verification import verify as find
 

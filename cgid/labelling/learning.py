@@ -11,7 +11,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cgid._lib.validation import UNKNOWN, Floats
+from cgid._lib.workers import Workers
 from cgid.errors import BadData, CgidError, InvalidValue, Stopped
+from cgid.identification.prediction.settings import PredictionSettings
 from cgid.identification.training.rows import SAME_IMPACT, Rows
 from cgid.labelling.recording import LabelledRecording, rows_of_all
 
@@ -64,7 +66,6 @@ class Learning:
         self.version += 1
 
     def _trained(self, rows: Rows) -> Training:
-        from cgid._lib.workers import Workers
         from cgid.identification.training.training import train_on_groups
 
         rocks = np.unique(rows.rock, return_index=True)[1]
@@ -156,7 +157,6 @@ def predictions(recording: LabelledRecording, model: StoredModel, name: str) -> 
 def fraction(recording: LabelledRecording, model: StoredModel, name: str) -> dict[str, Any]:
     """Return the gangue fraction over time and the decisions, of all channels together."""
     from cgid.identification.prediction.answers import Answer
-    from cgid.identification.prediction.settings import PredictionSettings
     from cgid.identification.prediction.support import CavingWatch
 
     found, novelty = predictions(recording, model, name)

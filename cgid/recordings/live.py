@@ -15,7 +15,7 @@ from cgid._lib import validation
 from cgid._lib.validation import require_rate
 from cgid.errors import BadData, InvalidValue, MissingOption
 from cgid.recordings.chain import Chain, scaled, units_of
-from cgid.recordings.formats import AUDIO_MAGICS, WAV_MAGICS
+from cgid.recordings.formats import AUDIO_MAGICS, FORMATS, WAV_MAGICS
 from cgid.recordings.recording import MAX_CHANNELS, Blocks, Channel
 from cgid.recordings.sound import ENDLESS, Coding, read_wave_head
 
@@ -171,8 +171,6 @@ def _contents(n_channels: int, coding: Coding, fallback_unit: str | None, rate: 
 
 def _named_format(source: str) -> str | None:
     """Return what the name of a file says that it is, if that must be read whole."""
-    from cgid.recordings.formats import FORMATS
-
     ending = Path(source).suffix.lower()
     # Raw numbers are often called .dat, and a WAV is known by its head.
     known = (one.name for one in FORMATS if ending in one.endings and ending not in (".dat", ".wav"))

@@ -23,12 +23,12 @@ from cgid.identification.prediction.same_beam import SameBeamWarning, rows_of
 from cgid.identification.prediction.settings import PredictionSettings
 from cgid.identification.prediction.stream import STRATEGIES, Step, answering_channels, factors_for, identify_blocks
 from cgid.identification.prediction.support import CavingWatch, Ground
+from cgid.recordings import RecordingFile, open_recording
 from cgid.recordings.chain import scaled
 from cgid.recordings.gaps import Gaps
 from cgid.recordings.soundness import SensorWatch
 
 if TYPE_CHECKING:
-    from cgid.recordings import RecordingFile
     from cgid.recordings.recording import Channel
 
 #: Blocks in, the same blocks out, looked at on the way.
@@ -173,8 +173,6 @@ def identify_recording(
     MissingOption
         The unit of a channel, or the drop height that the model needs, is not given.
     """
-    from cgid.recordings import RecordingFile, open_recording
-
     recording = recording if isinstance(recording, RecordingFile) else open_recording(recording)
     settings = replace(settings or PredictionSettings(), **fields)
     settings = replace(settings, same_beam=recording.named(settings.same_beam, "same_beam"))

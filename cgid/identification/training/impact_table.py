@@ -15,6 +15,7 @@ from cgid.errors import BadData
 from cgid.identification.detection.detector import ImpactDetector
 from cgid.identification.detection.events import Event
 from cgid.identification.model.model import Model
+from cgid.identification.prediction.same_beam import SameBeamWarning
 from cgid.identification.training.recordings import measurable, unit_of
 from cgid.identification.training.rows import SAME_IMPACT
 from cgid.measure.features.extraction import kind_for
@@ -92,7 +93,6 @@ def impact_table(
         return table
     from cgid.identification.prediction.pipeline import identify_recording
     from cgid.identification.prediction.prediction import read_model
-    from cgid.identification.prediction.same_beam import SameBeamWarning
 
     loaded = read_model(model)
     with warnings.catch_warnings():  # here the channels are taken together
