@@ -308,16 +308,9 @@ def _as_table(
 class Boosting(Family):
     """Sums of decision trees; one table contains the nodes of all trees."""
 
-    AXES: ClassVar[Mapping[str, int]] = {
-        "baseline": 1,
-        "roots": 1,
-        "columns": 1,
-        "feature": 1,
-        "threshold": 1,
-        "left": 1,
-        "right": 1,
-        "value": 1,
-    }
+    AXES: ClassVar[Mapping[str, int]] = dict.fromkeys(
+        ("baseline", "roots", "columns", "feature", "threshold", "left", "right", "value"), 1
+    )
     #: Those that number nodes, features or score columns.
     INDICES: ClassVar[tuple[str, ...]] = ("roots", "columns", "feature", "left", "right")
 
@@ -431,12 +424,7 @@ class Network(Family):
     """Two hidden tanh layers."""
 
     AXES: ClassVar[Mapping[str, int]] = {
-        "weights_1": 2,
-        "biases_1": 1,
-        "weights_2": 2,
-        "biases_2": 1,
-        "weights_3": 2,
-        "biases_3": 1,
+        f"{name}_{layer}": n_axes for layer in (1, 2, 3) for name, n_axes in (("weights", 2), ("biases", 1))
     }
 
     @staticmethod
