@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import compress
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -18,6 +18,7 @@ from cgid.signals import KNOWN
 
 if TYPE_CHECKING:
     from cgid.identification.model.model import StoredModel
+    from cgid.impactor import ImpactorColumns
 
 __all__ = ["PredictionSettings"]
 
@@ -78,24 +79,6 @@ class ShareSettings(NamedTuple):
     def costs(self) -> dict[str, float]:
         """The costs of a decision."""
         return {name: getattr(self, name) for name in ("dilution_cost", "cost_late", "cost_early")}
-
-
-class ExtraColumns(Protocol):
-    """Additional outputs for each frame."""
-
-    def check(self, model: StoredModel) -> None:
-        """Raise `InvalidValue` if this model does not support it."""
-
-    def __call__(
-        self,
-        frames: NDArray[np.floating],
-        sampling_rate: float,
-        model: StoredModel,
-        pre_trigger: int | None,
-        detection_limit: float,
-    ) -> Sequence[Mapping[str, Any]]:
-        """Return one mapping for each frame, (n_signals, n_samples) in the unit of the model."""
-        ...
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -159,8 +142,8 @@ class PredictionSettings:
         Time without valid samples after which a support is blind; None: `BLIND_TIME`.
     give_up : float, optional [s]
         The recording ends where no channel has a sample that a sensor can give for this long; None: it goes on.
-    impactors : ExtraColumns, optional
-        Estimates the impactor, such as `cgid.impactor.ImpactorColumns`.
+    impactors : cgid.impactor.ImpactorColumns, optional
+        Estimates the impactor.
     same_beam : tuple of tuple of str
         Channels of one beam, by name or number from 1, such as (("1", "2"), ("3", "4")): an impact that several of them
         measure is one prediction.
@@ -191,7 +174,7 @@ class PredictionSettings:
     trained_seam: bool = False
     blind_after: float | None = None
     give_up: float | None = None
-    impactors: ExtraColumns | None = None
+    impactors: ImpactorColumns | None = None
     same_beam: tuple[tuple[str, ...], ...] = ()
 
     def __post_init__(self) -> None:
