@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from types import TracebackType
 from typing import Any
 
@@ -79,28 +79,14 @@ class PlantOutputs:
             for service in services:
                 service.wait(grace)
 
-    def begin(
-        self,
-        *,
-        source: str,
-        channels: Sequence[str],
-        rows: Sequence[str],
-        unit: str,
-        threshold: float | None,
-        behind: Callable[[], float],
-        blind_after: float = 5.0,
-        waited: Callable[[], float] | None = None,
-    ) -> None:
-        """Set the supports (`channels`), the rows of the blocks, and a function for the delay [s].
-
-        A stream has stopped that has been waited for longer than `blind_after` [s], by default since its last block.
-        """
+    def begin(self, *, threshold: float | None, **stream: Any) -> None:
+        """Set the supports and the stream, as `PlantState.begin`."""
         decision = next((kind for kind in self._commands if kind != "blind"), None)
         if decision is not None and threshold is None:
             raise InvalidValue(
                 f"--on-{decision} needs a model with gangue among its labels; name the labels of gangue with --gangue"
             )
-        self.plant.begin(source, channels, rows, unit, threshold, behind, blind_after, waited)
+        self.plant.begin(threshold=threshold, **stream)
 
     def listen(self, begun: Callable[[str], object]) -> None:
         """Call a function with each message about a caving cycle that begins, from the broker."""

@@ -103,16 +103,20 @@ class PlantState:
 
     def begin(
         self,
+        *,
         source: str,
         channels: Sequence[str],
         rows: Sequence[str],
         unit: str,
         threshold: float | None,
         behind: Callable[[], float],
-        blind_after: float,
+        blind_after: float = 5.0,
         waited: Callable[[], float] | None = None,
     ) -> None:
-        """Set the monitored channels; a stream has stopped when it gave no samples for `blind_after` [s]."""
+        """Set the supports (`channels`), the rows of the blocks, and a function for the delay [s].
+
+        A stream has stopped that has been waited for longer than `blind_after` [s], by default since its last block.
+        """
         with self._lock:
             self.source, self.unit, self.rows, self.threshold = source, unit, tuple(rows), threshold
             self._behind, self._blind_after = behind, blind_after
