@@ -24,7 +24,7 @@ from cgid.store.description import DIGEST, MAX_RECORDING, RECORDING_FORMAT
 from cgid.store.folder import Description, describe, sha256_of
 from cgid.store.hdf5 import RecordingPlan, writing
 from cgid.store.reading import Recording
-from cgid.store.run import Run, begun, check_output, is_single_file
+from cgid.store.run import begun, check_output, is_single_file
 
 #: Memory for the truth of an impact, including sorting and writing [bytes],
 _IMPACT_BYTES = 500
@@ -146,7 +146,13 @@ def generate_recordings(
         files = [] if single else [path / description.name(number) for number in run.missing]
         size = len(run.missing) * plan.size - sum(file.stat().st_size for file in files if file.exists())
         require_room(path, path.parent, size, "samples", "free some space, or make a shorter recording")
-        make_recordings(run, scene, seed, plan, progress, overwrite=overwrite or not single)
+        if run.missing and run.first_whole is not None:
+            require_recording(run.first_whole, scene, seed)
+        for number in run.missing:
+            file = path if single else path / description.name(number)
+            write_recording(file, plan, scene, seed, number, progress, overwrite=overwrite or not single)
+            if not single:
+                run.add(file.name, sha256_of(file))
     return path
 
 
@@ -161,28 +167,6 @@ def planned(scene: Scene, seed: int, n_recordings: int, dtype: str) -> tuple[Rec
     )
     description = describe(RECORDING_FORMAT, n_recordings=n_recordings, **vars(plan))
     return replace(plan, attributes={**plan.attributes, DIGEST: description.sha256}), description
-
-
-def make_recordings(
-    run: Run,
-    scene: Scene,
-    seed: int,
-    plan: RecordingPlan,
-    progress: Callable[[int], object] | None = None,
-    *,
-    overwrite: bool = True,
-) -> None:
-    """Make the missing recordings of a run, and list their sums.
-
-    Raises `BadData` if the first impacts of a whole recording do not follow from the scene any more.
-    """
-    if run.missing and run.first_whole is not None:
-        require_recording(run.first_whole, scene, seed)
-    for number in run.missing:
-        file = run.output if run.is_single else run.output / run.description.name(number)
-        write_recording(file, plan, scene, seed, number, progress, overwrite=overwrite)
-        if not run.is_single:
-            run.add(file.name, sha256_of(file))
 
 
 def require_recording(file: Path, scene: Scene, seed: int) -> None:
@@ -207,7 +191,7 @@ def write_recording(
     number: int,
     progress: Callable[[int], object] | None,
     *,
-    overwrite: bool = True,
+    overwrite: bool,
 ) -> None:
     """Write one recording of a stream, by its number; see `generate_recordings`."""
     dtype: Any = plan.dtype
