@@ -469,6 +469,7 @@ class HeldOut(NamedTuple):
     high: float
     n_trials: float  # as many as the interval rests on
     by_chance: bool  # whether chance explains the difference even if all impacts were independent trials
+    of_one: bool = False  # whether all labelled impacts are from a single recording
 
     @classmethod
     def of(cls, metrics: Mapping[str, Any], is_gangue: NDArray[np.bool_]) -> HeldOut | None:
@@ -501,44 +502,36 @@ class HeldOut(NamedTuple):
             f"(difference {self.low:.2f} to {self.high:.2f})"
         )
 
+    @property
+    def unproven(self) -> str:
+        """Why the model is not shown to tell gangue from the rest better than chance; empty if it is."""
+        # A decision concerns recordings to come, of which a single one says nothing.
+        if self.of_one:
+            return f"its labelled impacts are all from one recording, which shows nothing of others; {self}"
+        return "" if self.low > 0 else str(self)
+
 
 def unproven(model: StoredModel, gangue: Collection[str]) -> str:
-    """Return why a model is not shown to tell gangue from the rest better than chance; nothing if it is.
-
-    A decision concerns recordings to come, of which a single one says nothing.
-    """
-    own, is_of_one = _held_out(model, gangue)
-    if own is None or (own.low > 0 and not is_of_one):
-        return ""
-    return (
-        f"its labelled impacts are all from one recording, which shows nothing of others; {own}"
-        if is_of_one
-        else str(own)
-    )
+    """Return `HeldOut.unproven` of a model; empty without a test."""
+    own = held_out(model, gangue)
+    return "" if own is None else own.unproven
 
 
-def is_by_chance(model: StoredModel, gangue: Collection[str]) -> bool:
-    """Return whether chance explains the test of a model: no fraction follows from its answers."""
-    own, _ = _held_out(model, gangue)
-    return own is not None and own.by_chance
-
-
-def _held_out(model: StoredModel, gangue: Collection[str]) -> tuple[HeldOut | None, bool]:
-    """Return the test of a model, None if there is none, and whether it is of a single recording.
+def held_out(model: StoredModel, gangue: Collection[str]) -> HeldOut | None:
+    """Return the test of a model, None if there is none.
 
     By chance, gangue is called gangue as often as the rest is. The interval of the difference counts what that of the
     accuracy does: recordings, where their impacts resemble each other. A corrected model was tested on thousands of
     impacts elsewhere: those of its new beam disprove it if chance explains them and that test does not.
     """
     if not separates(gangue, model):
-        return None, False
+        return None
     is_gangue = np.isin(model.labels, as_in(model, gangue))
     own, here = (HeldOut.of(model.training.get(name, {}), is_gangue) for name in ("metrics", "correction"))
     by_sources = "recorded" in model.training and len(set(model.training.get("sources", ()))) == 1  # of older files
-    is_of_one = own is not None and bool(model.training.get("one_recording", by_sources))
     if here is not None and (own is None or here.low > 0 or here.high < own.gangue - own.others):
-        return here, False
-    return own, is_of_one
+        return here
+    return None if own is None else own._replace(of_one=bool(model.training.get("one_recording", by_sources)))
 
 
 def separates(gangue: Collection[str], model: StoredModel) -> bool:

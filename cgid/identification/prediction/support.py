@@ -30,10 +30,9 @@ from cgid.identification.prediction.fraction import (
     Switch,
     answers_of,
     as_in,
-    is_by_chance,
+    held_out,
     separates,
     tested_answers,
-    unproven,
 )
 from cgid.identification.prediction.settings import LabelledSpan, PredictionSettings
 from cgid.recordings.soundness import SensorWatch
@@ -187,8 +186,8 @@ class CavingWatch:
                 "at least one label must remain besides gangue, got all of the model's: "
                 f"{', '.join(gangue)}; leave one out"
             )
-        self._unproven = "" if self.threshold is None else unproven(model, gangue)
-        answers, by_chance = answers_of(model, gangue), is_by_chance(model, gangue)
+        answers, test = answers_of(model, gangue), held_out(model, gangue)
+        self._unproven = "" if self.threshold is None or test is None else test.unproven
         # The seams of the simulation have coal and gangue; other labels may be anything.
         seams = self._seams = None if shares.trained_seam or gangue != ("gangue",) else model.seams
         is_stated = shares.coal_until is not None or shares.coal
@@ -229,7 +228,7 @@ class CavingWatch:
                 seams=seams,
                 anchor=anchor(own),
                 lumps=lumps(own),
-                by_chance=by_chance,
+                by_chance=test is not None and test.by_chance,
             )
 
         self._window = window
