@@ -126,8 +126,6 @@ class Hints(Diagnosis):
 
         model, value = self.model, finding.value
         is_enough = self._kind == "window" or self._has_usable(CALIBRATED)
-        low, high = model.sampling_rates
-        rates = f"{low:g}" if low == high else f"{low:g} to {high:g}"
         within = not finding.name or not np.isfinite(value) or finding.low <= value <= finding.high
         fields = {
             **vars(finding),
@@ -140,7 +138,9 @@ class Hints(Diagnosis):
             "correct_unit": self._correction("--unit"),
             "lacking": "" if has_steps or is_enough else f"; record {CALIBRATED} clear impacts or more for that",
             "or_order": ", or the channels are in another order" if model.together > 1 else "",
-            "other_rate": "" if model.covers(self._rate) else f"; and sampled at {self._rate:g} Hz, not {rates} Hz",
+            "other_rate": ""
+            if model.covers(self._rate)
+            else f"; and sampled at {self._rate:g} Hz, not {model.rates_text}",
             "range": ""
             if within
             else f" (mainly {finding.name}: {value:.3g}, in the training {finding.low:.3g} to {finding.high:.3g})",

@@ -701,10 +701,8 @@ def warn_of_model(
             "those; expect lower accuracy on another day"
         )
     warn_of_chance(model, f"{source}: ", settings.shares.gangue)
-    low, high = model.sampling_rates
     if not model.covers(sampling_rate):
-        trained = f"{low:g}" if low == high else f"{low:g} to {high:g}"
-        warn(f"{name}: sampled at {sampling_rate:g} Hz, the model was trained at {trained} Hz")
+        warn(f"{name}: sampled at {sampling_rate:g} Hz, the model was trained at {model.rates_text}")
 
 
 def beam_words(beams: Iterable[str]) -> list[str]:

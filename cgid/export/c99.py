@@ -113,13 +113,11 @@ def _values(model: StoredModel) -> list[tuple[str, str, str]]:
 
 
 def _heading(model: StoredModel) -> str:
-    low, high = model.sampling_rates
-    rates = f"{low:g} Hz" if low == high else f"{low:g} to {high:g} Hz"
     lines = [
         f"A model of cgid as one C99 file: written by cgid {__version__}, without dependencies and allocation.",
         "",
         f"Model   {model.family}, SHA-256 of the file {hashlib.sha256(model.to_bytes()).hexdigest()}",
-        f"For     {model.kind}s of {model.quantity} [{model.unit}] at sampling rates of {rates}",
+        f"For     {model.kind}s of {model.quantity} [{model.unit}] at sampling rates of {model.rates_text}",
         f"Labels  {', '.join(f'{k}: {label}' for k, label in enumerate(model.labels))}",
         "",
         "Values of an impact, in this order; name [unit], definition:",

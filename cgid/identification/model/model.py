@@ -54,7 +54,7 @@ from cgid.identification.model.model_file import (
 )
 from cgid.identification.model.reference import equalisations_of
 from cgid.identification.model.world import World, trait_names
-from cgid.measure.features.extraction import FEATURES, UnknownFeature, kind_of
+from cgid.measure.features.extraction import UnknownFeature, kind_of, powers_of
 from cgid.measure.features.table import Kind
 from cgid.measure.filters import Equalisation
 from cgid.measure.modal.beam import Beam
@@ -108,13 +108,10 @@ def level_weights(
     """Return weights (n_inputs,) of standardised inputs for the level, and its standard deviation in the training."""
     # The best linear estimate of ln of a factor on the signal: the residual of what has its unit, given what has not.
     # Uncertainties are excluded, since they depend on the noise.
-    names = [name.split(" of channel ")[0] for name in inputs]
-    units = [FEATURES[name].unit if name in FEATURES else "" for name in names]
-    power = np.array([2.0 if "U^2" in unit else float("U" in unit or unit == "N") for unit in units])
-    is_decadic = np.array([unit.startswith("log10") for unit in units])
+    power, is_decadic = powers_of(inputs, "U")
     # A factor shifts only logarithms.
     shift = power * np.where(is_decadic, 1 / np.log(10), standardiser.logarithmic) / standardiser.scale
-    is_certain = np.array([not name.endswith(("deviation", "correlation")) for name in names])
+    is_certain = np.array([not name.split(" of channel ")[0].endswith(("deviation", "correlation")) for name in inputs])
     used = (shift != 0) | (is_certain & (power == 0))
     if not shift.any() or len(shift) > _MAX_LEVEL_INPUTS:
         return None
@@ -297,7 +294,7 @@ class StoredModel(Model):
         facts = {
             "labels": ", ".join(self.labels),
             "inputs": f"{len(self.inputs)}, such as {self.inputs[0]}",
-            "signals": f"{self.quantity} [{self.unit}] at {self._rates}",
+            "signals": f"{self.quantity} [{self.unit}] at {self.rates_text}",
             "trained on": f"{self.training.get('n_train', 'some')} {self.kind}s",
         }
         if isinstance(metrics.get("accuracy"), float):
@@ -312,18 +309,18 @@ class StoredModel(Model):
         return (
             f"Model({self.family}: {', '.join(self.labels)} from {inputs};\n"
             f"      trained on {self.training.get('n_train', 'some')} {self.kind}s of {self.quantity} [{self.unit}] at "
-            f"{self._rates}{accuracy_text})"
+            f"{self.rates_text}{accuracy_text})"
         )
-
-    @property
-    def _rates(self) -> str:
-        low, high = self.sampling_rates
-        return f"{low:g} Hz" if low == high else f"{low:g} to {high:g} Hz"
 
     @property
     def quantity(self) -> str:
         """Quantity of the training signals."""
         return quantity_of(self.unit)
+
+    @property
+    def rates_text(self) -> str:
+        """Range of the sampling rates of the training, such as "50000 to 200000 Hz"."""
+        return " to ".join(f"{rate:g}" for rate in dict.fromkeys(self.sampling_rates)) + " Hz"
 
     @property
     def is_of_few(self) -> bool:

@@ -21,7 +21,7 @@ from cgid._lib.validation import UNKNOWN, Floats
 from cgid.errors import CgidError
 from cgid.identification.detection.events import EVENT_TIME
 from cgid.identification.model.world import CHECKS, Misfit, MisfitPart, WorldTest
-from cgid.measure.features.extraction import FEATURES, extract_array
+from cgid.measure.features.extraction import extract_array, powers_of
 from cgid.measure.frames import ProblemKind
 
 if TYPE_CHECKING:
@@ -150,7 +150,9 @@ def causes_of(model: StoredModel, inputs: Floats, guards: Floats) -> list[Cause]
 def _scale_of(model: StoredModel, inputs: Floats, guards: Floats, symbol: str) -> Floats:
     """Return how many times as large as in training the unit of each row is; infinite where no factor fits."""
     out = np.full(len(inputs), np.inf)
-    powers, logarithmic = _powers(model, symbol)
+    powers, logarithmic = powers_of(model.inputs, symbol)
+    if symbol == "s":  # durations of vibrations are ignored: their level lasts as long as the window
+        powers[logarithmic] = 0.0
     # No factor can undo the result of a guard.
     rows = np.flatnonzero((guards <= np.array(model.guard_limits)).all(axis=1))
     if not rows.size or not powers.any():
@@ -163,19 +165,6 @@ def _scale_of(model: StoredModel, inputs: Floats, guards: Floats, symbol: str) -
     is_cause = (np.min(distances, axis=0) <= 1) & ((size >= _MAX_DISTANCE) | (size <= 1 / _MAX_DISTANCE))
     out[rows] = np.where(is_cause, size, np.inf)
     return out
-
-
-def _powers(model: StoredModel, symbol: str) -> tuple[Floats, NDArray[np.bool_]]:
-    """Return the power of a unit in each input, and which inputs are logarithms."""
-    # Durations of vibrations are ignored: their level lasts as long as the window.
-    names = [name.split(" of channel ")[0] for name in model.inputs]
-    units = [FEATURES[name].unit if name in FEATURES else "" for name in names]
-    logarithmic = np.array([unit.startswith("log10") for unit in units])
-    units = ["U" if unit == "N" else unit for unit in units]  # a force estimated through a beam
-    powers = np.array([2.0 if f"{symbol}^2" in unit else float(symbol in unit) for unit in units])
-    if symbol == "s":
-        powers[logarithmic] = 0.0
-    return powers, logarithmic
 
 
 def with_frames(

@@ -137,6 +137,15 @@ def require_known(name: str) -> None:
         )
 
 
+def powers_of(inputs: Sequence[str], symbol: str) -> tuple[Floats, NDArray[np.bool_]]:
+    """Return the power of a unit such as "U" in each input of a model, and which of these are logarithms."""
+    names = [name.split(" of channel ")[0] for name in inputs]
+    units = [FEATURES[name].unit if name in FEATURES else "" for name in names]
+    is_decadic = np.array([unit.startswith("log10") for unit in units])
+    units = ["U" if unit == "N" else unit for unit in units]  # a force estimated through a beam
+    return np.array([2.0 if f"{symbol}^2" in unit else float(symbol in unit) for unit in units]), is_decadic
+
+
 def supported(features: Iterable[str], sampling_rate: float, n_samples: int) -> tuple[str, ...]:
     """Return the features that a sampling rate [Hz] and frames of `n_samples` samples allow."""
     return tuple(name for name in features if not _lack(FEATURES[name], sampling_rate, n_samples))
