@@ -135,17 +135,14 @@ def calibrate(
     from cgid.calibration.chain import PARTS
     from cgid.calibration.learning import MAX_ROUNDS
     from cgid.calibration.modes import FEWEST, check_numbers, check_sensors, scenes_beside, table_beside
+    from cgid.plots.figure import new_picture
     from cgid.scene import load_scene
 
     for path in reversed(scenes_beside(Path(output), max(len(sensors), 1))):
         path = check_new(path, "a site", (".toml",), overwrite=overwrite)
         check_new(table_beside(path), "a table of modes", (".csv",), overwrite=overwrite)
     points = [point_of(text) for text in sensors]
-    drawing = None
-    if picture is not None:
-        from cgid.plots.figure import new_picture
-
-        drawing = new_picture(picture, overwrite=overwrite)
+    drawing = None if picture is None else new_picture(picture, overwrite=overwrite)
     scene = load_scene(scene_name)
     warn_of_one_place(scene)
     errors: dict[str, Any] = {

@@ -28,11 +28,10 @@ from cgid.errors import BadData, CgidError
 from cgid.signals import channel_name
 
 if TYPE_CHECKING:
+    from cgid.cli.events import Groups
     from cgid.identification.detection import Event
     from cgid.store import Dataset
 
-#: Channels of each beam.
-Groups = tuple[tuple[str, ...], ...]
 #: Maximum number of samples of all channels held in memory; longer recordings are read block by block.
 MAX_SAMPLES = 1 << 24
 #: A number of a sound file is at full scale from this on: the largest one of 16 bit.

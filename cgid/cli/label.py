@@ -12,7 +12,7 @@ import click
 
 from cgid._lib import validation
 from cgid._lib.terminal import counted
-from cgid.cli.events import cells_of, require_trainable
+from cgid.cli.events import Groups, cells_of, require_trainable
 from cgid.cli.help import Command
 from cgid.cli.options import (
     MODEL,
@@ -29,7 +29,6 @@ from cgid.errors import CannotCreate, CgidError, InvalidValue
 from cgid.units import quantity_of
 
 if TYPE_CHECKING:
-    from cgid.cli.events import Groups
     from cgid.identification.model.model import StoredModel
     from cgid.labelling.recording import LabelledRecording
 

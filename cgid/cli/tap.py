@@ -122,16 +122,13 @@ def tap(
     from cgid.calibration.roving import roving_test
     from cgid.calibration.splice import Splice
     from cgid.calibration.taps import read_taps, save_learned, tap_test
+    from cgid.plots.figure import new_picture
 
     path = check_new(Path(output), "a table of modes", (".csv",), overwrite=overwrite)
     universal = None if uff is None else check_new(Path(uff), "a universal file", (".uff", ".unv"), overwrite=overwrite)
     if universal is not None and hammer is None:
         raise InvalidValue("--uff must be used with a hammer channel, whose force the response is over; give --hammer")
-    drawing = None
-    if picture is not None:
-        from cgid.plots.figure import new_picture
-
-        drawing = new_picture(picture, overwrite=overwrite)
+    drawing = None if picture is None else new_picture(picture, overwrite=overwrite)
     times, places = (None, None) if table is None else read_taps(table)
     _require_roving(places is not None, hammer, sensor, window_tau, uff)
     modes = None if scene_name is None else _modes_of(scene_name)

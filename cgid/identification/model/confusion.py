@@ -16,17 +16,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, ClassVar, Self
+from typing import ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cgid._lib.validation import Floats
 from cgid.errors import BadData
-from cgid.identification.model.families import MIN_DIVISOR
-
-if TYPE_CHECKING:
-    from cgid.identification.model.families import Arrays
+from cgid.identification.model.families import MIN_DIVISOR, Arrays
 
 #: Probabilities are clipped this far from 0 and 1: otherwise a single wrong prediction could outweigh all others.
 SUREST = 1e-3

@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from itertools import chain
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from numpy.typing import NDArray
 
@@ -23,13 +23,10 @@ from cgid.identification.prediction.same_beam import SameBeamWarning, rows_of
 from cgid.identification.prediction.settings import PredictionSettings
 from cgid.identification.prediction.stream import STRATEGIES, Step, answering_channels, factors_for, identify_blocks
 from cgid.identification.prediction.support import CavingWatch, Ground
-from cgid.recordings import RecordingFile, open_recording
+from cgid.recordings import Channel, RecordingFile, open_recording
 from cgid.recordings.chain import scaled
 from cgid.recordings.gaps import Gaps
 from cgid.recordings.soundness import SensorWatch
-
-if TYPE_CHECKING:
-    from cgid.recordings.recording import Channel
 
 #: Blocks in, the same blocks out, looked at on the way.
 Look = Callable[[Iterable[NDArray[Any]]], Iterable[NDArray[Any]]]
