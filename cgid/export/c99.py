@@ -154,17 +154,8 @@ def _missing(model: StoredModel) -> Iterable[str]:
 
 
 def _sizes(model: StoredModel) -> str:
-    return (
-        "\n".join(
-            f"#define {name} {number}"
-            for name, number in (
-                ("CGID_N_LABELS", len(model.labels)),
-                ("CGID_N_INPUTS", len(model.inputs)),
-                ("CGID_N_VALUES", len(model.inputs) + len(model.guards)),
-            )
-        )
-        + "\n"
-    )
+    counts = {"LABELS": len(model.labels), "INPUTS": len(model.inputs), "VALUES": len(model.inputs + model.guards)}
+    return "".join(f"#define CGID_N_{name} {number}\n" for name, number in counts.items())
 
 
 def _interface(model: StoredModel) -> str:
