@@ -404,21 +404,19 @@ def find_impacts(
     except BadData as error:
         raise BadData(f"{signal.name}: {error}") from None
     if signal.pre_trigger is not None and np.ptp(signal.samples) > 0:
-        return [_dataset_frame(signal, signal.pre_trigger)]
+        return [
+            Event(
+                channel=0,
+                onset=signal.pre_trigger,
+                end=signal.samples.size,
+                samples=signal.samples,
+                sampling_rate=signal.sampling_rate,
+                pre_trigger=signal.pre_trigger,
+                detection_limit=DETECTION_LIMIT,
+                unit=signal.unit,
+                source=signal.name,
+            )
+        ]
     if not pulses:
         raise BadData(f"{signal.name}: {detector.why_silent(unit=signal.unit)}")
     return [replace(event, unit=signal.unit, source=signal.name) for event in pulses]
-
-
-def _dataset_frame(signal: Signal, pre_trigger: int) -> Event:
-    return Event(
-        channel=0,
-        onset=pre_trigger,
-        end=signal.samples.size,
-        samples=signal.samples,
-        sampling_rate=signal.sampling_rate,
-        pre_trigger=pre_trigger,
-        detection_limit=DETECTION_LIMIT,
-        unit=signal.unit,
-        source=signal.name,
-    )

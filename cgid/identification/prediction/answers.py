@@ -267,19 +267,7 @@ def identify(signal: Signal, model: Model, settings: PredictionSettings | None =
     events = find_impacts(signal, kind=model.kind, dead_time=settings.dead_time)
     if (shortest := min(len(event.samples) for event in events)) >= MINIMUM_FRAME:
         require_measurable(model.measured, signal.sampling_rate, shortest, None, model.beam)
-    return identify_events(events, model, settings, channels=(signal.channel,))
-
-
-def identify_events(
-    events: Sequence[Event],
-    model: StoredModel,
-    settings: PredictionSettings,
-    *,
-    channels: Sequence[str] = ("1",),
-    beam: BeamStream | None = None,
-) -> list[Answer]:
-    """Return one prediction for each detected impact, in order; `beam` is the state of a stream."""
-    return measured_events(events, model, settings, channels, beam)[0]
+    return measured_events(events, model, settings, (signal.channel,))[0]
 
 
 def measured_events(
@@ -289,7 +277,10 @@ def measured_events(
     channels: Sequence[str],
     beam: BeamStream | None = None,
 ) -> tuple[list[Answer], Floats]:
-    """Return predictions as `identify_events`, and what was measured, (n_events, n_measured), nan where it was not."""
+    """Return one prediction for each detected impact, in order, and what was measured, (n_events, n_measured).
+
+    What was not measured is nan; `beam` is the state of a stream.
+    """
     if any(np.atleast_2d(event.samples).shape[0] != model.together for event in events):
         raise BadData(
             f"channels must be {model.together}, one for each sensor of this model, in the order of its training; give "

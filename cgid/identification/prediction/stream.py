@@ -23,7 +23,7 @@ from cgid.identification.detection.events import Event
 from cgid.identification.detection.windows import complete_windows, measure_windows, windows_of
 from cgid.identification.model.model import StoredModel
 from cgid.identification.model.reference import MeanSpectrum, drift
-from cgid.identification.prediction.answers import Answer, answers_from, factor_to, identify_events, unmeasured
+from cgid.identification.prediction.answers import Answer, answers_from, factor_to, measured_events, unmeasured
 from cgid.identification.prediction.same_beam import SameBeam, Together, pooled, rows_of
 from cgid.identification.prediction.settings import PredictionSettings
 from cgid.identification.prediction.vote import RunningVote
@@ -183,7 +183,7 @@ def _impacts(
             said: Sequence[str] = ()
             wrong_beams: Sequence[str] = ()
             if same_beam is None:
-                answers = identify_events(waiting, model, settings, channels=names, beam=beam)
+                answers, _ = measured_events(waiting, model, settings, names, beam)
                 wrong_beams = () if together is None else tuple(together.feed(waiting, channels))
             else:
                 answers, begin, said = same_beam.identified(waiting, np.inf if ended else until)
