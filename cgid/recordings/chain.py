@@ -147,6 +147,7 @@ class Unit:
 
 
 Part = TypeVar("Part", Sensitivity, Gain, FullScale, Unit)
+_T = TypeVar("_T")
 
 
 @dataclass(frozen=True)
@@ -308,7 +309,7 @@ def _full_scale(scale: FullScale, stated: str | None, contents: Blocks, index: i
             f"{name}: full_scale must be of the quantity of the samples, got {scale.text} where file or --unit say "
             f"{stated} ({quantity_of(stated)}); leave one out"
         )
-    largest = _full_scale_number(contents, index)
+    largest = _of_file(contents.full_scales, index)
     if scale.bits is not None:
         if largest == 1.0:
             raise InvalidValue(f"{name}: full_scale must leave out the bits, got {scale.text}, the file states them")
@@ -329,20 +330,15 @@ def _full_scale(scale: FullScale, stated: str | None, contents: Blocks, index: i
 
 def _require_full_scale(unit: str | None, contents: Blocks, index: int, source: str) -> None:
     """Raise `MissingOption` for integers whose unit the user states: it does not state how many of it one step is."""
-    is_integer = index < len(contents.integers) and contents.integers[index]
+    is_integer = _of_file(contents.integers, index)
     if not is_integer or unit is None or unit == "FS" or _of_file(contents.units, index) is not None:
         return
-    bits = "" if _full_scale_number(contents, index) else " at 24 bit"
+    bits = "" if _of_file(contents.full_scales, index) else " at 24 bit"
     example = {"acceleration": "500 g", "voltage": "10 V"}.get(quantity_of(unit), f"500 {unit}")
     raise MissingOption(
         f"{channel_name(source, contents.label(index))}: the samples are integers, and the unit ({unit}) does not "
         f"state how many {unit} full scale is; give it as in --full-scale '{example}{bits}'"
     )
-
-
-def _full_scale_number(contents: Blocks, index: int) -> float | None:
-    """Return the number at full scale, None if the file does not state it."""
-    return contents.full_scales[index] if index < len(contents.full_scales) else None
 
 
 def _charge_gain(
@@ -431,7 +427,7 @@ def _bounded(link: Link, name: str) -> Link:
     return link
 
 
-def _of_file(stated: Sequence[str | None], index: int) -> str | None:
+def _of_file(stated: Sequence[_T | None], index: int) -> _T | None:
     return stated[index] if index < len(stated) else None
 
 
