@@ -197,11 +197,8 @@ def choose_candidate(training_set: TrainingSet, workers: Workers = SERIAL) -> Se
     for fold, answers in zip(folds, workers.each(_scores_of_all, training_set, folds), strict=True):
         scores[:, fold] = answers
     evaluation = np.any(folds, axis=0) & rows.is_clear
-    scores, truth, weights = (
-        scores[:, evaluation],
-        truth[evaluation],
-        row_weights(rows.labels[evaluation], training_set.weights),
-    )
+    scores, truth = scores[:, evaluation], truth[evaluation]
+    weights = row_weights(rows.labels[evaluation], training_set.weights)
     is_correct = np.argmax(scores, axis=2) == truth
     accuracies = tuple(float(np.average(of_candidate, weights=weights)) for of_candidate in is_correct)
     best = smallest_as_good(training_set.candidates, accuracies, is_correct, rows.group[evaluation])

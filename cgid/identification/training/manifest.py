@@ -561,10 +561,8 @@ def joined(manifests: Sequence[Manifest]) -> Manifest:
     """Return one manifest of the rows of several, such as one table of `events` for each day."""
     if len(manifests) == 1:
         return manifests[0]
-    source, annotations = (
-        " + ".join(one.source for one in manifests),
-        [row for one in manifests for row in one.annotations],
-    )
+    source = " + ".join(one.source for one in manifests)
+    annotations = [row for one in manifests for row in one.annotations]
     if mistakes := contradictions(annotations):
         raise BadData(*(f"{source}: {text}" for text in mistakes[:_MAX_MISTAKES]))
     n_unlabelled = sum(one.n_unlabelled for one in manifests)

@@ -33,7 +33,7 @@ from cgid.scene.synthesis.synthesis import columns_of, synthesise
 from cgid.signals import Batch
 from cgid.store.dataset import describe_dataset, shard_content
 from cgid.store.description import COMPRESSIONS, DIGEST, FORMAT, SCHEMA_VERSION
-from cgid.store.folder import Description
+from cgid.store.folder import Description, sha256_of
 from cgid.store.hdf5 import ShardMemory, ShardPlan, library, require
 from cgid.store.reading import Dataset
 from cgid.store.run import Run, begun, check_output, is_single_file, require_description
@@ -194,8 +194,7 @@ def attributes_of(scene: Scene, seed: int, compression: str = "none") -> dict[st
         instructions["laws"] = json.dumps(scene.own_laws)
     if scene.background is not None and scene.background.recorded is not None:
         # The scene contains only the name of the file; the samples depend on its content.
-        with scene.background.recorded.file(scene.folder).open("rb") as stream:
-            instructions["background_sha256"] = hashlib.file_digest(stream, "sha256").hexdigest()
+        instructions["background_sha256"] = sha256_of(scene.background.recorded.file(scene.folder))
     return instructions
 
 
