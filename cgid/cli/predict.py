@@ -365,9 +365,10 @@ def predict(
                 else:
                     prediction.recording(reading.recording(path))
     if report is not None and prediction.reports:
-        from cgid.plots.report import write_report
+        from cgid._lib.files import write_whole
+        from cgid.plots.report import report_page
 
-        write_report(report, prediction.reports, overwrite=overwrite)
+        write_whole(report, report_page(prediction.reports).encode(), overwrite=overwrite)
         say(f"wrote {report}", err=True)
     if picture is not None and impactors is not None:
         from cgid._lib.files import write_whole

@@ -19,7 +19,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid import __version__
-from cgid._lib.files import check_new, write_whole
 from cgid._lib.terminal import counted, printable
 from cgid._lib.validation import UNKNOWN
 from cgid.identification.model.model import StoredModel
@@ -88,18 +87,14 @@ class Report:
             yield str(state.decision), "decision at the end" + (f" ({why})" if why else "")
 
     @property
-    def has_time_history(self) -> bool:
-        """Whether the gangue fraction of some channel is available at two or more times."""
-        return bool(self._followed)
-
-    @property
-    def _followed(self) -> list[str]:
+    def followed(self) -> list[str]:
+        """The channels whose gangue fraction is available at two or more times."""
         counted_by = Counter(share.channel for share in self.shares if share.is_known)
         return [channel for channel, count in counted_by.items() if count > 1]
 
     def times_of_shares(self) -> dict[str, NDArray[np.float64]]:
         """Return the times of the predictions of channels with several gangue fractions, if enough for a decision."""
-        times = {name: np.array([one.time for one in self.answers if one.channel == name]) for name in self._followed}
+        times = {name: np.array([one.time for one in self.answers if one.channel == name]) for name in self.followed}
         return {name: one for name, one in times.items() if len(one) >= MIN_IMPACTS}
 
 
@@ -159,14 +154,8 @@ MAX_ROWS = 20_000
 _DPI = 130
 
 
-def write_report(path: str | Path, reports: Sequence[Report], *, title: str = "", overwrite: bool = False) -> None:
-    """Write one self-contained HTML page about some recordings; its name has one of `ENDINGS`."""
-    path = check_new(Path(path), "a report", ENDINGS, overwrite=overwrite)
-    write_whole(path, report_page(reports, title=title).encode(), overwrite=overwrite)
-
-
 def report_page(reports: Sequence[Report], *, title: str = "") -> str:
-    """Return the page that `write_report` writes; equal reports give equal pages."""
+    """Return one self-contained HTML page about some recordings; equal reports give equal pages."""
     title = title or _title([Path(report.source).name for report in reports])
     style, script = _resource("report.css") + _swatches(), _resource("report.js")
     allowed = f"default-src 'none'; img-src data:; style-src '{_hash(style)}'; script-src '{_hash(script)}'"
@@ -265,7 +254,7 @@ def _pictures(report: Report) -> Iterator[str]:
     figure = overview_figure(report.overview, report.channels, title="", marks=list(_marks(report)))
     what = f"Each {report.unit_of_decision} by its label, waveform, spectrogram and mean spectrum"
     yield _figure(figure, f"{what} of each channel." if len(report.channels) > 1 else f"{what}.")
-    if report.has_time_history:
+    if report.followed:
         shares = share_figure(report.shares, report.turns, report.overview.duration, threshold=report.threshold)
         yield _figure(shares, "Gangue fraction over a sliding window, with its interval.")
     times = report.times_of_shares()
