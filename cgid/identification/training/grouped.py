@@ -210,10 +210,9 @@ def choose_candidate(training_set: TrainingSet, workers: Workers = SERIAL) -> Se
     # recordings that differ, half of it is right where n is 2 and 3, and loses nothing where it is 10
     # (`python benchmarks/identification/few_groups.py`). Where doubt sets the temperature, nothing is taken off.
     n_groups = np.inf if is_correct[best].all() else np.mean(list(groups_of_labels(rows).values()))
-    of_candidate = rows[evaluation]
     correlation = 1.0
     if rows.kind == "window" and rows.slicing is not None:
-        correlation = vote_correlation(of_candidate, softmax(scores[best] / temperature), doubt)
+        correlation = vote_correlation(rows[evaluation], softmax(scores[best] / temperature), doubt)
     return Selection(best, accuracies, float(temperature ** (1 - _KNOWN_OF_FEW / n_groups)), correlation)
 
 
