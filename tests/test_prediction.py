@@ -121,7 +121,7 @@ HEAVY = "scipy,sklearn,pandas,numba,llvmlite,h5py,tqdm,pydantic,joblib,filelock,
     ("arguments", "code", "says"),
     [
         (("predict", "datasets/sample.csv"), 0, "6 impacts: coal 3, gangue 3"),
-        (("predict", "datasets/sample_acceleration.csv"), 0, "6 impacts: gangue 4"),
+        (("predict", "datasets/sample_acceleration.csv"), 0, "6 impacts: coal 3, gangue 3"),
         (("features", "datasets/sample.csv", "--features", "fitted_peak"), 0, "fitted_peak_N"),
         (("info", "datasets/sample.csv"), 0, "impacts: 6"),
         (("generate", "reference", "-o", "new.h5"), 69, f"which is not installed: pip install '{ROOT}'"),
