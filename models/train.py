@@ -1,7 +1,7 @@
 """Train the shipped models again, through the public API.
 
     python models/train.py -n 60000 --selection 2000   # models/default.npz, default.md and its pictures
-    python models/train.py --drop-height          # with known drop height, without corners: default-drop-height.npz
+    python models/train.py --drop-height -n 60000   # the same with a known drop height: default-drop-height.npz
     python models/train.py --acceleration -n 44000 --selection 2000   # for vibrations: default-acceleration.npz
     python models/train.py --seams                # the same with its simulated seams and recordings anew
     python models/train.py --finish -n 5000       # that of acceleration with its guards and all its streams anew
@@ -138,13 +138,11 @@ def shipped_scene(name: str) -> Scene:
     return parse_scene(content)
 
 
-def force_scenes(n: int, *, with_corners: bool = True) -> list[tuple[Scene, int]]:
+def force_scenes(n: int) -> list[tuple[Scene, int]]:
     """Return the scenes of the model of force with the number of impacts of each, the one to be judged on first."""
     reference, rock, corners = map(shipped_scene, ("reference", "rock", "corners"))
     home = [(reference, 3 * n // 10), (rock, 6 * n // 10)]
     rigs = on_rigs(reference, 4 * n // 10) + on_rigs(rock, n)
-    if not with_corners:
-        return home + rigs
     return home + rigs + on_rigs(corners, round(CORNERS[1] * n)) + [(corners, round(CORNERS[0] * n))]
 
 
@@ -339,7 +337,7 @@ def main() -> None:
         write_finished(simulated(model, arguments.seed), arguments.output or HERE / name, name)
         return
     known = ("drop_height",) if arguments.drop_height else ()
-    sizes = force_scenes(arguments.signals, with_corners=not arguments.drop_height)
+    sizes = force_scenes(arguments.signals)
     if arguments.acceleration:
         sizes = acceleration_scenes(arguments.signals)
     scenes = [scene for scene, _ in sizes]
