@@ -40,6 +40,8 @@ _BEYOND_LINEAR = 1.1
 #: Distance from a mode, in relative terms and at least so many bins, of the residual that may have moved it, and the
 #: part of its amplitude that does; measured by benchmarks/beam/chain.py.
 _NEAR, _NEAR_BINS, _MOVED_BY_LEFT = 0.04, 2.0, 0.5
+#: Part of a mode's deviation that is added for each mode that lies within its bandwidth; measured by the same.
+_MOVED_BY_SHAPES = 0.5
 #: A filter of linear phase rings for so many standard deviations of its impulse response; least noise over the peak.
 _RINGS, _LEAST_NOISE = 3.0, 1e-7
 #: Maximum number of rounds.
@@ -189,11 +191,21 @@ class Learned:
             if self.step(self._n_impacts):
                 break
         # What is left of a vibration although all impacts share the modes moves those near it, weak ones most, and does
-        # so in every impact alike: scatter does not show it.
+        # so in every impact alike: scatter does not show it. Nor are shapes exact: what one lacks moves modes that
+        # overlap it.
+        overlap = self._overlap()
         for quantity, told in zip(self._quantities, self._told, strict=True):
             moved = _MOVED_BY_LEFT**2 * np.maximum(self._left, 0.0) / np.maximum(told, 1e-300)
             known = np.sqrt(self.deviation[quantity] ** 2 + moved)
+            known[: overlap.size] *= np.sqrt(1 + np.square(_MOVED_BY_SHAPES * overlap))
             self.deviation[quantity] = np.minimum(known, np.maximum(self._prior[quantity], self.deviation[quantity]))
+
+    def _overlap(self) -> Floats:
+        """Return the number of other modes within the bandwidth of each, the further the less."""
+        one, place = max(zip(self._heard, self.places, strict=True), key=lambda pair: len(pair[0].beam.poles))
+        modes = one.corrected(place, self.correction).modes
+        apart = (modes.frequency - modes.frequency[:, None]) / (modes.damping_ratio * modes.frequency)[:, None]
+        return np.asarray(np.sum(1 / (1 + np.square(apart)), axis=1) - 1)
 
     def _system(self, number: int, n_impacts: int, limit: float | None) -> System:
         """Return the impacts of a sensor, inverted with the corrected beam."""
