@@ -137,8 +137,8 @@ def alarms(streams: list[Stream], shares: np.ndarray, model: StoredModel) -> Ite
     yield "|---|---|---|"
     for early in EARLY:
         count = np.array([sum(turn.shut for turn in one.turns(model, cost_early=early)) for one in streams])
-        rates = [3600 / DURATION * float(count[some].mean()) for some in (low, near)]
-        yield f"| {early:g} | {rates[0]:.0f} | {rates[1]:.0f} |"
+        rates = [f"{3600 / DURATION * count[some].mean():.0f}" if some.any() else "-" for some in (low, near)]
+        yield f"| {early:g} | {' | '.join(rates)} |"
 
 
 def rising(model: StoredModel, n: int, seed: int, picture: Path | None) -> Iterator[str]:
