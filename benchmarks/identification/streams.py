@@ -20,13 +20,15 @@ from typing import Any
 
 import numpy as np
 
-from cgid import plots, shipped
+from cgid import shipped
 from cgid.identification.model.model import StoredModel
 from cgid.identification.prediction import Answer, PredictionSettings
 from cgid.identification.prediction.fraction import Share, Switch
 from cgid.identification.prediction.settings import COST_EARLY
 from cgid.identification.prediction.stream import identify_blocks
 from cgid.identification.prediction.support import CavingWatch, SupportReport
+from cgid.plots.answers import draw_drawn, finish_drawn, gangue_at
+from cgid.plots.figure import COLOURS, png, require_matplotlib
 from cgid.scene import Scene, load_scene, parse_scene, record
 
 #: First seeds of constant shares, and of those of another seam; the seed of the rising share.
@@ -177,17 +179,17 @@ def rising(model: StoredModel, n: int, seed: int, picture: Path | None) -> Itera
 
 
 def picture_of(stream: Stream, model: StoredModel) -> bytes:
-    figure = plots.require_matplotlib()(figsize=(9, 4.2), layout="constrained")
+    figure = require_matplotlib()(figsize=(9, 4.2), layout="constrained")
     axes, times = figure.subplots(), np.array([answer.time for answer in stream.answers])
-    blue, red, *_ = plots.COLOURS
+    blue, red, *_ = COLOURS
     order = np.argsort(stream.time)
     truth = stream.time[order], stream.gangue[order].astype(float)
-    plots.draw_drawn(axes, *truth, colour=red, title="in truth", width=1.2, says_times=False)
+    draw_drawn(axes, *truth, colour=red, title="in truth", width=1.2, says_times=False)
     shares = [one.state.share for one in stream.watched(model, share_step=1.0) if one.kind == "share"]
     shut = [turn.time for turn in stream.turns(model) if turn.shut]
-    plots.draw_drawn(axes, times, plots.gangue_at(times, shares), shut, colour=blue, title="predicted")
-    plots.finish_drawn(axes)
-    return plots.png(figure)
+    draw_drawn(axes, times, gangue_at(times, shares), shut, colour=blue, title="predicted")
+    finish_drawn(axes)
+    return png(figure)
 
 
 def drawn_row(name: str, streams: list[Stream], until: np.ndarray) -> str:
