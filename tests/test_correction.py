@@ -219,6 +219,9 @@ def test_a_rock_that_two_channels_heard_counts_once(model: StoredModel) -> None:
     share = two.after["accuracy"]
     assert two.after["accuracy_interval_95"] == pytest.approx(wilson_interval(share, 40), abs=0.02)
     assert two.after["accuracy_interval_95"] != pytest.approx(wilson_interval(share, 80), abs=0.02)
+    # Channels of one beam are one in what the corrected model is asked, too.
+    joint = correct(model, replace(recorded(impacts(40, 7)), same_beam=("1+2",)))
+    assert joint.model.same_beam == ("1+2",) and one.model.same_beam == ()
 
 
 def test_recordings_of_several_days_are_the_trials(model: StoredModel) -> None:

@@ -133,6 +133,7 @@ def correct(model: StoredModel, rows: Rows) -> Correction:
     # The metrics remain those of the training, of thousands; prediction sets have no guarantee for another beam.
     metrics = {**model.training.get("metrics", {}), "prediction_sets": []}
     training = {**model.training, "metrics": metrics, "correction": correction}
+    training |= {"same_beam": [*rows.same_beam]} if rows.same_beam else {}
     return Correction(
         replace(shifted(model, shift), training=training),
         shift,
