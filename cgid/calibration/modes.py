@@ -416,7 +416,8 @@ class _Sensor:
                 f"the beam of {self.name} must explain the impacts as well as simulated ones: their "
                 f"log-likelihood is {after:.3g} per sample ({self.before:.3g} before), expected {expected:.3g}; check "
                 f"the beam, {'the order of the channels, ' * self.together}the position of the sensor and the region "
-                "of the impacts, or use more impacts, a larger start error"
+                f"of the impacts{' (bounces count: give the scene a [stream])' * (scene.stream is None)}, or use more "
+                "impacts, a larger start error"
                 + (
                     ", or a dimension error of 3 % if the drawing may be inaccurate"
                     * (scene.panel is not None and not self.dimensions)
