@@ -31,7 +31,8 @@ from cgid.identification.model.families import Network
 from cgid.identification.model.model import StoredModel
 from cgid.identification.prediction.settings import PredictionSettings
 from cgid.identification.prediction.support import CavingWatch
-from cgid.shipped import DEFAULT_MODEL, path_of
+from cgid.scene import load_scene, parse_scene, record
+from cgid.shipped import ACCELERATION_MODEL, DEFAULT_MODEL, path_of, scene_path
 from tests.streams_of_pulses import stream
 
 PULSE = (2e3, 3e-4, 0.4)
@@ -466,3 +467,18 @@ def test_any_seam_is_said_once_in_words(folder: Path, capsys: pytest.CaptureFixt
     err = capsys.readouterr().err
     assert err.count("--coal-until 30s") == 1
     assert err.count("any seam) from") >= 5
+
+
+def test_a_model_of_single_blows_says_that_rocks_bounce(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    of_streams = StoredModel.load(path_of("models", ACCELERATION_MODEL))
+    told = {name: part for name, part in of_streams.training.items() if name not in ("streams", "seams", "world")}
+    arrays = {name: part for name, part in of_streams.arrays.items() if name[:5] not in ("share", "seams", "world")}
+    replace(of_streams, training=told, arrays=arrays).save(tmp_path / "blows.npz")
+    content = json.loads(load_scene(scene_path("caving")).text)
+    content["stream"]["duration"] = "14 s"
+    signal, _ = record(parse_scene(content), 5)
+    np.save(tmp_path / "belt.npy", signal.samples)
+    given = ["predict", str(tmp_path / "belt.npy"), "--rate", "25600", "--unit", "m/s^2"]
+    for options, count in ((["--model", str(tmp_path / "blows.npz")], 1), (["--trained-seam"], 0)):
+        assert run([*given, *options]) == 0
+        assert capsys.readouterr().err.count("the model learned from single blows; where rocks bounce") == count

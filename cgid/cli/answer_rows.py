@@ -473,7 +473,8 @@ class RecordingRows:
 
         if share.basis == self._bases.get(share.channel) or not (share.n_impacts or share.basis == Basis.TOO_FEW):
             return
-        if share.basis == Basis.ANY_SEAM and (share.n_impacts < _ENOUGH or share.time < self.settings.shares.window):
+        begins = share.basis in (Basis.ANY_SEAM, Basis.TRAINED)
+        if begins and (share.n_impacts < _ENOUGH or share.time < self.settings.shares.window):
             return  # nobody can say what fell at the beginning of so short a recording
         self._bases[share.channel] = share.basis
         stated = self.settings.coal_until
@@ -488,6 +489,10 @@ class RecordingRows:
             Basis.FEW_LUMPS: f"the labelled gangue must give at least {MIN_LUMPS} identified impacts, it gave fewer, "
             f"{alone}; label more lumps",
             Basis.WRONG_LUMPS: f"the labelled gangue is hardly gangue beside {coal}, {alone}; check both labels",
+            Basis.TRAINED: "the model learned from single blows; where rocks bounce, its gangue fraction and interval "
+            "are wrong, and so are decisions: train it on a scene with a [stream]"
+            if self._pipeline.model.is_of_blows
+            else None,
         }.get(share.basis)
         if message is not None:
             self._warn(f"{name}: {message}", channel=share.channel, basis=str(share.basis))

@@ -343,6 +343,11 @@ class StoredModel(Model):
         """Features to measure besides: what a beam shows of an impact, told with its answer and no part of it."""
         return ("beam_misshapen", "beam_overlap") if "beam_unexplained" in self.guards else ()
 
+    @property
+    def is_of_blows(self) -> bool:
+        """Whether it looks through a beam and learned from simulated single blows alone, so it knows no bounces."""
+        return self.beam is not None and "n_test_specimens" in self.training and "streams" not in self.training
+
     @cached_property
     def kind(self) -> Kind:
         """Kind of the signals: pulse, vibration or window."""
