@@ -9,9 +9,11 @@ from pathlib import Path
 # Set before numpy and scikit-learn are imported: waiting threads spin, so small fits take minutes on a busy machine.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-# Tests started in the background may inherit an ignored Ctrl-C and pass it on to their child processes.
+# Tests started in the background, or by nohup, may inherit an ignored signal and pass it on to their child processes.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
+if hasattr(signal, "SIGHUP") and signal.getsignal(signal.SIGHUP) is signal.SIG_IGN:
+    signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
 import pytest
 
