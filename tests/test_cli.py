@@ -356,7 +356,7 @@ def test_no_command_writes_over_what_it_reads(
         np.savez(name, x=np.zeros(9))
     Path("m.csv").write_text("path,label\na.npz,coal\n")
     Path("m.toml").write_text('[[recording]]\npath = "a.npz"\nlabel = "coal"\n')
-    Path("scene.toml").write_text('[tail_beam]\nmodes = "my-modes.csv"\n')
+    Path("scene.toml").write_text(f'description = "{"long " * 99}"\n[tail_beam]\nmodes = "my-modes.csv"\n')
     path = Path(victim)
     name = victim
     if "link" in way:
@@ -374,6 +374,21 @@ def test_no_command_writes_over_what_it_reads(
         said = capsys.readouterr().err
         assert "must not be one of the inputs" in said and said.count("\n") == 1
     assert {file: file.read_bytes() for file in tmp_path.rglob("*") if file.is_file()} == before
+
+
+@pytest.mark.parametrize("scene", ["reference", "small.toml"])
+def test_a_dataset_may_bear_the_name_of_its_scene(
+    scene: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """As in the tutorial: the name is no input, only the file and its tables are."""
+    monkeypatch.chdir(tmp_path)
+    text = (
+        path_of("datasets", "reference.toml").read_text().replace('name = "reference"', f'name = "{Path(scene).stem}"')
+    )
+    Path("small.toml").write_text(text)
+    command = ["generate", scene, "-n", "5", "-o", Path(scene).stem]
+    for more in [], ["--resume"], ["--overwrite"]:
+        assert run([*command, *more]) == 0, capsys.readouterr().err
 
 
 def test_every_option_that_writes_is_known_to_the_check_of_inputs() -> None:

@@ -41,7 +41,7 @@ class PathName(click.types.StringParamType):
     name = "path"
 
     def __init__(self, shipped: Iterable[str] = ()) -> None:
-        self._shipped = shipped
+        self.shipped = shipped
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         """Return the name, or fail with a usage error."""
@@ -51,7 +51,7 @@ class PathName(click.types.StringParamType):
 
     def shell_complete(self, ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
         """Let the shell complete files, and the names of shipped ones."""
-        names = [name for name in self._shipped if name.startswith(incomplete)]
+        names = [name for name in self.shipped if name.startswith(incomplete)]
         # After the files, because bash drops earlier completions.
         return [CompletionItem(incomplete, type="file"), *map(CompletionItem, names)]
 
@@ -94,8 +94,8 @@ def require_no_input_written(inputs: Iterable[str | Path] = ()) -> None:
 
     context = click.get_current_context()
     written, read = [], list(inputs)
-    parameters = [one for one in context.command.params if isinstance(one.type, PathName)]
-    given = [(context.params.get(one.name or ""), one.type) for one in parameters]
+    parameters = [(one.name, one.type) for one in context.command.params if isinstance(one.type, PathName)]
+    given = [(context.params.get(name or ""), kind) for name, kind in parameters]
     named = [([value] if isinstance(value, str) else value or (), kind) for value, kind in given]
     for names, kind in named:
         if isinstance(kind, OutputName):
@@ -109,7 +109,7 @@ def require_no_input_written(inputs: Iterable[str | Path] = ()) -> None:
         return  # what inputs name takes a tenth of the start of predict to find out
     for names, kind in named:
         if not isinstance(kind, OutputName):
-            read += [part for name in names for part in (name, *_named_by(name))]
+            read += [part for name in names if name not in kind.shipped for part in (name, *_named_by(name))]
     for path in written:
         require_not_input(path, read)
 
@@ -130,7 +130,9 @@ def _named_by(name: str) -> Iterator[Path]:
             from cgid._lib.files import parse_toml, read_regular
 
             content = parse_toml(read_regular(path, "TOML", _MAX_TOML).decode(), _MAX_TOML)
-            yield from (path.parent / text for text in _texts_in(content))
+            paths = (path.parent / text for text in _texts_in(content))
+            # Folders are not: one may bear the scene's name. isfile, unlike Path, takes a text of any length.
+            yield from (one for one in paths if os.path.isfile(one))  # noqa: PTH113
     except (CgidError, OSError, ValueError):
         return  # the command reports it
 
