@@ -16,11 +16,14 @@ import pytest
 from benchmarks.safety.bit_flips import flipped, judge, small_scene, some, subjects
 from cgid.cli.main import run
 from cgid.errors import BadData, CannotCreate, NoInput
+from cgid.physics.contact import own_laws
 from cgid.scene import generate, generate_recordings, parse_scene, plan
 from cgid.scene.output.generation import tabulate
+from cgid.shipped import path_of
 from cgid.store import Dataset, read_table
 from cgid.store.dataset import export
 from cgid.store.verification import remedy, verify
+from tests.test_own_laws import CONE
 from tests.test_stream import content
 
 SCENE = small_scene(2048)
@@ -308,10 +311,29 @@ def test_verify_names_the_command_that_makes_it_again(
     assert capsys.readouterr().out == f"{folder}: dataset of 4 files, whole\n"
 
 
+def test_the_remedy_says_which_file_the_scene_is(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A dataset knows the name in its scene, not that of the file, which `generate` needs."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(own_laws, "_own", {})
+    text = path_of("datasets", "reference.toml").read_text().replace('name = "reference"', 'name = "slope"')
+    Path("mine.toml").write_text(text.replace('dissipation = "', 'dissipation = "cone" # "'))
+    Path("cone.py").write_text(CONE)
+    assert run(["generate", "mine.toml", "-n", "5", "-o", "own", "--laws", "cone.py"]) == 0
+    before = contents(Path("own"))
+    flip(Path("own/shard-00000.h5"), 20_000)
+    assert run(["verify", "own"]) == 65
+    (said,) = re.findall("make it again: cgid (.*)", capsys.readouterr().err)
+    command, *stand_ins = said.split("; ")
+    assert stand_ins == ["SCENE.toml is the file of scene slope", "MODULE is that of its laws"]
+    assert run(shlex.split(command.replace("SCENE.toml", "mine.toml").replace("MODULE", "cone.py"))) == 0
+    assert contents(Path("own")) == before
+
+
 def test_without_its_description_only_the_kind_of_command_is_known(copies: Path) -> None:
-    assert remedy(copies / "recordings") == "cgid generate stream -n 3 --seed 3 --dtype float32 -o {} --resume".format(
-        copies / "recordings"
-    )
+    command = "cgid generate SCENE.toml -n 3 --seed 3 --dtype float32 -o {} --resume; SCENE.toml is the file of {}"
+    assert remedy(copies / "recordings") == command.format(copies / "recordings", "scene stream")
     (copies / "folder" / "description.json").write_text("{")
     assert remedy(copies / "folder") == "repeat the command that made it, with --resume"
     assert remedy(copies / "table.h5") == "repeat the command that made it, with --overwrite"

@@ -12,6 +12,7 @@ from cgid.cli.help import Command
 from cgid.cli.options import PATH, SCENE, ReadingOptions, given_laws_option, json_option, reading_options_for
 from cgid.cli.output import FileErrors, print_json, progress_bar, say
 from cgid.errors import BadData, CgidError, MissingOption
+from cgid.shipped import SCENES
 
 if TYPE_CHECKING:
     from cgid.recordings import RecordingFile
@@ -184,7 +185,7 @@ def _verify_data(path: str, scene: Any, laws: bool, as_json: bool) -> None:
     if left:
         files = f"{len(left)} of its files are" if len(left) > 1 else f"{left[0].file.name} is"
         raise BadData(
-            f"{path}: must be complete, {files} damaged, missing or unfinished; make it again: {remedy(path)}"
+            f"{path}: must be complete, {files} damaged, missing or unfinished; make it again: {remedy(path, SCENES)}"
         )
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import shlex
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -159,18 +159,21 @@ def verify(path: str | Path) -> Verified:
         raise NoInput(f"{path}: cannot be accessed ({error.strerror}); see to the permissions") from None
 
 
-def remedy(path: str | Path) -> str:
+def remedy(path: str | Path, scenes: Collection[str] = ()) -> str:
     """Return the command that makes what is damaged in a dataset or recordings again, to the same bytes.
 
     Parameters
     ----------
     path : str or Path
         A folder, or a single file.
+    scenes : collection of str
+        Names that `cgid generate` knows (`cgid.shipped.SCENES`).
 
     Returns
     -------
     str
-        As complete as what is left of the description permits.
+        As complete as what is left of the description permits. A dataset does not state the names of other scenes'
+        files, and of the modules of custom laws: SCENE.toml and MODULE stand for them.
     """
     path, about = Path(path), dict[str, Any]()
     is_folder = path.is_dir()
@@ -187,9 +190,12 @@ def remedy(path: str | Path) -> str:
     options = {"-n": about.get("n_signals", about.get("n_recordings", 1)), "--seed": about["seed"]}
     options |= {f"--{name.replace('_', '-')}": about[name] for name in _OPTIONS if name in about}
     options["-o"] = path
-    words = ["cgid", "generate", about.get("scene_name"), *(word for option in options.items() for word in option)]
-    words += ["--laws", "FILE"] if "laws" in about else []
-    return shlex.join([*map(str, words), "--resume" if is_folder else "--overwrite"])
+    name, mode = str(about.get("scene_name")), "--resume" if is_folder else "--overwrite"
+    words = [name if name in scenes else "SCENE.toml", *(word for option in options.items() for word in option)]
+    words += ["--laws", "MODULE"] if "laws" in about else []
+    stand_ins = [] if name in scenes else [f"SCENE.toml is the file of scene {name}"]
+    stand_ins += ["MODULE is that of its laws"] if "laws" in about else []
+    return "; ".join([shlex.join(["cgid", "generate", *map(str, words), mode]), *stand_ins])
 
 
 def _verify_file(path: Path) -> Verified:
