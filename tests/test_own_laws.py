@@ -14,7 +14,8 @@ from numba import njit
 from scipy.integrate import solve_ivp
 
 from benchmarks.impact import own_laws as referee
-from cgid.cli.main import run
+from cgid.cli.main import cli, run
+from cgid.cli.options import SCENE
 from cgid.errors import BadData, CannotCreate, InvalidValue
 from cgid.physics import (
     STEEL,
@@ -37,6 +38,7 @@ from cgid.recordings import open_recording
 from cgid.recordings.formats import outside_formats
 from cgid.scene import changed, generate, generate_recordings, synthesise
 from cgid.scene.file import schema
+from cgid.shipped import path_of
 from cgid.store.verification import verify
 from tests.plan_scenes import POPULATION, scene_of
 
@@ -384,3 +386,21 @@ def test_a_law_that_has_changed_completes_no_recordings(read_cone, tmp_path):
     read_cone.write_text("1.0")
     generate_recordings(scene, output, 2, resume=True)
     assert not changed(verify(output))
+
+
+def test_every_command_that_reads_a_scene_takes_its_laws(
+    cone: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Among its rocks `predict` finds impactors; the error of a scene names --laws, so each command has it."""
+    text = path_of("datasets", "reference.toml").read_text()
+    scene, data = tmp_path / "cones.toml", tmp_path / "cones.h5"
+    scene.write_text(text.replace('dissipation = "', 'dissipation = "cone" # "'))
+    generate(schema.load_scene(scene), data, 2)
+    monkeypatch.setattr(own_laws, "_own", {})
+    assert run(["predict", str(data), "--impactor", str(scene), "--laws", str(cone)]) == 0
+    assert "gangue" in capsys.readouterr().out
+    assert run(["info", str(scene), "--laws", str(cone)]) == 0
+    assert f"next: cgid check {scene} --laws {cone}" in capsys.readouterr().out
+    for command in cli.commands.values():
+        if any(option.type is SCENE for option in command.params) and command.name != "fetch":
+            assert any("--laws" in option.opts for option in command.params), command.name

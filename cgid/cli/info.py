@@ -18,6 +18,7 @@ from cgid.cli.options import (
     PATH,
     ReadingOptions,
     json_option,
+    laws_option,
     reading_options_for,
     same_beam_option,
     warn_of_volts,
@@ -46,6 +47,7 @@ _LOCAL_HEAD, _HEADER = 30, b"header.npy"
 @click.argument("file", type=PATH)
 @reading_options_for("sampling_rate", "unit", "channel", "variable", "format", *CHAIN)
 @same_beam_option
+@laws_option
 @json_option
 def info(file: str, as_json: bool, same_beam: tuple[str, ...], reading: ReadingOptions) -> int:
     """Describe FILE: a dataset, table, model, manifest, scene or recording, or each recording of a folder.
@@ -188,11 +190,13 @@ def _manifest(file: str) -> dict[str, Any]:
 
     is_toml = file.lower().endswith(".toml") and Path(file).is_file()
     if is_toml and not is_manifest(file):
+        from cgid.physics.contact.own_laws import sources
         from cgid.scene import load_scene
 
         scene = load_scene(file)
         about = {"kind": "scene", "file": file, "name": scene.name, "description": scene.description}
-        return {**about, "scene_sha256": scene.sha256, "next": shlex.join(["cgid", "check", file])}
+        laws = [word for source in sources() for word in ("--laws", source)]
+        return {**about, "scene_sha256": scene.sha256, "next": shlex.join(["cgid", "check", file, *laws])}
     if is_toml:
         listed = [one for one in read_manifest(file).annotations if not one.reference]
         rows = [(str(one.path), one.label) for one in listed]

@@ -9,7 +9,16 @@ import click
 
 from cgid._lib.terminal import counted
 from cgid.cli.help import Command
-from cgid.cli.options import OUTPUT, PATH, SCENE, ReadingOptions, json_option, overwrite_option, reading_options
+from cgid.cli.options import (
+    OUTPUT,
+    PATH,
+    SCENE,
+    ReadingOptions,
+    json_option,
+    laws_option,
+    overwrite_option,
+    reading_options,
+)
 from cgid.cli.output import print_json, say, warn, warn_of_one_place
 from cgid.cli.tap import read_with_hammer
 from cgid.errors import InvalidValue
@@ -36,6 +45,7 @@ _WRONG = 0.5
     help="Use this table of cgid tap --hammer, for impacts at the place of its taps; repeat it for each channel.",
 )
 @click.option("--scene", "scene_name", type=SCENE, help="Look for the place of each impact on the beam of this scene.")
+@laws_option
 @click.option("-o", "--output", type=OUTPUT, help="Write force and standard deviation over time to this table (.csv).")
 @click.option("--hammer", metavar="CHANNEL", help="Compare with the force measured in this channel.")
 @click.option(

@@ -24,6 +24,7 @@ from cgid.cli.options import (
     Models,
     ReadingOptions,
     answering_options,
+    given_laws_option,
     given_options,
     printing_options,
     reading_options,
@@ -290,6 +291,7 @@ class _Tally:
     metavar="PICTURE",
     help="Plot the distribution of masses (.png, .svg, .pdf), corrected for undetected impacts; with --impactor.",
 )
+@given_laws_option
 @output_options
 @reading_options
 @printing_options
@@ -325,6 +327,7 @@ def predict(
 
     if not files and not sample:
         raise click.UsageError("give at least one FILE, or --sample for the shipped one")
+    del options["laws"]  # scenes know them by now, and hints repeat the option
     impactors, picture = _impactors(impactor, masses, overwrite=overwrite)
     models, settings = settings_of(reading, **options, impactors=impactors)
     if sample:
