@@ -2,6 +2,7 @@
 
 import csv
 import json
+import re
 
 import numpy as np
 import pytest
@@ -11,6 +12,8 @@ from cgid.cli.main import run
 from cgid.errors import BadData, InvalidValue
 from cgid.identification.inversion.recovered import errors_of, recover_force
 from cgid.measure.modal.modes import Modes
+from cgid.scene import generate
+from cgid.store import Dataset
 from tests.tapped import DAMPING, FREQUENCY, PARTICIPATION, taps
 
 RATE = 25_600.0
@@ -130,3 +133,38 @@ def test_command(recorded, tmp_path, capsys, monkeypatch):
     np.savetxt("clipped.csv", rows, "%.7g", ",", header=head, comments="")
     assert run(["invert", "clipped.csv", "--modes", "modes.csv", "--channel", "1"]) == 0
     assert "the response is clipped" in capsys.readouterr().err
+
+
+@pytest.fixture
+def beam_frames(tmp_path, monkeypatch):
+    """Twelve impacts on the beam of a scene, as a dataset and one after the other."""
+    monkeypatch.chdir(tmp_path)
+    generate("tail_beam", "frames.h5", 12)
+    dataset = Dataset("frames.h5")
+    np.savez("recording.npz", x=np.concatenate([dataset.signal(number).samples for number in range(12)]))
+    return dataset
+
+
+def test_impacts_that_are_left_out_are_told(beam_frames, capsys):
+    """The fifth is weak beside what still rings, and could be a beat."""
+    given = ["recording.npz", "--rate", f"{beam_frames.sampling_rate:g}", "--unit", "m/s^2"]
+    assert run(["invert", *given, "--scene", "tail_beam", "--json"]) == 0
+    out, err = capsys.readouterr()
+    content = json.loads(out)
+    assert len(content["impacts"]) == 11
+    (why,) = content["left_out"]
+    assert re.search(r"impact at 0\.325\d* s: must stand out 3-fold", why)
+    assert why in err and "1 of 12 impacts left out" in err
+
+
+def test_a_signal_of_a_dataset_is_inverted(beam_frames, capsys):
+    """It is a recording of one impact, whose place and peak the dataset knows."""
+    given = ["invert", "frames.h5", "--scene", "tail_beam"]
+    assert run([*given, "--index", "3", "--json"]) == 0
+    (found,) = json.loads(capsys.readouterr().out)["impacts"]
+    truth = beam_frames.impact(3).parameters
+    for name, true in ("x", "impact_x"), ("y", "impact_y"), ("peak", "peak_force"):
+        assert found[name] == pytest.approx(truth[true][0], abs=4 * found[f"{name}_deviation"])
+    for wrong, says in ([], "--index must"), (["--index", "3", "--hammer", "1"], "--hammer must be left out"):
+        assert run([*given, *wrong]) == 65
+        assert says in capsys.readouterr().err

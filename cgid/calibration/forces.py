@@ -9,8 +9,9 @@ import numpy as np
 
 from cgid._lib.validation import Floats
 from cgid.calibration.splice import Span
-from cgid.calibration.taps import events_in, hammer_force, is_clipped
+from cgid.calibration.taps import JUMP, events_in, hammer_force, is_clipped
 from cgid.errors import BadData
+from cgid.identification.detection.events import Event
 from cgid.identification.inversion.recovered import CONTACT, RecoveredForce, errors_of, recover_each
 from cgid.measure.modal.beam import Beam
 from cgid.measure.modal.modes import Modes
@@ -66,7 +67,8 @@ def forces_in(
     source : str
         Name of the recording in errors.
     told : callable, optional
-        Receives one line about each impact whose force cannot be found; by default the first one raises.
+        Receives one line about each impact that is left out: its force cannot be found, by default the first one
+        raises; or it is perhaps a beat of modes.
 
     Yields
     ------
@@ -80,9 +82,10 @@ def forces_in(
     done, n_found = 0, 0
     why_none = BadData(f"{source}: must contain an impact, got none; record longer")
     for first, response, force, last in spans:
+        beats: list[Event] = []
         try:
             if force is None:
-                measured, events = None, events_in(response, sampling_rate, source, apart=False)
+                measured, events = None, events_in(response, sampling_rate, source, apart=False, beats=beats)
             else:
                 measured, events = hammer_force(force, sampling_rate, source)
         except BadData as error:
@@ -109,6 +112,13 @@ def forces_in(
             if told is None:
                 raise why_none
             told(f"{source}: {why_none}")
+        for event in beats:
+            if told is not None and done - first <= event.onset < end:
+                time = (first + event.onset) / sampling_rate
+                told(
+                    f"{source}: impact at {time:.4g} s: must stand out {JUMP:g}-fold from the vibration before it, "
+                    "else it may be a beat of modes; leave more time between impacts"
+                )
         for onset, one in zip(onsets, found, strict=True):
             if one is None:
                 continue

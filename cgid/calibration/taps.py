@@ -47,7 +47,7 @@ CONTACT, _AFTER = 2e-3, 0.5e-3
 #: A tap ends this long before the onset of the next [s], since an onset may be detected late.
 _BEFORE_NEXT = 1e-3
 #: An impact makes the second differences of a response grow this many times within this time [s].
-_JUMP, _JUMP_TIME = 3.0, 2e-3
+JUMP, _JUMP_TIME = 3.0, 2e-3
 #: Two impacts within this time are a double tap [s].
 DOUBLE = 0.1
 #: Minimum length of a decay [s], and relative to the median one.
@@ -432,8 +432,10 @@ def read_taps(path: str | Path) -> tuple[list[float] | None, Floats | None]:
 # -- taps -------------------------------------------------------------------------------------------------
 
 
-def events_in(response: Floats, sampling_rate: float, source: str, *, apart: bool = True) -> list[Event]:
-    """Return the impacts detected by the sensors; those of taps must lie `apart`."""
+def events_in(
+    response: Floats, sampling_rate: float, source: str, *, apart: bool = True, beats: list[Event] | None = None
+) -> list[Event]:
+    """Return the impacts detected by the sensors; those of taps must lie `apart`. `beats` gets what is left out."""
     detector = ImpactDetector(sampling_rate, len(response), kind="vibration", joint=True)
     first = round(_LOOK * sampling_rate)
     events = detector.feed(response[:, :first])
@@ -447,7 +449,11 @@ def events_in(response: Floats, sampling_rate: float, source: str, *, apart: boo
     events += detector.feed(response[:, first:]) + detector.finish()
     if not events:
         raise BadData(f"{source}: a recording of taps must contain one, {detector.why_silent()}")
-    return [event for event in events if _jump(response, event.onset, sampling_rate) > _JUMP] or events
+    sudden = [event for event in events if _jump(response, event.onset, sampling_rate) > JUMP] or events
+    if beats is not None:
+        onsets = {event.onset for event in sudden}
+        beats += [event for event in events if event.onset not in onsets]
+    return sudden
 
 
 def _jump(response: Floats, onset: int, sampling_rate: float) -> float:

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
+import numpy as np
 
 from cgid._lib.terminal import counted
 from cgid.cli.help import Command
@@ -24,7 +25,10 @@ from cgid.cli.tap import read_with_hammer
 from cgid.errors import InvalidValue
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
+
     from cgid.calibration.forces import ImpactForce
+    from cgid.calibration.splice import Span
 
 #: Where more than this fraction of the amplitude is left, forces are those of another beam.
 _WRONG = 0.5
@@ -69,7 +73,7 @@ def invert(
     as_json: bool,
     reading: ReadingOptions,
 ) -> None:
-    """Recover the contact force of each impact in a RECORDING of a beam's motion.
+    """Recover the contact force of each impact in a RECORDING of a beam's motion, or a dataset's signal (--index).
 
     A table of cgid tap holds the modes of one place: only impacts there can be inverted. On the beam of a scene, which
     has a drawing or shapes of a roving hammer, the place of each impact is looked for as cgid predict does, and the
@@ -77,14 +81,24 @@ def invert(
     """
     from cgid._lib.files import check_new, write_whole
     from cgid.calibration.forces import OVERLAP, forces_in
+    from cgid.recordings import is_dataset
 
     path = None if output is None else check_new(Path(output), "a table of forces", (".csv",), overwrite=overwrite)
     modes = _modes_of(tables, scene_name, band)
-    spans, rate, quantity = read_with_hammer(recording, hammer, reading, OVERLAP)
+    if recording != "-" and is_dataset(recording):
+        spans, rate, quantity = _frame_of(recording, hammer, reading)
+    else:
+        spans, rate, quantity = read_with_hammer(recording, hammer, reading, OVERLAP)
     rows: list[dict[str, Any]] = []
     text: list[str] = []
+    left_out: list[str] = []
+
+    def told(why: str) -> None:
+        left_out.append(why)
+        warn(why)
+
     options: dict[str, Any] = {"quantity": quantity, "band": band or None, "contact": contact * 1e-3}
-    for one in forces_in(spans, rate, modes, source=recording, told=warn, **options):
+    for one in forces_in(spans, rate, modes, source=recording, told=told, **options):
         rows.append(_row(one))
         if path is not None:
             text += _lines(len(rows), one)
@@ -93,6 +107,9 @@ def invert(
             warn(f"impact at {row['time']:.4g} s: the response is clipped, its force is wrong; use a larger range")
         if row["peak"] <= 0:
             warn(f"impact at {row['time']:.4g} s: the force pulls; is the signal inverted (--invert), or elsewhere?")
+    if left_out:
+        n_impacts = counted(len(rows) + len(left_out), "impact")
+        warn(f"{recording}: {len(left_out)} of {n_impacts} left out, for these reasons")
     left = sorted(row["unexplained"] for row in rows)[len(rows) // 2]
     if left > _WRONG:
         warn(
@@ -104,7 +121,7 @@ def invert(
         title += ",x [m],y [m]" if scene_name is not None else ""
         write_whole(path, "\n".join([title, *text, ""]).encode(), overwrite=overwrite)
     if as_json:
-        print_json({"output": output, "impacts": rows})
+        print_json({"output": output, "impacts": rows, "left_out": left_out})
         return
     say(f"{recording}: {counted(len(rows), 'impact')}")
     place = "" if scene_name is None else f"{'x [mm]':>18}{'y [mm]':>16}"
@@ -122,6 +139,19 @@ def invert(
             late = errors.pop("delay")
             errors_text = ", ".join(f"{name} {100 * value:+.2g} %" for name, value in errors.items())
             say(f"{'':>10}  beside the measured force, {1e3 * late:+.2g} ms later: {errors_text}")
+
+
+def _frame_of(path: str, hammer: str | None, reading: ReadingOptions) -> tuple[Iterable[Span], float, str]:
+    """Return one signal of a dataset as `read_with_hammer` returns a recording."""
+    from cgid.calibration.taps import factor_of
+
+    if hammer is not None:
+        raise InvalidValue(f"{path}: --hammer must be left out, a dataset has no channel of a hammer")
+    if reading.wants_complete_dataset(path):
+        raise InvalidValue(f"{path}: --index must choose one signal of this dataset, from 0; give it")
+    (signal,) = reading.signals(path)
+    quantity, factor = factor_of(str(signal.unit), path)
+    return [(0, factor * np.atleast_2d(signal.samples), None, True)], signal.sampling_rate, quantity
 
 
 def _modes_of(tables: tuple[str, ...], scene_name: str | None, band: tuple[float, float] | None) -> Any:
