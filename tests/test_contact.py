@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.special import beta
 
-from cgid.physics import Elastic, Thornton, Viscoelastic, WaltonBraun
+from cgid.physics import STEEL, Elastic, ThinPlate, Thornton, Viscoelastic, WaltonBraun
 from cgid.physics.contact import _contact
 from cgid.physics.contact.closed_forms import damping_number, peak_displacement, peak_force
 from cgid.physics.contact.curves import TOLERANCE, Curves
@@ -318,3 +318,8 @@ def test_plastic_laws_agree_with_scipy_on_a_plate_and_with_weight(name, damping,
 
 def test_the_unrolled_step_is_what_its_coefficients_give():
     assert make_step.PATH.read_text(encoding="utf-8") == make_step.SOURCE
+
+
+def test_a_plate_needs_its_thickness():
+    with pytest.raises(TypeError, match="thickness"):
+        ThinPlate(material=STEEL)

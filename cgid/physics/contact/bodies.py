@@ -113,7 +113,7 @@ class ThinPlate:
     """
 
     material: Material
-    thickness: ArrayLike = np.nan
+    thickness: ArrayLike
 
     def __post_init__(self) -> None:
         validation.instance("material", self.material, Material)
