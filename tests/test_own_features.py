@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import cgid
+from cgid.cli.main import run
 from cgid.errors import BadData, InvalidValue
 from cgid.identification.training import train_on_specimens
 from cgid.measure.features import FEATURES, own_feature
@@ -73,7 +74,9 @@ def test_it_goes_into_a_pipeline(batch: cgid.Batch) -> None:
     assert np.isfinite(measuring.transform(batch.signals)).all()
 
 
-def test_a_package_registers_its_features(batch: cgid.Batch, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_package_registers_its_features(
+    batch: cgid.Batch, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     entries = EntryPoints(
         [
             EntryPoint("area", "tests.test_own_features:area", own_features.GROUP),
@@ -84,6 +87,8 @@ def test_a_package_registers_its_features(batch: cgid.Batch, monkeypatch: pytest
     own_features.outside_features.cache_clear()
     with pytest.warns(UserWarning, match="the feature gone .* cannot be loaded: ModuleNotFoundError"):
         table = cgid.extract(batch.signals, batch.sampling_rate, ["area"], pre_trigger=batch.pre_trigger)
+    assert run(["features", "--list"]) == 0
+    assert "\narea,1," in capsys.readouterr().out
     own_features.outside_features.cache_clear()
     assert np.isfinite(table["area"]).all()
 

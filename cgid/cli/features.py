@@ -101,12 +101,13 @@ class _FeatureRows:
     def of_features(self) -> None:
         """Print one row for each feature and each bank."""
         from cgid.measure.features import FEATURES
+        from cgid.measure.features.own import outside_features
         from cgid.measure.features.table import Bank
 
         names = ("name", "unit", "definition", "source", "kind")
         if not self.as_json:
             self.table.begin(map(Column, names))
-        for entry in FEATURES.entries:
+        for entry in (*FEATURES.entries, *outside_features().values()):
             row = {name: getattr(entry, name) for name in names}
             if isinstance(entry, Bank):
                 row["definition"] += f" (* is one of {len(entry.labels)} from {entry.labels[0]} to {entry.labels[-1]})"
