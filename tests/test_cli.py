@@ -136,6 +136,7 @@ def test_info_says_what_is_there(made: Path, capsys: pytest.CaptureFixture[str])
     dataset = json.loads(capsys.readouterr().out)
     assert (dataset["signals"], dataset["samples"], dataset["seed"]) == (3000, 2048, 4)
     assert sum(dataset["labels"].values()) == 3000
+    assert dataset["dissipation"] == "hunt-crossley"
     assert run(["info", str(made / "m.npz"), "--json"]) == 0
     model = json.loads(capsys.readouterr().out)
     assert model["training"]["sources"] == [dataset["scene_sha256"]]

@@ -397,6 +397,8 @@ def test_every_command_that_reads_a_scene_takes_its_laws(
     scene.write_text(text.replace('dissipation = "', 'dissipation = "cone" # "'))
     generate(schema.load_scene(scene), data, 2)
     monkeypatch.setattr(own_laws, "_own", {})
+    assert run(["info", str(data)]) == 0
+    assert '{"cone": "' in capsys.readouterr().out
     assert run(["predict", str(data), "--impactor", str(scene), "--laws", str(cone)]) == 0
     assert "gangue" in capsys.readouterr().out
     assert run(["info", str(scene), "--laws", str(cone)]) == 0

@@ -133,17 +133,23 @@ def _dataset(file: str) -> dict[str, Any]:
 
 
 def _laws(dataset: Dataset) -> dict[str, Any]:
-    """Return the laws by their number in the column dissipation, if it is there and the stored scene can be read."""
-    if "dissipation" not in dataset.header.parameter_units:
-        return {}
+    """Return the laws of the stored scene, if it can be read: the one of all impacts, or those of a column by number.
+
+    For laws of one's own, the stored JSON of names and SHA-256 of their modules is there, too.
+    """
     from cgid.scene.file.schema import stored_scene
 
+    about = dataset.header.attributes
+    own = {"laws": about["laws"]} if "laws" in about else {}
     try:
-        scene = stored_scene(dataset.header.attributes, dataset.path.name)
+        scene = stored_scene(about, dataset.path.name)
     except CgidError:  # a law of one's own is not at hand
-        return {}
-    laws = {str(number): name for number, name in enumerate(scene.law_names if scene else ())}
-    return {"dissipation": {number: name for number, name in laws.items() if scene and name in scene.dissipations}}
+        return own
+    if scene is None:
+        return own
+    laws = {str(number): name for number, name in enumerate(scene.law_names) if name in scene.dissipations}
+    is_mixed = "dissipation" in dataset.header.parameter_units
+    return {"dissipation": laws if is_mixed else ", ".join(laws.values()), **own}
 
 
 def _table(file: str) -> dict[str, Any]:
