@@ -144,12 +144,11 @@ def _laws(dataset: Dataset) -> dict[str, Any]:
     try:
         scene = stored_scene(about, dataset.path.name)
     except CgidError:  # a law of one's own is not at hand
-        return own
+        scene = None
     if scene is None:
         return own
     laws = {str(number): name for number, name in enumerate(scene.law_names) if name in scene.dissipations}
-    is_mixed = "dissipation" in dataset.header.parameter_units
-    return {"dissipation": laws if is_mixed else ", ".join(laws.values()), **own}
+    return {"dissipation": laws if "dissipation" in dataset.header.parameter_units else ", ".join(laws.values()), **own}
 
 
 def _table(file: str) -> dict[str, Any]:

@@ -108,8 +108,7 @@ def invert(
         if row["peak"] <= 0:
             warn(f"impact at {row['time']:.4g} s: the force pulls; is the signal inverted (--invert), or elsewhere?")
     if left_out:
-        n_impacts = counted(len(rows) + len(left_out), "impact")
-        warn(f"{recording}: {len(left_out)} of {n_impacts} left out, for these reasons")
+        warn(f"{recording}: {len(left_out)} of {len(rows) + len(left_out)} impacts left out, for these reasons")
     left = sorted(row["unexplained"] for row in rows)[len(rows) // 2]
     if left > _WRONG:
         warn(
