@@ -21,6 +21,7 @@ from cgid.identification.model.model import stored
 from cgid.identification.prediction.answers import unmeasured
 from cgid.identification.training import Training, train_on_specimens
 from cgid.impactor import population_of
+from cgid.measure.features.extraction import in_units
 from cgid.physics import STEEL, YANG2018_SPHERES
 
 matplotlib = pytest.importorskip("matplotlib")
@@ -214,6 +215,27 @@ def test_model_predicts_from_a_table_of_features(training: Training) -> None:
         model.predict(table.drop(columns=model.features[0]))
     with pytest.raises(InvalidValue, match="features must be"):
         model.predict(table.assign(**{model.features[0]: np.nan}))
+
+
+def test_tables_in_another_unit_are_converted_or_refused(training: Training) -> None:
+    (batch,) = cgid.synthesise("reference", 100, seed=9)
+    in_kn = replace(batch, signals=batch.signals / 1e3, unit="kN")
+    model = training.model
+    table, other = (cgid.extract(one, features=model.features) for one in (batch, in_kn))
+    np.testing.assert_allclose(model.predict_proba(other), model.predict_proba(table), atol=1e-5)
+    classifier = cgid.ImpactClassifier().fit(table, batch.labels)
+    np.testing.assert_allclose(classifier.predict_proba(other), classifier.predict_proba(table), atol=1e-5)
+    for name in ("impulse", "energy", "size_free_index", "level_total", "spectral_centroid"):
+        of_n, of_kn = (cgid.extract(one, features=[name]) for one in (batch, in_kn))
+        np.testing.assert_allclose(in_units(of_kn, of_n.attrs["units"]), of_n, rtol=1e-5)
+        assert of_kn.equals(in_units(of_kn, of_kn.attrs["units"]))
+    other.attrs = {}
+    assert not np.allclose(model.predict_proba(other), model.predict_proba(table), atol=0.1)
+    shocks = cgid.extract(replace(batch, unit="g"), features=model.features)
+    with pytest.raises(
+        InvalidValue, match=r"fitted_peak must be in N, .* states g; measure it on signals of that unit"
+    ):
+        model.predict(shocks)
 
 
 def test_batches_and_datasets_are_predicted(

@@ -54,11 +54,11 @@ from cgid.identification.model.model_file import (
 )
 from cgid.identification.model.reference import equalisations_of
 from cgid.identification.model.world import World, trait_names
-from cgid.measure.features.extraction import UnknownFeature, kind_of, powers_of
+from cgid.measure.features.extraction import FEATURES, UnknownFeature, in_units, kind_of, powers_of
 from cgid.measure.features.table import Kind
 from cgid.measure.filters import Equalisation
 from cgid.measure.modal.beam import Beam
-from cgid.signals import Batch, Signal
+from cgid.signals import KNOWN, Batch, Signal
 from cgid.units import quantity_of
 
 if TYPE_CHECKING:
@@ -170,7 +170,9 @@ class Model(ABC):
         Parameters
         ----------
         features : DataFrame or array_like, (n_impacts, n_inputs)
-            Of a DataFrame the columns named in `inputs` are used; an array is in their order.
+            Of a DataFrame the columns named in `inputs` are used; an array is in their order. If the `attrs["units"]`
+            of a DataFrame, as `cgid.extract` returns it, states another scale than the model's `unit`, such as kN, the
+            columns are converted. pandas drops `attrs` easily; numbers without it must be in the model's unit.
 
         Returns
         -------
@@ -180,7 +182,7 @@ class Model(ABC):
         Raises
         ------
         InvalidValue
-            A column is missing, or values are not finite or of another number.
+            A column is missing or states another quantity, or values are not finite or of another number.
         """
 
     @abstractmethod
@@ -454,7 +456,9 @@ class StoredModel(Model):
                 f"features must have the columns {', '.join(self.inputs)}, {', '.join(missing)} missing; measure them "
                 "by cgid.extract(samples, sampling_rate, model.features)"
             )
-        return validation.real("features", features[list(self.inputs)])
+        bases = {one: one.split(" of channel ")[0] for one in self.inputs}
+        units = {one: KNOWN.get(one) or FEATURES[base].unit_for(self.unit) for one, base in bases.items()}
+        return validation.real("features", in_units(features, units)[list(self.inputs)])
 
     def novelty(self, inputs: Floats, guards: Floats | None = None) -> Floats:
         """Return the novelty of each impact, (n_impacts,); above 1 it is outside the training range.

@@ -42,6 +42,7 @@ from cgid.identification.model.families import (
     softmax,
     squares,
 )
+from cgid.measure.features.extraction import in_units, units_of
 
 #: Maximum number of rows of either side in the training of a contrast, and its iterations.
 _MAX_CONTRASTED, _CONTRAST_ITERATIONS = 100_000, 300
@@ -231,6 +232,10 @@ class ImpactClassifier(ClassifierMixin, BaseEstimator):  # type: ignore[misc]
         Log loss of the rows of the training, each by a fit without it; nan if they were too few for that.
     neighbourhood_ : Neighbourhood
         Only if `rejects`.
+    units_ : dict
+        Unit of each column, if the table of the training is a DataFrame whose `attrs["units"]` states it, as that of
+        `cgid.extract`. Tables that state another scale, such as kN, are converted. pandas drops `attrs` easily;
+        numbers without it must be in the units of the training.
     """
 
     #: Family -> function that returns its estimator for a classifier's settings.
@@ -304,6 +309,7 @@ class ImpactClassifier(ClassifierMixin, BaseEstimator):  # type: ignore[misc]
         """
         estimator = self._unfitted()
         validation.plain("X", X)
+        self.units_ = units_of(X)
         features, labels = validate_data(self, X, y, dtype=np.float64, ensure_min_samples=2)
         check_classification_targets(labels)
         group_array = None if groups is None else _one_group_a_row(groups, len(labels))
@@ -400,7 +406,7 @@ class ImpactClassifier(ClassifierMixin, BaseEstimator):  # type: ignore[misc]
     def _standardised(self, X: ArrayLike) -> Floats:
         check_is_fitted(self)
         validation.plain("X", X)
-        return self.standardiser_.apply(validate_data(self, X, dtype=np.float64, reset=False))
+        return self.standardiser_.apply(validate_data(self, in_units(X, self.units_), dtype=np.float64, reset=False))
 
     def _unfitted(self) -> Any:
         """Return the classifier of the family; raises `InvalidValue` without one."""

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -22,6 +23,7 @@ from cgid.measure.features.windows import WINDOW_FEATURES, WindowBatch
 from cgid.measure.filters import Equalisation
 from cgid.measure.frames import DETECTION_LIMIT, Problem, ProblemKind, frames_of
 from cgid.signals import Batch, Signal, require_stated
+from cgid.units import KNOWN_UNITS, meaning_of
 
 if TYPE_CHECKING:
     import pandas
@@ -247,6 +249,37 @@ def extract(
     )
     table = pandas.DataFrame(values, columns=list(names))
     table.attrs["units"] = {name: FEATURES[name].unit_for(unit) for name in names}
+    return table
+
+
+def units_of(table: Any) -> dict[str, str]:
+    """Return the units of columns that `attrs["units"]` of a DataFrame states; none of anything else."""
+    stated = getattr(table, "attrs", {}).get("units")
+    columns = stated.items() if isinstance(stated, Mapping) else ()
+    return {name: unit for name, unit in columns if isinstance(name, str) and name in table}
+
+
+def in_units(table: Any, units: Mapping[str, str]) -> Any:
+    """Return a table with its columns in these units of the training, as far as it states its own.
+
+    Raises `InvalidValue` unless the unit of the signals differs in its scale alone.
+    """
+    for name, given in units_of(table).items():
+        base, unit = name.split(" of channel ")[0], units.get(name, given)
+        feature = FEATURES.get(base) or Feature(base, "U", "", "", np.asarray)
+        # The unit of an array is unknown, "U".
+        if given == unit or ("U" in feature.unit and feature.unit in (given, unit)):
+            continue
+        meanings = {feature.unit_for(one): meaning_of(one) for one in KNOWN_UNITS}
+        # The power of U; other forms, of features of one's own, are not converted.
+        form = re.fullmatch(r"(log10\()?U(?:\^([2-9]))?(?:[ /)][^U]*)?", feature.unit)
+        if form is None or not {given, unit} <= set(meanings) or meanings[given][0] != meanings[unit][0]:
+            raise InvalidValue(
+                f"column {name} must be in {unit}, as in the training, attrs['units'] of the table states {given}; "
+                "measure it on signals of that unit, or correct attrs"
+            )
+        ratio = (meanings[given][1] / meanings[unit][1]) ** int(form[2] or 1)
+        table = table.assign(**{name: table[name] + np.log10(ratio) if form[1] else table[name] * ratio})
     return table
 
 
