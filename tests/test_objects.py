@@ -375,6 +375,13 @@ def test_a_wrong_index_is_no_damage(dataset: cgid.Dataset, index: Any) -> None:
         dataset[index]
 
 
+@pytest.mark.parametrize("n_rows", [0, -3, 2.5, "7"])
+def test_a_wrong_size_of_batches_is_no_damage(dataset: cgid.Dataset, n_rows: Any) -> None:
+    with pytest.raises(InvalidValue, match="n_rows must be a whole number of 1 or more, got"):
+        dataset.batches(n_rows)
+    assert [len(batch) for batch in dataset.batches(20)] == [20, 5, 20, 5, 10]
+
+
 def test_paths_and_batches_go_where_their_samples_do(dataset: cgid.Dataset) -> None:
     assert cgid.train_on_specimens(dataset.path, family="linear").model.labels == ("coal", "gangue")
     sample, model = shipped.path_of("datasets", "sample.csv"), cgid.load_model("default")

@@ -243,9 +243,12 @@ class Dataset:
         BadData
             A shard has another SHA-256 or a wrong checksum, another file has its name, or a label breaks the rule of
             `cgid._lib.validation.label`.
+        InvalidValue
+            `n_rows` is not a whole number of 1 or more.
         """
-        for number, count in enumerate(self._counts):
-            yield from self._read(number, 0, count, n_rows)
+        if n_rows is not None:
+            validation.count("n_rows", n_rows)
+        return (part for number, count in enumerate(self._counts) for part in self._read(number, 0, count, n_rows))
 
     def _read(self, number: int, first: int, stop: int, n_rows: int | None) -> Iterator[Batch]:
         state = self._state(number)
