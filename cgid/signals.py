@@ -283,6 +283,21 @@ class Batch:
     def __len__(self) -> int:
         return len(self.signals)
 
+    def __getitem__(self, rows: Any) -> Batch:
+        """Return the signals of a slice, a mask or an array of indices, with their labels, specimens and parameters."""
+        try:
+            chosen = np.arange(len(self))[rows]
+        except IndexError:
+            chosen = None
+        if np.ndim(chosen) != 1:
+            raise InvalidValue(
+                f"index must be a slice, a mask or indices of {len(self)} signals, as in batch[:5], got "
+                f"{validation.shown(rows)}; batch.signals[0] has the samples of a signal"
+            )
+        parameters = {name: column[chosen] for name, column in self.parameters.items()}
+        columns = {name: getattr(self, name)[chosen] for name in ("signals", "labels", "specimen")}
+        return replace(self, **columns, parameters=parameters)
+
     def __repr__(self) -> str:
         size = f"{counted(len(self), 'signal')} of {self.signals.shape[-1]} samples"
         return f"Batch({size} at {self.sampling_rate:g} Hz [{self.unit}]: {counts_text(self.counts) or 'no labels'})"

@@ -375,6 +375,21 @@ def test_a_wrong_index_is_no_damage(dataset: cgid.Dataset, index: Any) -> None:
         dataset[index]
 
 
+def test_part_of_a_batch() -> None:
+    (batch,) = cgid.synthesise("reference", 40, seed=2)
+    coal = batch.labels == "coal"
+    for rows in (slice(5), slice(None, None, -2), coal, coal.tolist(), np.array([7, 3, -1, 3]), [2], []):
+        part = batch[rows]
+        for name in ("signals", "labels", "specimen"):
+            np.testing.assert_array_equal(getattr(part, name), getattr(batch, name)[np.arange(40)[rows]])
+        assert list(part.parameters) == list(batch.parameters)
+        np.testing.assert_array_equal(part.parameters["radius"], batch.parameters["radius"][np.arange(40)[rows]])
+        assert (part.unit, part.sampling_rate, part.source) == (batch.unit, batch.sampling_rate, batch.source)
+    for wrong in (3, "coal", 1.5, None, [40], [True, False], (1, 2), coal[:, None]):
+        with pytest.raises(InvalidValue, match=r"index must be a slice, a mask or indices of 40 signals, .* got"):
+            batch[wrong]
+
+
 @pytest.mark.parametrize("n_rows", [0, -3, 2.5, "7"])
 def test_a_wrong_size_of_batches_is_no_damage(dataset: cgid.Dataset, n_rows: Any) -> None:
     with pytest.raises(InvalidValue, match="n_rows must be a whole number of 1 or more, got"):
