@@ -250,6 +250,14 @@ def test_a_law_that_inherits_closed_curves_must_have_their_force():
     )
 
 
+def test_a_law_is_named_by_its_module() -> None:
+    for wrong in (Elastic, Elastic(), None, b"cone.py"):
+        with pytest.raises(
+            InvalidValue, match=r"source must be the name of a module, .* got .*; put the law into a file"
+        ):
+            add_laws(wrong)
+
+
 EXITS = "raise SystemExit(0)"
 
 

@@ -80,6 +80,12 @@ def test_the_samples_of_two_sensors_are_one_gaussian(louder: float) -> None:
     assert found.evidence[0] * sample.size == pytest.approx(max(gains), rel=1e-3)
 
 
+def test_a_beam_is_that_of_a_scene_by_name() -> None:
+    assert beam_of("tail_beam", n_shapes=2).shapes.shape == beam_of(load_scene("tail_beam"), n_shapes=2).shapes.shape
+    with pytest.raises(InvalidValue, match=r"scene reference: must have a \[tail_beam\]"):
+        beam_of("reference")
+
+
 def test_a_sensor_twice_is_one_with_less_noise() -> None:
     """Two records of the same samples, of noise .5 and 1 / sqrt(12), tell what one of noise .25 tells."""
     one, random = eight_modes(), np.random.default_rng(5)
@@ -103,7 +109,7 @@ def test_a_sensor_twice_is_one_with_less_noise() -> None:
 
 @functools.cache
 def beam_at(*points: tuple[float, float]) -> ThroughBeam:
-    return ThroughBeam(beam_of(load_scene("tail_beam"), sensors=points))
+    return ThroughBeam(beam_of("tail_beam", sensors=points))
 
 
 def alone(number: int) -> ThroughBeam:

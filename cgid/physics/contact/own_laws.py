@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import importlib
 import importlib.util
-import os
 import sys
 import warnings
 from functools import cache
@@ -13,6 +12,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any, NamedTuple
 
+from cgid._lib import validation
 from cgid.errors import InvalidValue
 from cgid.physics.contact.curves import Law
 
@@ -60,9 +60,14 @@ def add_laws(source: str | Path) -> None:
     Raises
     ------
     InvalidValue
-        The module cannot be loaded, has no law, or has one that cannot be used.
+        The module cannot be loaded, has no law, or has one that cannot be used; or `source` is the law itself.
     """
-    source = os.fspath(source)
+    if not isinstance(source, str | Path):
+        raise InvalidValue(
+            f"source must be the name of a module, or the path of its .py file, so that worker processes load it, too; "
+            f"got {validation.shown(source)}; put the law into a file"
+        )
+    source = str(source)
     try:
         module = _from_file(Path(source).resolve()) if source.endswith(".py") else importlib.import_module(source)
     except KeyboardInterrupt:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -26,7 +27,7 @@ from cgid.measure.modal.beam import (
 )
 from cgid.measure.modal.modes import Modes, NodeShapes, nodes
 from cgid.physics.structure.response import DERIVATIVES, HighPass, LinearPhase
-from cgid.scene.file.schema import Scene, parse_scene, stored_scene
+from cgid.scene.file.schema import Scene, load_scene, parse_scene, stored_scene
 from cgid.scene.synthesis.draws import BLOCK
 from cgid.scene.synthesis.impacts import beam_modes, draw
 from cgid.scene.synthesis.plan import highest_frequency
@@ -46,8 +47,9 @@ _NODES_A_WAVE, _NODES = 4.0, 7
 _LENGTHWISE, _CROSSWISE = (0.06, 0.97), (0.07, 0.93)
 
 
-def beam_of(scene: Scene, n_shapes: int = N_SHAPES, sensors: Iterable[tuple[float, float]] = ()) -> Beam:
+def beam_of(scene: Scene | str | Path, n_shapes: int = N_SHAPES, sensors: Iterable[tuple[float, float]] = ()) -> Beam:
     """Return the beam of a scene as arrays, with the principal shapes of its contact forces; `sensors` [m]."""
+    scene = load_scene(scene)
     if scene.tail_beam is None or scene.sensor.quantity == "force":
         raise InvalidValue(
             f"scene {scene.name}: must have a [tail_beam] and a sensor of motion to look through the beam; add them"
