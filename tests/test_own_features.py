@@ -125,6 +125,20 @@ def test_a_row_that_a_feature_cannot_measure_is_named_or_nan(batch: cgid.Batch) 
     assert cgid.train_on_specimens(batch, features=["peak_force", hole]).model.training["n_left_out"] == 1
 
 
+def test_signals_without_a_feature_are_told_by_a_training(batch: cgid.Batch) -> None:
+    def infinite(rows: Any, rate: float) -> Any:
+        return np.full(len(rows), np.inf)
+
+    def seldom(rows: Any, rate: float) -> Any:
+        return np.where(np.arange(len(rows)) % 4, rows.max(axis=1), np.nan)
+
+    with pytest.raises(BadData, match=r"those of 200 of 200 signals are not: feature infinite must .* got inf$"):
+        cgid.train_on_specimens(batch, features=["peak_force", infinite])
+    with pytest.warns(UserWarning, match=r"those of 50 of 200 signals are not: feature seldom must .* are left out$"):
+        training = cgid.train_on_specimens(batch, features=["peak_force", seldom])
+    assert training.model.training["n_left_out"] == 50
+
+
 def test_bad_kind() -> None:
     with pytest.raises(InvalidValue, match="kind must be"):
         own_feature(area, kind="pulses")  # type: ignore[arg-type]

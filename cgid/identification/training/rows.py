@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field, replace
@@ -27,14 +28,17 @@ from cgid.measure.features.extraction import (
     FEATURES,
     Named,
     any_through_beam,
+    as_rows,
     choose,
-    extract_array,
     kind_for,
     kind_of,
+    measured,
+    require_measurable,
     supported,
 )
 from cgid.measure.features.table import MIN_BANDWIDTH, Kind
 from cgid.measure.features.vibration import BEAM_PULSE, EARLY_BANDS
+from cgid.measure.frames import frames_of
 from cgid.measure.modal.beam import Beam
 from cgid.measure.spectra import THIRD_OCTAVES
 from cgid.signals import KNOWN, Batch
@@ -61,6 +65,8 @@ BEAM_GUARDS = ("beam_unexplained", "beam_surely_unexplained")
 SAME_IMPACT = 10e-3
 #: Synthetic rows of a label per recorded one; more would outweigh the measurements.
 MAX_SYNTHETIC = 10
+#: Share of signals that a training leaves out without a word.
+MAX_LEFT_OUT = 0.1
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -361,7 +367,7 @@ def measure(
     Raises
     ------
     BadData
-        There is no signal, or batches differ in their unit or lack a known quantity.
+        There is no signal, none has all features, or batches differ in their unit or lack a known quantity.
     InvalidValue
         A feature or known quantity does not exist.
     """
@@ -369,35 +375,42 @@ def measure(
     for name in known:
         validation.choice("known", name, dict(KNOWN))
     parts: list[Rows] = []
-    with closing(workers.each(_measured, (names, known, beam), batches)) as measured:
-        for part in measured:
+    problem = ""
+    with closing(workers.each(_measured, (names, known, beam), batches)) as parts_measured:
+        for part, first_problem in parts_measured:
             if parts and part.unit != parts[0].unit:
                 raise BadData(
                     f"all signals must be in one unit, got {parts[0].unit} and {part.unit}; convert them (in_si) or "
                     "train separately"
                 )
             parts.append(part)
+            problem = problem or first_problem
             if progress is not None:
                 progress(len(part.labels) + part.left_out)
     if not parts:
         raise BadData("there must be signals for training, there are none")
-    return Rows.joined(parts)
+    rows = Rows.joined(parts)
+    n = len(rows.labels) + rows.left_out
+    if rows.left_out > MAX_LEFT_OUT * n:
+        text = f"all features of a signal must be finite for training, those of {rows.left_out} of {n} signals are not"
+        text += f": {problem}" if problem else ""
+        if rows.left_out == n:
+            raise BadData(text)
+        warnings.warn(f"{text}; such signals are left out", stacklevel=2)
+    return rows
 
 
-def _measured(settings: tuple[tuple[str, ...], tuple[str, ...], Beam | None], batch: Batch) -> Rows:
-    """Return the complete rows of a batch."""
+def _measured(settings: tuple[tuple[str, ...], tuple[str, ...], Beam | None], batch: Batch) -> tuple[Rows, str]:
+    """Return the complete rows of a batch, and what the first other signal lacks."""
     names, known, beam = settings
     if not batch.labelled:
         raise BadData("all signals must have labels for training, got a batch without; give Batch(labels=...)")
     with threadpool_limits(1):
-        features = extract_array(
-            batch.signals,
-            batch.sampling_rate,
-            names,
-            pre_trigger=batch.pre_trigger or None,
-            invalid="nan",
-            beam=None if beam is None else through(beam),
-        )
+        inversion = None if beam is None else through(beam)
+        before, rate = batch.pre_trigger or None, batch.sampling_rate
+        frames = frames_of(as_rows(batch.signals, 1 if inversion is None else inversion.n_sensors, names), before)
+        require_measurable(names, rate, frames.shape[1], None, inversion)
+        features, problems = measured(frames, rate, names, pre_trigger=before, beam=inversion)
     complete = np.asarray(np.isfinite(features).all(axis=1))
     rows = Rows(
         names=names,
@@ -413,7 +426,7 @@ def _measured(settings: tuple[tuple[str, ...], tuple[str, ...], Beam | None], ba
         beam=beam if any_through_beam(names) else None,
         left_out=int((~complete).sum()),
     )
-    return rows[complete]
+    return rows[complete], problems[min(problems)].text if problems else ""
 
 
 @lru_cache(maxsize=4)
