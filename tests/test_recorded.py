@@ -15,11 +15,12 @@ import pytest
 from scipy import signal as filters
 from scipy import special
 from sklearn.discriminant_analysis import LinearDiscriminantAnalysis
+from sklearn.svm import SVC
 
 from benchmarks.identification.few_groups import PARTS, judged
 from benchmarks.identification.low_rates import FORCES, MODES, simulated
 from cgid.cli.main import run
-from cgid.errors import BadData, InvalidValue
+from cgid.errors import BadData, CgidError, InvalidValue
 from cgid.identification.detection.silence import Silence, silence_of
 from cgid.identification.detection.windows import WINDOW_TIME, measure_windows, windows_of
 from cgid.identification.model.model import StoredModel
@@ -772,3 +773,19 @@ def test_a_scene_teaches_what_four_recordings_do_not(tmp_path: Path) -> None:
         train_on_groups(few, features=names, synthetic=replace(synthetic, labels=np.full(400, "shale")))
     with pytest.raises(InvalidValue, match="feature peak_amplitude must be left out"):
         list(in_unit([scene], "V", ["level_total", "peak_amplitude"]))
+
+
+def test_a_manifest_trains_by_its_path_as_by_the_command(tmp_path: Path) -> None:
+    table = Path(__file__).parents[1] / "datasets" / "labelled" / "labels.csv"
+    assert run(["train", str(table), "-o", str(tmp_path / "m.npz")]) == 0
+    training = train_on_groups(table)
+    assert training.model == StoredModel.load(tmp_path / "m.npz")
+    own = train_on_groups(str(table), features=["peak_amplitude"], family=SVC())
+    assert (own.model.family, own.model.features) == ("SVC", ("peak_amplitude",))
+    for label in ("coal", "gangue"):
+        (tmp_path / "rocks" / label).mkdir(parents=True)
+    with pytest.raises(BadData, match="folder must contain recordings"):
+        train_on_groups(tmp_path / "rocks")
+    (tmp_path / "gone.csv").write_text(f"path,label\n{table.parent / 'monday.wav'},coal\ngone.wav,gangue\n")
+    with pytest.raises(CgidError, match=r"gone\.wav"):
+        train_on_groups(tmp_path / "gone.csv")

@@ -260,7 +260,7 @@ def train_on_specimens(  # noqa: PLR0913
 
 
 def train_on_groups(
-    rows: Rows,
+    rows: Rows | str | Path,
     *,
     features: Iterable[Named] | None = None,
     family: str | ClassifierMixin = "linear",
@@ -276,8 +276,10 @@ def train_on_groups(
 
     Parameters
     ----------
-    rows : Rows
-        From recordings (`cgid.identification.training.recordings.record`).
+    rows : Rows, str or Path
+        The manifest of labelled recordings, as for `cgid train`: a table with the columns path and label, or a folder
+        with a subfolder for each label. Or rows, measured with other settings than the usual ones by
+        `cgid.identification.training.recordings.record(read_manifest(path), ...)`.
     features : iterable of str, function or Feature, optional
         Default: the best of the sets of `cgid.identification.training.rows`.
     family : {"boosting", "logistic", "network", "linear"} or classifier
@@ -307,11 +309,19 @@ def train_on_groups(
     Raises
     ------
     BadData
-        Fewer than two labels, or too few groups.
+        Fewer than two labels, or too few groups, or a recording that cannot be read.
     InvalidValue
         An unknown choice, or rows of datasets or scenes.
     """
     seed = validation.whole("seed", seed, 0, 2**32 - 1)
+    if isinstance(rows, str | Path):
+        from cgid.identification.training import recordings
+        from cgid.identification.training.manifest import folder_manifest, read_manifest
+
+        manifest = folder_manifest(rows) if Path(rows).is_dir() else read_manifest(rows)
+        features = None if features is None else choose(features)
+        reading = recordings.Reading(strict=True)
+        rows = recordings.record(manifest, features, reading=reading, level_free=level_free, augment=True)
     _refuse_others("rows", rows, Rows)
     if rows.slicing is None:
         raise InvalidValue(
@@ -351,7 +361,8 @@ def _refuse_others(name: str, given: Any, kind: type) -> None:
     if hasattr(given, "shape") or not isinstance(given, kind):
         raise InvalidValue(
             f"{name} must be signals or rows measured from them, got {type(given).__name__}; a table of features "
-            "trains cgid.ImpactClassifier().fit(table, labels), labelled recordings go to cgid train"
+            "trains cgid.ImpactClassifier().fit(table, labels), labelled recordings go to "
+            "cgid.train_on_groups(path of their table)"
         )
 
 
