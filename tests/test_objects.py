@@ -429,6 +429,9 @@ def test_what_is_no_object_of_the_package_is_refused_with_the_way_out(tmp_path: 
     for train in (cgid.train_on_specimens, cgid.train_on_groups):
         with pytest.raises(InvalidValue, match="got DataFrame; a table of features"):
             train(table)
+    for features in (None, ["peak_force"]):
+        with pytest.raises(InvalidValue, match=r"as of cgid\.synthesise, got tuple among them"):
+            cgid.train_on_specimens(cgid.stream("reference", n_signals=64), features=features)
     with pytest.raises(InvalidValue, match="model must be a Model, a Training or"):
         cgid.predict(np.zeros(100), 1e5, "N", model=5)
     with pytest.raises(BadData, match="give a cgid"):

@@ -299,23 +299,25 @@ def features_for(
     batches: Iterable[Batch], features: Iterable[Named] | None, beam: Beam | None = None
 ) -> tuple[Iterator[Batch], tuple[str, ...]]:
     """Return the batches unchanged, and the features to measure on them, by default those for their quantity."""
+    names = None if features is None else choose(features)
     batches = iter(batches)
-    if features is not None:
-        return batches, choose(features)
-    if beam is not None:
-        return batches, BEAM_FEATURES
     first = next(batches, None)
     if not isinstance(first, Batch | None):
-        raise InvalidValue(f"data must be batches of signals, got {validation.shown(first)} among them")
+        raise InvalidValue(
+            f"data must be batches of signals, as of cgid.synthesise, got {type(first).__name__} among them"
+        )
+    batches = chain(iter([] if first is None else [first]), batches)  # an exhausted iterator keeps no batch
+    if names is not None or beam is not None:
+        return batches, names or BEAM_FEATURES
     if first is None or kind_for(quantity_of(first.unit)) == "pulse":
-        return chain([first] if first is not None else [], batches), DEFAULT_FEATURES
+        return batches, DEFAULT_FEATURES
     names = supported(DEFAULT_VIBRATION_FEATURES, first.sampling_rate, first.signals.shape[1])
     if not names:
         raise BadData(
             f"vibrations must be sampled fast and long enough for a third-octave band, frames of "
             f"{first.signals.shape[1]} samples at {first.sampling_rate:g} Hz contain none; record longer"
         )
-    return chain([first], batches), names
+    return batches, names
 
 
 def default_guards(features: Iterable[str]) -> tuple[str, ...]:
