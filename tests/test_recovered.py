@@ -10,7 +10,7 @@ import pytest
 from cgid.calibration import forces_in
 from cgid.cli.main import run
 from cgid.errors import BadData, InvalidValue
-from cgid.identification.inversion.recovered import errors_of, recover_force
+from cgid.identification.inversion.recovered import RecoveredForce, errors_of, recover_force
 from cgid.measure.modal.modes import Modes
 from cgid.scene import generate
 from cgid.store import Dataset
@@ -49,6 +49,11 @@ def test_force_and_its_deviations(recorded):
         assert abs(errors["peak"]) < 3 * one.peak[1] / one.peak[0]
         assert one.peak[1] < 0.2 * one.peak[0]
         assert abs(errors["impulse"]) < 3 * one.impulse[1] / one.impulse[0]
+
+
+def test_its_text_has_no_matrix() -> None:
+    force = RecoveredForce(time=np.arange(3.0), force=np.ones(3), covariance=np.eye(3), unexplained=0.1)
+    assert "covariance" not in repr(force) and "unexplained=0.1" in repr(force)
 
 
 def test_an_onset_a_millisecond_late_gives_the_same_force(recorded):

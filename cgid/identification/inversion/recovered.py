@@ -10,7 +10,7 @@ where these resonate, so the deviations come from the residual itself: parts of 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
@@ -76,7 +76,7 @@ class RecoveredForce:
 
     time: Floats
     force: Floats
-    covariance: Floats
+    covariance: Floats = field(repr=False)
     unexplained: float
     place: tuple[float, float] | None = None
     place_deviation: tuple[float, float] | None = None
