@@ -76,7 +76,8 @@ class Report:
         last = {share.channel: share for share in self.shares}
         for channel, share in last.items():
             where = f", channel {channel}" if len(last) > 1 else ""
-            basis = str(share.basis).replace("_", " ")
+            known = "trained seam" if share.basis == "trained_seam" else "beside its coal"
+            basis = "any seam" if share.basis.is_any_seam else known
             interval = f"{share.low:.0%} to {share.high:.0%}, {basis}" if share.is_known else "not known"
             yield f"{share.share:.0%}" if share.is_known else "-", f"gangue at the end ({interval}{where})"
         for state in self.states if self.threshold is not None else ():
