@@ -30,7 +30,6 @@ from cgid.errors import BadData, InvalidValue
 from cgid.units import UNITS, quantity_of
 
 if TYPE_CHECKING:
-    import numpy as np
     from numpy.typing import NDArray
 
     from cgid.calibration import SiteCalibration

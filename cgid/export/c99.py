@@ -23,7 +23,7 @@ from cgid.identification.model.conformal import COVERAGES
 from cgid.identification.model.families import Contrast, Network, Standardiser
 from cgid.identification.model.model import MIN_SHARE, Model, StoredModel, stored
 from cgid.identification.model.model_file import STANDARDISER
-from cgid.measure.features.extraction import FEATURES
+from cgid.measure.features.extraction import FEATURES, base_of
 from cgid.measure.features.vibration import EARLY_BANDS, EARLY_TIME, WINDOW_TIME
 from cgid.measure.spectra import THIRD_OCTAVES, third_octave
 from cgid.signals import KNOWN
@@ -106,7 +106,7 @@ def _values(model: StoredModel) -> list[tuple[str, str, str]]:
     """Return name, unit and definition of each value of an impact."""
     values = []
     for name in (*model.inputs, *model.guards):
-        feature = FEATURES[name.partition(" of channel ")[0]] if name not in model.known else None
+        feature = FEATURES[base_of(name)] if name not in model.known else None
         unit = KNOWN[name] if feature is None else feature.unit_for(model.unit)
         values.append((name, unit, "known besides the signal" if feature is None else feature.definition))
     return values

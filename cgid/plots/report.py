@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from cgid import __version__
 from cgid._lib.terminal import counted, printable
 from cgid._lib.validation import UNKNOWN
+from cgid.identification.model.anchor import Basis
 from cgid.identification.model.model import StoredModel
 from cgid.identification.prediction.answers import Answer
 from cgid.identification.prediction.diagnosis import Hint, InWords
@@ -76,7 +77,7 @@ class Report:
         last = {share.channel: share for share in self.shares}
         for channel, share in last.items():
             where = f", channel {channel}" if len(last) > 1 else ""
-            known = "trained seam" if share.basis == "trained_seam" else "beside its coal"
+            known = "trained seam" if share.basis == Basis.TRAINED else "beside its coal"
             basis = "any seam" if share.basis.is_any_seam else known
             interval = f"{share.low:.0%} to {share.high:.0%}, {basis}" if share.is_known else "not known"
             yield f"{share.share:.0%}" if share.is_known else "-", f"gangue at the end ({interval}{where})"

@@ -54,7 +54,7 @@ from cgid.identification.model.model_file import (
 )
 from cgid.identification.model.reference import equalisations_of
 from cgid.identification.model.world import World, trait_names
-from cgid.measure.features.extraction import FEATURES, UnknownFeature, in_units, kind_of, powers_of
+from cgid.measure.features.extraction import FEATURES, UnknownFeature, base_of, in_units, kind_of, powers_of
 from cgid.measure.features.table import Kind
 from cgid.measure.filters import Equalisation
 from cgid.measure.modal.beam import Beam
@@ -111,7 +111,7 @@ def level_weights(
     power, is_decadic = powers_of(inputs, "U")
     # A factor shifts only logarithms.
     shift = power * np.where(is_decadic, 1 / np.log(10), standardiser.logarithmic) / standardiser.scale
-    is_certain = np.array([not name.split(" of channel ")[0].endswith(("deviation", "correlation")) for name in inputs])
+    is_certain = np.array([not base_of(name).endswith(("deviation", "correlation")) for name in inputs])
     used = (shift != 0) | (is_certain & (power == 0))
     if not shift.any() or len(shift) > _MAX_LEVEL_INPUTS:
         return None
@@ -456,8 +456,7 @@ class StoredModel(Model):
                 f"features must have the columns {', '.join(self.inputs)}, {', '.join(missing)} missing; measure them "
                 "by cgid.extract(samples, sampling_rate, model.features)"
             )
-        bases = {one: one.split(" of channel ")[0] for one in self.inputs}
-        units = {one: KNOWN.get(one) or FEATURES[base].unit_for(self.unit) for one, base in bases.items()}
+        units = {one: KNOWN.get(one) or FEATURES[base_of(one)].unit_for(self.unit) for one in self.inputs}
         return validation.real("features", in_units(features, units)[list(self.inputs)])
 
     def novelty(self, inputs: Floats, guards: Floats | None = None) -> Floats:

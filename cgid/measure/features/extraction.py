@@ -139,9 +139,14 @@ def require_known(name: str) -> None:
         )
 
 
+def base_of(name: str) -> str:
+    """Return the name of the feature that an input of a model is, without the channel that it is of."""
+    return name.partition(" of channel ")[0]
+
+
 def powers_of(inputs: Sequence[str], symbol: str) -> tuple[Floats, NDArray[np.bool_]]:
     """Return the power of a unit such as "U" in each input of a model, and which of these are logarithms."""
-    names = [name.split(" of channel ")[0] for name in inputs]
+    names = [base_of(name) for name in inputs]
     units = [FEATURES[name].unit if name in FEATURES else "" for name in names]
     is_decadic = np.array([unit.startswith("log10") for unit in units])
     units = ["U" if unit == "N" else unit for unit in units]  # a force estimated through a beam
@@ -265,7 +270,7 @@ def in_units(table: Any, units: Mapping[str, str]) -> Any:
     Raises `InvalidValue` unless the unit of the signals differs in its scale alone.
     """
     for name, given in units_of(table).items():
-        base, unit = name.split(" of channel ")[0], units.get(name, given)
+        base, unit = base_of(name), units.get(name, given)
         feature = FEATURES.get(base) or Feature(base, "U", "", "", np.asarray)
         # The unit of an array is unknown, "U".
         if given == unit or ("U" in feature.unit and feature.unit in (given, unit)):
