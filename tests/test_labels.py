@@ -19,7 +19,8 @@ import cgid
 from cgid import impact_table, open_recording
 from cgid._lib.workers import Workers
 from cgid.cli import main
-from cgid.cli.options import ReadingOptions, prediction_by
+from cgid.cli.answering import prediction_by
+from cgid.cli.reading import ReadingOptions
 from cgid.errors import BadData, InvalidValue, Stopped
 from cgid.identification.model.confusion import wilson_interval
 from cgid.identification.model.model import StoredModel

@@ -8,8 +8,8 @@ import pytest
 
 from cgid.calibration import Flaw, roving_test
 from cgid.calibration.matching import matched
+from cgid.cli.answering import warn_of_model
 from cgid.cli.main import run
-from cgid.cli.options import warn_of_model
 from cgid.errors import BadData
 from cgid.identification.prediction import PredictionSettings, load_model
 from cgid.physics import STEEL, TailBeam

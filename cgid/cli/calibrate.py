@@ -17,15 +17,14 @@ from cgid.cli.options import (
     PATH,
     SCENE,
     OutputName,
-    ReadingOptions,
     json_option,
     laws_option,
     overwrite_option,
     point_of,
-    reading_options,
     share_of,
 )
 from cgid.cli.output import print_json, progress_bar, say, warn, warn_of_one_place
+from cgid.cli.reading import ReadingOptions, reading_options
 from cgid.errors import BadData, InvalidValue
 from cgid.units import UNITS, quantity_of
 

@@ -5,8 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cgid.cli.options import ReadingOptions, prediction_by, warn_of_chance
+from cgid.cli.answering import prediction_by, warn_of_chance
 from cgid.cli.output import accuracy_text, print_json, progress_bar, say, warn
+from cgid.cli.reading import ReadingOptions
 from cgid.shipped import model_path
 
 if TYPE_CHECKING:

@@ -13,17 +13,9 @@ import numpy as np
 
 from cgid._lib.terminal import counted
 from cgid.cli.help import Command
-from cgid.cli.options import (
-    OUTPUT,
-    PATH,
-    ReadingOptions,
-    overwrite_option,
-    reading_options,
-    require_no_input_written,
-    same_beam_option,
-    strict_option,
-)
+from cgid.cli.options import OUTPUT, PATH, overwrite_option, require_no_input_written, strict_option
 from cgid.cli.output import FileErrors, say, say_error, warn
+from cgid.cli.reading import ReadingOptions, reading_options, same_beam_option
 from cgid.errors import CgidError, InvalidValue, MissingOption
 from cgid.units import quantity_of
 

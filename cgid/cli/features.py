@@ -9,8 +9,9 @@ import click
 
 from cgid._lib.terminal import counted
 from cgid.cli.help import Command
-from cgid.cli.options import PATH, ReadingOptions, printing_options, reading_options
+from cgid.cli.options import PATH, printing_options
 from cgid.cli.output import FileErrors, print_json, say, warn
+from cgid.cli.reading import ReadingOptions, reading_options
 from cgid.cli.table import TableOutput, output_options
 from cgid.errors import BadData, InvalidValue
 from cgid.signals import Signal

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cgid.cli.options import untold_beams
+from cgid.cli.answering import untold_beams
 from cgid.identification.model.world import Misfit, MisfitPart
 from cgid.identification.prediction.diagnosis import (
     CauseKind,

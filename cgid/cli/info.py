@@ -13,17 +13,9 @@ import numpy as np
 from cgid import shipped
 from cgid._lib.terminal import counted
 from cgid.cli.help import Command
-from cgid.cli.options import (
-    CHAIN,
-    PATH,
-    ReadingOptions,
-    json_option,
-    laws_option,
-    reading_options_for,
-    same_beam_option,
-    warn_of_volts,
-)
+from cgid.cli.options import PATH, json_option, laws_option
 from cgid.cli.output import FileErrors, print_json, say, warn
+from cgid.cli.reading import CHAIN, ReadingOptions, reading_options_for, same_beam_option, warn_of_volts
 from cgid.cli.table import written_table
 from cgid.errors import BadData, CgidError
 from cgid.signals import channel_name

@@ -10,17 +10,9 @@ import numpy as np
 
 from cgid._lib.terminal import counted
 from cgid.cli.help import Command
-from cgid.cli.options import (
-    OUTPUT,
-    PATH,
-    SCENE,
-    ReadingOptions,
-    json_option,
-    laws_option,
-    overwrite_option,
-    reading_options,
-)
+from cgid.cli.options import OUTPUT, PATH, SCENE, json_option, laws_option, overwrite_option
 from cgid.cli.output import print_json, say, warn, warn_of_one_place
+from cgid.cli.reading import ReadingOptions, reading_options
 from cgid.cli.tap import read_with_hammer
 from cgid.errors import InvalidValue
 

@@ -14,17 +14,9 @@ from cgid._lib import validation
 from cgid._lib.terminal import counted
 from cgid.cli.events import Groups, cells_of, require_trainable
 from cgid.cli.help import Command
-from cgid.cli.options import (
-    MODEL,
-    OUTPUT,
-    PATH,
-    ReadingOptions,
-    given_options,
-    reading_options,
-    require_no_input_written,
-    same_beam_option,
-)
+from cgid.cli.options import MODEL, OUTPUT, PATH, require_no_input_written
 from cgid.cli.output import say, warn
+from cgid.cli.reading import ReadingOptions, given_options, reading_options, same_beam_option
 from cgid.errors import CannotCreate, CgidError, InvalidValue
 from cgid.units import quantity_of
 

@@ -18,24 +18,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid.cli.answer_rows import AnswerLines, RecordingRows
+from cgid.cli.answering import Models, answering_options, settings_of, settings_with_coal, warn_of_model
 from cgid.cli.help import Command
-from cgid.cli.options import (
-    CHAIN,
-    PATH,
-    Models,
-    ReadingOptions,
-    answering_options,
-    beam_words,
-    given_options,
-    json_option,
-    plant_options,
-    reading_options_for,
-    settings_of,
-    settings_with_coal,
-    warn_of_model,
-)
+from cgid.cli.options import PATH, json_option
 from cgid.cli.output import say, warn
+from cgid.cli.reading import CHAIN, ReadingOptions, beam_words, given_options, reading_options_for
 from cgid.cli.table import TableOutput
+from cgid.cli.watching import plant_options
 from cgid.errors import InvalidValue, NoInput
 
 if TYPE_CHECKING:

@@ -11,17 +11,9 @@ import click
 from cgid._lib import validation
 from cgid._lib.terminal import counted
 from cgid.cli.help import Command
-from cgid.cli.options import (
-    OUTPUT,
-    PATH,
-    ReadingOptions,
-    json_option,
-    overwrite_option,
-    reading_options,
-    same_beam_option,
-    warn_of_volts,
-)
+from cgid.cli.options import OUTPUT, PATH, json_option, overwrite_option
 from cgid.cli.output import print_json, say, warn
+from cgid.cli.reading import ReadingOptions, reading_options, same_beam_option, warn_of_volts
 from cgid.errors import InvalidValue
 
 if TYPE_CHECKING:

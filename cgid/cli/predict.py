@@ -16,23 +16,11 @@ import numpy as np
 from cgid import shipped
 from cgid._lib.terminal import counted
 from cgid.cli.answer_rows import AnswerLines, RecordingRows
+from cgid.cli.answering import Models, answering_options, settings_of, settings_with_coal, warn_of_model
 from cgid.cli.help import Command
-from cgid.cli.options import (
-    OUTPUT,
-    PATH,
-    SCENE,
-    Models,
-    ReadingOptions,
-    answering_options,
-    given_laws_option,
-    given_options,
-    printing_options,
-    reading_options,
-    settings_of,
-    settings_with_coal,
-    warn_of_model,
-)
+from cgid.cli.options import OUTPUT, PATH, SCENE, given_laws_option, printing_options
 from cgid.cli.output import FileErrors, progress_bar, say
+from cgid.cli.reading import ReadingOptions, given_options, reading_options
 from cgid.cli.table import TableOutput, output_options
 from cgid.errors import BadData, CgidError, InvalidValue
 

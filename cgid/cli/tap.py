@@ -13,19 +13,9 @@ import numpy as np
 
 from cgid._lib.terminal import counted
 from cgid.cli.help import Command
-from cgid.cli.options import (
-    OUTPUT,
-    PATH,
-    SCENE,
-    ReadingOptions,
-    json_option,
-    laws_option,
-    overwrite_option,
-    point_of,
-    reading_options,
-    share_of,
-)
+from cgid.cli.options import OUTPUT, PATH, SCENE, json_option, laws_option, overwrite_option, point_of, share_of
 from cgid.cli.output import print_json, progress_bar, say, warn
+from cgid.cli.reading import ReadingOptions, reading_options
 from cgid.errors import BadData, InvalidValue
 from cgid.units import UNITS, quantity_of
 

@@ -14,31 +14,27 @@ import click
 from cgid import shipped
 from cgid._lib import validation
 from cgid._lib.terminal import counted
+from cgid.cli.answering import prediction_by, warn_of_chance
 from cgid.cli.help import Command
 from cgid.cli.options import (
-    CHAIN,
     MODEL,
     OUTPUT,
     SCENE,
     OutputName,
-    ReadingOptions,
     given_flags,
     json_option,
     laws_option,
     overwrite_option,
     point_of,
-    prediction_by,
-    reading_options_for,
     refuse,
     require_one_executor,
-    same_beam_option,
     seed_option,
     share_of,
     strict_option,
-    warn_of_chance,
     worker_options,
 )
 from cgid.cli.output import accuracy_text, print_json, progress_bar, say, warn, warn_of_one_place
+from cgid.cli.reading import CHAIN, ReadingOptions, reading_options_for, same_beam_option
 from cgid.errors import BadData, InvalidValue
 
 if TYPE_CHECKING:

@@ -9,8 +9,9 @@ import click
 
 from cgid._lib.terminal import counted
 from cgid.cli.help import Command
-from cgid.cli.options import PATH, SCENE, ReadingOptions, given_laws_option, json_option, reading_options_for
+from cgid.cli.options import PATH, SCENE, given_laws_option, json_option
 from cgid.cli.output import FileErrors, print_json, progress_bar, say
+from cgid.cli.reading import ReadingOptions, reading_options_for
 from cgid.errors import BadData, CgidError, MissingOption
 from cgid.shipped import SCENES
 

@@ -1,0 +1,240 @@
+"""Options for reading recordings, and the object that commands receive of them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from cgid.cli.options import bundle, given_flags
+from cgid.cli.output import say_error, warn
+from cgid.errors import BadData, InvalidValue, MissingOption
+from cgid.signals import Signal, channel_name
+
+if TYPE_CHECKING:
+    from cgid.identification.training.recordings import Reading
+    from cgid.recordings import RecordingFile
+
+
+#: Maximum dead time [ms]; no ring-down lasts longer.
+MAX_DEAD_TIME = 1e4
+
+
+def warn_of_volts(recording: RecordingFile) -> list[str]:
+    """Explain how volts and coulombs are converted to the measured quantity, if unknown; return what was said."""
+    from cgid.recordings.chain import require_measured
+
+    said = []
+    for channel in recording.channels:
+        try:
+            require_measured(channel.unit, channel_name(recording.source, channel.name))
+        except MissingOption as error:
+            warn(error)
+            said.append(str(error))
+    return said
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class ReadingOptions:
+    """Settings for reading an input: the values of `reading_options` of a command."""
+
+    sampling_rate: float | None = None
+    unit: str | None = None
+    channel: tuple[str, ...] = ()
+    variable: str | None = None
+    format: str | None = None
+    index: int | None = None
+    invert: bool = False
+    milliseconds: float | None = None
+    sensitivity: tuple[str, ...] = ()
+    gain: tuple[str, ...] = ()
+    full_scale: tuple[str, ...] = ()
+
+    @property
+    def chain(self) -> dict[str, tuple[str, ...] | None]:
+        """The measuring chain, as arguments of `open_recording`."""
+        return {name: getattr(self, name) or None for name in CHAIN}
+
+    def chain_of(self, path: str) -> dict[str, tuple[str, ...] | None]:
+        """Return the measuring chain of one file: values for all files, and those with its name: a.wav:1=VALUE."""
+        kept = {
+            name: tuple(value for file, value in map(_file_and_value, values or ()) if not file or _is_file(file, path))
+            for name, values in self.chain.items()
+        }
+        return {name: values or None for name, values in kept.items()}
+
+    def require_files(self, paths: Sequence[str]) -> None:
+        """Raise `InvalidValue` for a value of the measuring chain that names none of these files."""
+        for name, values in self.chain.items():
+            for file, _ in map(_file_and_value, values or ()):
+                if file and not any(_is_file(file, path) for path in paths):
+                    flag = f"--{name.replace('_', '-')}"
+                    raise InvalidValue(f"{flag} must name one of the files before :, got {file!r}; correct it")
+
+    @property
+    def common(self) -> dict[str, Any]:
+        """Settings for any file, as arguments of `open_recording` and of manifests."""
+        return {"sampling_rate": self.sampling_rate, "unit": self.unit, "format": self.format, **self.chain}
+
+    @property
+    def dead_time(self) -> float | None:
+        """Dead time [s]; raises `InvalidValue` outside of the valid range."""
+        if self.milliseconds is None:
+            return None
+        if not 0 <= self.milliseconds <= MAX_DEAD_TIME:
+            raise InvalidValue(f"--dead-time must be between 0 and {MAX_DEAD_TIME:g} ms, got {self.milliseconds:g} ms")
+        return self.milliseconds * 1e-3
+
+    def of_manifest(self, *, strict: bool, same_beam: tuple[str, ...] = ()) -> Reading:
+        """Return the settings for recordings of a manifest that do not state them."""
+        from cgid.identification.training.recordings import Reading
+
+        return Reading(
+            channels=self.channel or None, same_beam=same_beam, strict=strict, failed=say_error, **self.common
+        )
+
+    def wants_complete_dataset(self, path: str, mass: float | None = None) -> bool:
+        """Return whether this is a dataset without a chosen signal, which takes no options for reading a recording."""
+        from cgid.recordings import is_dataset
+
+        if not is_dataset(path):
+            return False
+        given: dict[str, Any] = {f"--{name.replace('_', '-')}": value for name, value in self.chain.items()}
+        if self.index is None:
+            given |= {"--rate": self.sampling_rate, "--unit": self.unit, "--channel": self.channel or None}
+            given |= {"--variable": self.variable, "--format": self.format, "--mass": mass}
+        for flag, value in given.items():
+            if value is not None:
+                raise InvalidValue(f"{path}: {flag} is for recordings, a dataset states it; leave {flag} out")
+        return self.index is None
+
+    def recording(self, path: str) -> RecordingFile:
+        """Open a recording."""
+        from cgid.recordings import open_recording
+
+        if self.index is not None:
+            raise InvalidValue(f"{path}: --index picks a signal of a dataset (HDF5), this is a recording; leave it out")
+        chosen: dict[str, Any] = {"channel": self.channel or None, "variable": self.variable}
+        return open_recording(path, **chosen, **{**self.common, **self.chain_of(path)})
+
+    def signals(self, path: str, faults: list[BadData] | None = None) -> list[Signal]:
+        """Return the signals of a recording, or the chosen signal of a dataset; `faults` gets unreadable channels."""
+        from cgid.recordings import is_dataset
+
+        if is_dataset(path):
+            from cgid.store import Dataset
+
+            signals = [Dataset(path).signal(self.index or 0)]
+        else:
+            signals, errors = self.recording(path).signals_and_faults()
+            if errors and (faults is None or not signals):
+                raise errors[0]
+            if faults is not None:
+                faults += errors
+        return [signal.inverted() for signal in signals] if self.invert else signals
+
+
+def _file_and_value(text: str) -> tuple[str, str]:
+    """Return the file, "" for all, and the value of FILE:CHANNEL=VALUE; channels may contain colons, too."""
+    from cgid.recordings.formats import ENDINGS
+
+    at = next((at for at, sign in enumerate(text) if sign == ":" and text[:at].lower().endswith(ENDINGS)), -1)
+    return text[: max(at, 0)], text[at + 1 :]
+
+
+def _is_file(name: str, path: str) -> bool:
+    return name in (path, Path(path).name)
+
+
+#: Options for reading a recording: field of `ReadingOptions` -> option.
+READING: dict[str, Callable[[Any], Any]] = {
+    "sampling_rate": click.option(
+        "--rate", "sampling_rate", type=float, help="Set the sampling rate [Hz] that a file lacks, or states wrongly."
+    ),
+    "unit": click.option(
+        "--unit",
+        help="Set the unit of the samples (N, g, m/s^2, V, ...) if the file does not state it; for single channels "
+        "1=N,2=m/s^2.",
+    ),
+    "channel": click.option(
+        "--channel",
+        multiple=True,
+        help="Read only this channel: its name, or its number from 1; give the option again for several, or 1+2 for "
+        "channels that a model uses together.",
+    ),
+    "variable": click.option("--variable", help="Choose an array, table or group if the file contains several."),
+    "format": click.option(
+        "--format",
+        metavar="NAME",
+        help="Read recordings as this format, such as WAV, text, or the reader of a package; by default detected.",
+    ),
+    "index": click.option("--index", type=click.IntRange(min=0), help="Read only this signal of a dataset, from 0."),
+    "invert": click.option("--invert", is_flag=True, help="Invert the signal; impacts must point upwards."),
+    "milliseconds": click.option(
+        "--dead-time",
+        "milliseconds",
+        type=float,
+        help="Set the ring-down time of an impact [ms], by default 2 for pulses and 5 for vibrations.",
+    ),
+    "sensitivity": click.option(
+        "--sensitivity",
+        multiple=True,
+        metavar="[NAME=]VALUE",
+        help="Set the sensitivity of a sensor with samples in volts: '10.2 mV/g', '2.3 mV/N', '3.1 pC/g'; "
+        "for one channel as 2=VALUE.",
+    ),
+    "gain": click.option(
+        "--gain",
+        multiple=True,
+        metavar="[NAME=]VALUE",
+        help="Divide out this gain: 10, x10, '20 dB', or '1 mV/pC' of a charge amplifier.",
+    ),
+    "full_scale": click.option(
+        "--full-scale",
+        multiple=True,
+        metavar="[NAME=]VALUE",
+        help="Set the full scale of a sound file or of integers: '10 V', '50 g', '10 V at 24 bit'.",
+    ),
+}
+
+
+def reading_options_for(*names: str) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+    """Return a decorator that adds the options for some fields of a `ReadingOptions`, which the command receives."""
+    return bundle("reading", ReadingOptions, {name: READING[name] for name in names})
+
+
+reading_options = reading_options_for(*READING)
+CHAIN = ("sensitivity", "gain", "full_scale")
+same_beam_option = click.option(
+    "--same-beam",
+    multiple=True,
+    metavar="CHANNELS",
+    help="Count an impact once even if several channels of one beam measure it: 1+2; repeat the option for "
+    "other beams.",
+)
+#: Options of outputs, which suggested commands omit.
+_OUTPUT = ("as_json", "strict", "report", "output", "overwrite", "sample")
+
+
+def given_options() -> tuple[list[str], list[str]]:
+    """Return the options of the current command line: those for reading a recording, and those for prediction."""
+    context = click.get_current_context()
+    found: tuple[list[str], list[str]] = ([], [])
+    given = given_flags(context)
+    for option in context.command.params:
+        name = option.name or ""
+        if name not in given or not isinstance(option, click.Option) or name in _OUTPUT:
+            continue
+        values = context.params[name]
+        for value in values if option.multiple else [values]:
+            text = f"{value:.12g}" if isinstance(value, float) else f"{value}"
+            found[name not in READING].extend([option.opts[0]] if option.is_flag else [option.opts[0], text])
+    return found
+
+
+def beam_words(beams: Iterable[str]) -> list[str]:
+    """Return the options that name beams, each by its channels such as 1+2."""
+    return [word for beam in beams for word in ("--same-beam", beam)]
