@@ -36,6 +36,7 @@ from cgid.physics.contact.laws import Viscoelastic as Viscoelastic
 from cgid.physics.contact.materials import Material as Material
 from cgid.recordings import open_recording as open_recording
 from cgid.recordings import read_recording as read_recording
+from cgid.recordings.site import Site as Site
 from cgid.scene.file.schema import Scene as Scene
 from cgid.scene.file.schema import load_scene as load_scene
 from cgid.scene.synthesis.synthesis import synthesise as synthesise

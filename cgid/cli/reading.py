@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,12 +11,14 @@ import click
 
 from cgid.cli.options import bundle, given_flags
 from cgid.cli.output import say_error, warn
+from cgid.cli.site import site_words, the_site
 from cgid.errors import BadData, InvalidValue, MissingOption
 from cgid.signals import Signal, channel_name
 
 if TYPE_CHECKING:
     from cgid.identification.training.recordings import Reading
     from cgid.recordings import RecordingFile
+    from cgid.recordings.site import Site
 
 
 #: Maximum dead time [ms]; no ring-down lasts longer.
@@ -39,23 +41,20 @@ def warn_of_volts(recording: RecordingFile) -> list[str]:
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class ReadingOptions:
-    """Settings for reading an input: the values of `reading_options` of a command."""
+    """Settings for reading an input: the values of `reading_options` of a command, and its site."""
 
     sampling_rate: float | None = None
     unit: str | None = None
     channel: tuple[str, ...] = ()
-    variable: str | None = None
-    format: str | None = None
     index: int | None = None
-    invert: bool = False
-    milliseconds: float | None = None
     sensitivity: tuple[str, ...] = ()
-    gain: tuple[str, ...] = ()
     full_scale: tuple[str, ...] = ()
+    same_beam: tuple[str, ...] = ()
+    site: Site = field(default_factory=the_site)
 
     @property
     def chain(self) -> dict[str, tuple[str, ...] | None]:
-        """The measuring chain, as arguments of `open_recording`."""
+        """The measuring chain on the command line, as arguments of `open_recording`."""
         return {name: getattr(self, name) or None for name in CHAIN}
 
     def chain_of(self, path: str) -> dict[str, tuple[str, ...] | None]:
@@ -77,26 +76,36 @@ class ReadingOptions:
     @property
     def common(self) -> dict[str, Any]:
         """Settings for any file, as arguments of `open_recording` and of manifests."""
-        return {"sampling_rate": self.sampling_rate, "unit": self.unit, "format": self.format, **self.chain}
+        return {"sampling_rate": self.sampling_rate, "unit": self.unit, "site": self.site, **self.chain}
 
     @property
     def dead_time(self) -> float | None:
         """Dead time [s]; raises `InvalidValue` outside of the valid range."""
-        if self.milliseconds is None:
+        given = self.site.get("dead_time")
+        if given is None:
             return None
-        if not 0 <= self.milliseconds <= MAX_DEAD_TIME:
-            raise InvalidValue(f"--dead-time must be between 0 and {MAX_DEAD_TIME:g} ms, got {self.milliseconds:g} ms")
-        return self.milliseconds * 1e-3
+        if not 0 <= given <= MAX_DEAD_TIME:
+            raise InvalidValue(f"dead_time must be between 0 and {MAX_DEAD_TIME:g} ms, got {given:g} ms")
+        return float(given) * 1e-3
 
-    def of_manifest(self, *, strict: bool, same_beam: tuple[str, ...] = ()) -> Reading:
+    @property
+    def has_beams(self) -> bool:
+        """Whether the line or the site says that channels are on one beam."""
+        return bool(self.same_beam) or any("beam" in values for values in self.site.channels.values())
+
+    def beams(self, recording: RecordingFile) -> tuple[tuple[str, ...], ...]:
+        """Return the channels of each beam that has several, in a recording."""
+        from cgid.identification.prediction.settings import require_groups
+
+        return recording.named(require_groups(self.same_beam), "--same-beam") or recording.beams
+
+    def of_manifest(self) -> Reading:
         """Return the settings for recordings of a manifest that do not state them."""
         from cgid.identification.training.recordings import Reading
 
-        return Reading(
-            channels=self.channel or None, same_beam=same_beam, strict=strict, failed=say_error, **self.common
-        )
+        return Reading(channels=self.channel or None, same_beam=self.same_beam, failed=say_error, **self.common)
 
-    def wants_complete_dataset(self, path: str, mass: float | None = None) -> bool:
+    def wants_complete_dataset(self, path: str) -> bool:
         """Return whether this is a dataset without a chosen signal, which takes no options for reading a recording."""
         from cgid.recordings import is_dataset
 
@@ -105,7 +114,6 @@ class ReadingOptions:
         given: dict[str, Any] = {f"--{name.replace('_', '-')}": value for name, value in self.chain.items()}
         if self.index is None:
             given |= {"--rate": self.sampling_rate, "--unit": self.unit, "--channel": self.channel or None}
-            given |= {"--variable": self.variable, "--format": self.format, "--mass": mass}
         for flag, value in given.items():
             if value is not None:
                 raise InvalidValue(f"{path}: {flag} is for recordings, a dataset states it; leave {flag} out")
@@ -117,8 +125,7 @@ class ReadingOptions:
 
         if self.index is not None:
             raise InvalidValue(f"{path}: --index picks a signal of a dataset (HDF5), this is a recording; leave it out")
-        chosen: dict[str, Any] = {"channel": self.channel or None, "variable": self.variable}
-        return open_recording(path, **chosen, **{**self.common, **self.chain_of(path)})
+        return open_recording(path, channel=self.channel or None, **{**self.common, **self.chain_of(path)})
 
     def signals(self, path: str, faults: list[BadData] | None = None) -> list[Signal]:
         """Return the signals of a recording, or the chosen signal of a dataset; `faults` gets unreadable channels."""
@@ -127,14 +134,15 @@ class ReadingOptions:
         if is_dataset(path):
             from cgid.store import Dataset
 
-            signals = [Dataset(path).signal(self.index or 0)]
+            signal = Dataset(path).signal(self.index or 0)
+            signals = [signal.inverted() if self.site.get("invert") else signal]
         else:
             signals, errors = self.recording(path).signals_and_faults()
             if errors and (faults is None or not signals):
                 raise errors[0]
             if faults is not None:
                 faults += errors
-        return [signal.inverted() for signal in signals] if self.invert else signals
+        return signals
 
 
 def _file_and_value(text: str) -> tuple[str, str]:
@@ -151,54 +159,22 @@ def _is_file(name: str, path: str) -> bool:
 
 #: Options for reading a recording: field of `ReadingOptions` -> option.
 READING: dict[str, Callable[[Any], Any]] = {
-    "sampling_rate": click.option(
-        "--rate", "sampling_rate", type=float, help="Set the sampling rate [Hz] that a file lacks, or states wrongly."
-    ),
-    "unit": click.option(
-        "--unit",
-        help="Set the unit of the samples (N, g, m/s^2, V, ...) if the file does not state it; for single channels "
-        "1=N,2=m/s^2.",
-    ),
-    "channel": click.option(
-        "--channel",
-        multiple=True,
-        help="Read only this channel: its name, or its number from 1; give the option again for several, or 1+2 for "
-        "channels that a model uses together.",
-    ),
-    "variable": click.option("--variable", help="Choose an array, table or group if the file contains several."),
-    "format": click.option(
-        "--format",
-        metavar="NAME",
-        help="Read recordings as this format, such as WAV, text, or the reader of a package; by default detected.",
-    ),
+    "sampling_rate": click.option("--rate", "sampling_rate", type=float, help="Sampling rate [Hz], if a file lacks it."),
+    "unit": click.option("--unit", help="Unit of the samples, if a file lacks it: N, g, m/s^2, V; or 1=N,2=m/s^2."),
+    "channel": click.option("--channel", multiple=True, help="Read only this channel: its name or number; repeatable."),
     "index": click.option("--index", type=click.IntRange(min=0), help="Read only this signal of a dataset, from 0."),
-    "invert": click.option("--invert", is_flag=True, help="Invert the signal; impacts must point upwards."),
-    "milliseconds": click.option(
-        "--dead-time",
-        "milliseconds",
-        type=float,
-        help="Set the ring-down time of an impact [ms], by default 2 for pulses and 5 for vibrations.",
-    ),
     "sensitivity": click.option(
-        "--sensitivity",
-        multiple=True,
-        metavar="[NAME=]VALUE",
-        help="Set the sensitivity of a sensor with samples in volts: '10.2 mV/g', '2.3 mV/N', '3.1 pC/g'; "
-        "for one channel as 2=VALUE.",
-    ),
-    "gain": click.option(
-        "--gain",
-        multiple=True,
-        metavar="[NAME=]VALUE",
-        help="Divide out this gain: 10, x10, '20 dB', or '1 mV/pC' of a charge amplifier.",
+        "--sensitivity", multiple=True, metavar="[NAME=]VALUE", help="Of a sensor in volts: '10.2 mV/g', 2='2.3 mV/N'."
     ),
     "full_scale": click.option(
-        "--full-scale",
-        multiple=True,
-        metavar="[NAME=]VALUE",
-        help="Set the full scale of a sound file or of integers: '10 V', '50 g', '10 V at 24 bit'.",
+        "--full-scale", multiple=True, metavar="[NAME=]VALUE", help="Of sound files or integers: '10 V', '50 g'."
+    ),
+    "same_beam": click.option(
+        "--same-beam", multiple=True, metavar="CHANNELS", help="One answer a rock for channels of one beam: 1+2."
     ),
 }
+#: What people state of a recording, at every command that reads one.
+_USUAL = ("sampling_rate", "unit", "channel", "sensitivity", "full_scale")
 
 
 def reading_options_for(*names: str) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
@@ -206,32 +182,30 @@ def reading_options_for(*names: str) -> Callable[[Callable[..., Any]], Callable[
     return bundle("reading", ReadingOptions, {name: READING[name] for name in names})
 
 
-reading_options = reading_options_for(*READING)
-CHAIN = ("sensitivity", "gain", "full_scale")
-same_beam_option = click.option(
-    "--same-beam",
-    multiple=True,
-    metavar="CHANNELS",
-    help="Count an impact once even if several channels of one beam measure it: 1+2; repeat the option for "
-    "other beams.",
-)
+def reading_options(*more: str) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+    """Return `reading_options_for` the usual options, and some more."""
+    return reading_options_for(*_USUAL, *more)
+
+
+CHAIN = ("sensitivity", "full_scale")
 #: Options of outputs, which suggested commands omit.
-_OUTPUT = ("as_json", "strict", "report", "output", "overwrite", "sample")
+_OUTPUT = ("as_json", "report", "output", "overwrite", "sample")
 
 
 def given_options() -> tuple[list[str], list[str]]:
     """Return the options of the current command line: those for reading a recording, and those for prediction."""
     context = click.get_current_context()
-    found: tuple[list[str], list[str]] = ([], [])
+    found: tuple[list[str], list[str]] = (site_words(), [])
     given = given_flags(context)
     for option in context.command.params:
         name = option.name or ""
         if name not in given or not isinstance(option, click.Option) or name in _OUTPUT:
             continue
         values = context.params[name]
+        is_reading = name in READING and name != "same_beam"
         for value in values if option.multiple else [values]:
             text = f"{value:.12g}" if isinstance(value, float) else f"{value}"
-            found[name not in READING].extend([option.opts[0]] if option.is_flag else [option.opts[0], text])
+            found[not is_reading].extend([option.opts[0]] if option.is_flag else [option.opts[0], text])
     return found
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from numbers import Real
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
@@ -147,6 +147,8 @@ class Unit:
 
 
 Part = TypeVar("Part", Sensitivity, Gain, FullScale, Unit)
+#: What may be stated of a chain, by the name of its option.
+PARTS: Mapping[str, Any] = {"sensitivity": Sensitivity, "gain": Gain, "full_scale": FullScale, "unit": Unit}
 _T = TypeVar("_T")
 
 
@@ -156,11 +158,12 @@ class _Stated(Generic[Part]):
 
     name: str
     values: tuple[tuple[int | str | None, Part], ...] = ()
+    fallback: _Stated[Part] | None = None  # asked where these say nothing of a channel
 
     def at(self, index: int, contents: Blocks, source: str) -> tuple[Part | None, bool]:
         """Return the value for a channel, and whether it is only for this channel; two must not differ."""
         if not self.values:
-            return None, False
+            return (None, False) if self.fallback is None else self.fallback.at(index, contents, source)
         option = f"--{self.name.replace('_', '-')} CHANNEL=VALUE"
         of_channel = [
             value for key, value in self.values if key is not None and index in contents.selected(key, source, option)
@@ -172,6 +175,8 @@ class _Stated(Generic[Part]):
                     f"{source}: channel {contents.label(index)} must have one {self.name}, got {values[0].text} and "
                     f"{other.text}; leave one out"
                 )
+        if not values and self.fallback is not None:
+            return self.fallback.at(index, contents, source)
         return (values[0] if values else None), bool(of_channel)
 
 
@@ -207,6 +212,10 @@ class Link:
     factor: float = 1.0
     origin: str = ""
 
+    def inverted(self) -> Link:
+        """Return the link of a sensor that is upside down."""
+        return replace(self, factor=-self.factor, origin=", ".join(filter(None, [self.origin, "inverted"])))
+
 
 @dataclass(frozen=True, kw_only=True)
 class Chain:
@@ -215,6 +224,8 @@ class Chain:
     sensitivity: _Stated[Sensitivity] = _Stated("sensitivity")
     gain: _Stated[Gain] = _Stated("gain")
     full_scale: _Stated[FullScale] = _Stated("full_scale")
+    unit: _Stated[Unit] = _Stated("unit")
+    inverted: tuple[tuple[int | None, bool], ...] = ()  # whether channels point downwards, by number; None: all others
 
     @classmethod
     def of(
@@ -227,6 +238,22 @@ class Chain:
             full_scale=_stated("full_scale", FullScale, full_scale),
         )
 
+    @classmethod
+    def of_site(cls, general: Mapping[str, Any], own: Mapping[int, Mapping[str, Any]]) -> Chain:
+        """Return the chain of a site file: values of all channels, and those of some by number."""
+        every: list[tuple[int | None, Mapping[str, Any]]] = [(None, general), *own.items()]
+        stated: dict[str, Any] = {
+            name: _Stated(name, tuple((number, kind.of(keys[name])) for number, keys in every if name in keys))
+            for name, kind in PARTS.items()
+        }
+        turned = {number: keys["invert"] for number, keys in every if "invert" in keys}
+        return cls(**stated, inverted=tuple(turned.items()))
+
+    def beside(self, other: Chain) -> Chain:
+        """Return this chain, where it says nothing of a channel the other one."""
+        both: dict[str, Any] = {name: replace(getattr(self, name), fallback=getattr(other, name)) for name in PARTS}
+        return Chain(**both, inverted=other.inverted)
+
     def links(self, contents: Blocks, channels: Sequence[int], unit: str | None, source: str) -> list[Link]:
         """Return the link of each channel, from the statements of user and file, which must agree."""
         # Nothing to convert: a known unit for all channels, of which neither file nor user says more.
@@ -235,13 +262,16 @@ class Chain:
             return [Link(unit=unit)] * len(channels)
         # A sensitivity or charge gain for all channels applies to those in volts or coulombs; there must be at least
         # one.
-        units = units_of(unit)
+        units = replace(units_of(unit), fallback=self.unit)
         scaled_links = [self._scaled(contents, index, units, source) for index in channels]
         is_some = any(link.unit and quantity_of(link.unit) in ELECTRICAL for link in scaled_links)
-        return [
+        found = [
             self._measured(link, contents, index, source, is_some=is_some)
             for index, link in zip(channels, scaled_links, strict=True)
         ]
+        turned = dict(self.inverted)
+        downwards = [turned.get(index + 1, turned.get(None, False)) for index in channels]
+        return [link.inverted() if down else link for link, down in zip(found, downwards, strict=True)]
 
     def _scaled(self, contents: Blocks, index: int, units: _Stated[Unit], source: str) -> Link:
         """Return the link through full scale and amplification."""

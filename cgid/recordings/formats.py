@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 from importlib import import_module
 from pathlib import Path
 from threading import Timer
-from typing import Any, BinaryIO
+from typing import TYPE_CHECKING, Any, BinaryIO
 
 from cgid._lib import validation
 from cgid._lib.validation import require_rate
@@ -22,6 +22,9 @@ from cgid.errors import BadData, InvalidValue, NoInput, WriteFailed
 from cgid.recordings.chain import Chain, Statement, units_of
 from cgid.recordings.recording import DATASET_HINT, Blocks, RecordingFile, clear_errors, library_errors
 from cgid.signals import Signal
+
+if TYPE_CHECKING:
+    from cgid.recordings.site import Site
 
 #: First bytes of a file, enough to recognise any format.
 HEAD_SIZE = 1024
@@ -239,6 +242,7 @@ def open_recording(
     gain: Statement | None = None,
     full_scale: Statement | None = None,
     format: str | None = None,
+    site: Site | str | Path | None = None,
 ) -> RecordingFile:
     r"""Open a recording; its content determines the format, not its name, unless `format` does.
 
@@ -275,6 +279,8 @@ def open_recording(
         as in a text file.
     format : str, optional
         Name of the format, such as "WAV" or that of another package's reader; by default detected from the content.
+    site : Site, str or Path, optional
+        A site, or its file, which states what the other arguments do not, and the names of channels.
 
     Returns
     -------
@@ -319,6 +325,11 @@ def open_recording(
     if sampling_rate is not None:
         sampling_rate = require_rate(sampling_rate)
     units_of(unit)
+    if site is not None:
+        from cgid.recordings import site as sites
+
+        site = sites.Site.of(site)
+        variable, format = variable or site.get("variable"), format or site.get("format")
     source = "stdin" if str(path) == "-" else str(path)
     regular, spool = _regular(path, source)
     try:
@@ -332,6 +343,7 @@ def open_recording(
                 unit=unit,
                 channel=channel,
                 chain=chain,
+                site=site,
             )
     except BaseException:
         spool.close()
@@ -351,12 +363,13 @@ def read_recording(
     gain: Statement | None = None,
     full_scale: Statement | None = None,
     format: str | None = None,
+    site: Site | str | Path | None = None,
 ) -> list[Signal]:
     r"""Read a complete recording into memory.
 
     Parameters
     ----------
-    path, sampling_rate, unit, channel, variable, sensitivity, gain, full_scale, format
+    path, sampling_rate, unit, channel, variable, sensitivity, gain, full_scale, format, site
         As in `open_recording`.
 
     Returns

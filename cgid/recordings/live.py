@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import TYPE_CHECKING, Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +18,9 @@ from cgid.recordings.chain import Chain, scaled, units_of
 from cgid.recordings.formats import AUDIO_MAGICS, FORMATS, WAV_MAGICS
 from cgid.recordings.recording import MAX_CHANNELS, Blocks, Channel
 from cgid.recordings.sound import ENDLESS, Coding, read_wave_head
+
+if TYPE_CHECKING:
+    from cgid.recordings.site import Site
 
 #: Most numbers to read from the stream at once.
 _MAX_NUMBERS = 1 << 16
@@ -53,6 +56,7 @@ class LiveStream:
     head: bytes = b""
     size: int | None = None
     is_wav: bool = False
+    beams: tuple[tuple[str, ...], ...] = ()  # channels of each beam with several
 
     @property
     def n_channels(self) -> int:
@@ -102,9 +106,14 @@ def live_stream(
     unit: str | None = None,
     source: str = "stdin",
     chain: Chain | None = None,
+    site: Site | None = None,
 ) -> LiveStream:
     """Return a stream of samples: a WAV by its header, anything else as raw numbers with interleaved channels."""
     units_of(unit)
+    if site is not None:
+        sampling_rate = site.get("rate") if sampling_rate is None else sampling_rate
+        n_channels = site.get("channels") if n_channels is None else n_channels
+        sample_format = site.get("sample_format") if sample_format is None else sample_format
     given = None if sampling_rate is None else require_rate(sampling_rate)
     if n_channels is not None and validation.count("n_channels", n_channels) > MAX_CHANNELS:
         raise InvalidValue(f"n_channels must be at most {MAX_CHANNELS}, got {n_channels}")
@@ -144,11 +153,16 @@ def live_stream(
         assert coding is not None and n_channels is not None
         contents = _contents(n_channels, coding, None if coding.kind == "f" else "FS")
         about = {"coding": coding, "head": start}
+    beams: tuple[tuple[str, ...], ...] = ()
+    if site is not None:
+        contents, chain = site.applied(contents, chain or Chain(), source)
+        beams = site.beams(contents, source)
     links = (chain or Chain()).links(contents, range(contents.n_channels), unit, source)
     return LiveStream(
         file=file,
         sampling_rate=require_rate(contents.rate(given, source)),
-        channels=[Channel(name=str(k), unit=link.unit, origin=link.origin) for k, link in enumerate(links, 1)],
+        channels=[Channel(name=contents.label(k), unit=link.unit, origin=link.origin) for k, link in enumerate(links)],
+        beams=beams,
         factors=[link.factor for link in links],
         source=source,
         warnings=contents.warnings,

@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from datetime import datetime
 from itertools import pairwise
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,9 @@ from cgid.recordings.chain import Chain, scaled
 from cgid.recordings.gaps import Gaps
 from cgid.signals import Signal, channel_name
 from cgid.units import meaning_of, quantity_of
+
+if TYPE_CHECKING:
+    from cgid.recordings.site import Site
 
 #: Advice for a dataset given instead of a recording.
 DATASET_HINT = "read it with cgid.store, or pick one of its signals with --index"
@@ -101,6 +104,7 @@ class Blocks:
     n_samples: int | None = None
     seekable: bool = False
     names: Sequence[str] = ()
+    is_named: bool = False
     units: Sequence[str | None] = ()
     sampling_rate: float | None = None
     rate_from: str = "header"
@@ -176,7 +180,7 @@ class Blocks:
 
     def label(self, index: int) -> str:
         """Return the name of a channel, its number from 1 if it has none, or both if the name is not unique."""
-        if self.n_channels == 1 or not self.name(index):
+        if (self.n_channels == 1 and not self.is_named) or not self.name(index):
             return str(index + 1)
         name = self.name(index)
         return name if self.names.count(name) == 1 else _numbered(index, name)
@@ -341,6 +345,8 @@ class RecordingFile:
         Time of the first sample, if the file states it.
     starts : tuple of datetime or None
         That of each channel, empty where all have one.
+    beams : tuple of tuple of str
+        Channels of each beam with several, as the site states them.
     """
 
     def __init__(
@@ -353,8 +359,15 @@ class RecordingFile:
         unit: str | None,
         channel: int | str | Sequence[int | str] | None,
         chain: Chain | None = None,
+        site: Site | None = None,
     ) -> None:
         contents.require_channels(source)
+        self.beams: tuple[tuple[str, ...], ...] = ()
+        if site is not None:
+            contents, chain = site.applied(contents, chain or Chain(), source)
+            self.beams = site.beams(contents, source)
+            sampling_rate = site.get("rate") if sampling_rate is None else sampling_rate
+            channel = site.get("channel") if channel is None else channel
         self._contents = contents
         self._selected = _selected(contents, channel, source)
         if channel is None and (counters := _counters(contents)):

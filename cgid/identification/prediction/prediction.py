@@ -19,9 +19,10 @@ from cgid.identification.prediction.answers import Answer, answer_columns
 from cgid.identification.prediction.batches import identify_batches
 from cgid.identification.prediction.pipeline import Pipeline, answers_with_warnings
 from cgid.identification.prediction.settings import PredictionSettings
-from cgid.recordings import is_dataset, read_recording
+from cgid.recordings import is_dataset, open_recording
 from cgid.recordings.chain import Chain, Statement
 from cgid.recordings.recording import Blocks, Channel, require_one_rate
+from cgid.recordings.site import Site
 from cgid.shipped import MODELS, model_path
 from cgid.signals import Batch, Signal, require_stated
 from cgid.units import quantity_of
@@ -32,6 +33,8 @@ if TYPE_CHECKING:
     from cgid.identification.training.training import Training
     from cgid.store.reading import Dataset
 
+#: Names of the channels of each beam with several.
+Groups = tuple[tuple[str, ...], ...]
 #: Fields of `PredictionSettings` that `predict` accepts: all except those of the gangue fraction.
 _SETTINGS = (
     "costs", "coverage", "class_conditional", "drop_height", "mass", "invert", "sensors", "lines", "dead_time",
@@ -97,6 +100,7 @@ def predict(
     sensitivity: Statement | None = None,
     gain: Statement | None = None,
     full_scale: Statement | None = None,
+    site: Site | str | Path | None = None,
     **settings: Any,
 ) -> pandas.DataFrame:
     """Identify the material of every impact in a recording or an array of samples.
@@ -117,6 +121,8 @@ def predict(
     sensitivity, gain, full_scale : str, float, mapping or list, optional
         Conversion of volts, coulombs or integers to the measured quantity, such as ``sensitivity="10.2 mV/g"``; as
         in `cgid.open_recording`. A `full_scale` may include the unit.
+    site : Site, str or Path, optional
+        A site, or its file, which states what the other arguments do not, the model, and the names of channels.
     **settings
         Fields of `cgid.identification.prediction.PredictionSettings`, such as ``mass=2.5`` [kg] of an
         accelerated impactor, ``drop_height=1.5`` [m], ``invert=True``, ``lines=False`` (keep tones of machines),
@@ -171,7 +177,9 @@ def predict(
     """
     for name in settings:
         validation.choice("setting", name, _SETTINGS)
-    applied = replace(PredictionSettings(), **settings)
+    place = Site.of(site)
+    applied = replace(PredictionSettings(), **{**place.settings, **settings})
+    model = place.get("model") if model is None else model
     model = cast("Model | str | Path | None", getattr(model, "model", model))  # of a Training
     if model is not None and not isinstance(model, Model | str | Path):
         raise InvalidValue(f"model must be a Model, a Training or the name or path of a model, got {model!r:.60}")
@@ -187,13 +195,16 @@ def predict(
             )
         return _of_batches(samples, model, applied)
     if isinstance(samples, str | Path):
-        signals = read_recording(
-            samples, sampling_rate=sampling_rate, unit=unit, sensitivity=sensitivity, gain=gain, full_scale=full_scale
-        )
+        chain: dict[str, Any] = {"sensitivity": sensitivity, "gain": gain, "full_scale": full_scale}
+        recording = open_recording(samples, sampling_rate=sampling_rate, unit=unit, site=place, **chain)
+        signals, beams = recording.signals(), recording.beams
         for text in signals[0].warnings:
             warnings.warn(text, stacklevel=2)
     else:
-        signals = _measured(samples, sampling_rate, unit, Chain.of(sensitivity, gain, full_scale))
+        rate = place.get("rate") if sampling_rate is None else sampling_rate
+        signals, beams = _measured(samples, rate, unit, Chain.of(sensitivity, gain, full_scale), place)
+    if "same_beam" not in settings:
+        applied = replace(applied, same_beam=beams)
     first = signals[0]
     loaded = read_model(default_model(first.quantity, applied) if model is None else model)
     applied.check(loaded)
@@ -216,8 +227,10 @@ def predict(
     return _table(answers, loaded, applied)
 
 
-def _measured(samples: Any, sampling_rate: float | None, unit: str | None, chain: Chain) -> list[Signal]:
-    """Return the channels of samples or Signals, in the measured quantity."""
+def _measured(
+    samples: Any, sampling_rate: float | None, unit: str | None, chain: Chain, site: Site
+) -> tuple[list[Signal], Groups]:
+    """Return the channels of samples or Signals, in the measured quantity, and those of each beam by the site."""
     listed = [samples] if isinstance(samples, Signal) else samples
     one = listed[0] if isinstance(listed, list | tuple) and listed else None
     if isinstance(one, Batch | str | Path) or hasattr(one, "batches") or hasattr(listed, "__next__"):
@@ -227,6 +240,7 @@ def _measured(samples: Any, sampling_rate: float | None, unit: str | None, chain
         )
     of_signals = isinstance(listed, list | tuple) and any(isinstance(one, Signal) for one in listed)
     signals = _require_alike(listed, sampling_rate) if of_signals else _signals(samples, sampling_rate)
+    unit = site.get("unit") if unit is None and not of_signals else unit
     if not of_signals and unit is None and chain == Chain():
         raise MissingOption("samples: an array has no unit; give it, as in unit='N' or unit='m/s^2'")
     dtype = None if of_signals else validation.plain("samples", samples).dtype
@@ -243,14 +257,18 @@ def _measured(samples: Any, sampling_rate: float | None, unit: str | None, chain
         full_scales=[largest] * len(signals),
         integers=[largest is not None] * len(signals),
     )
+    if not of_signals:  # these were read by a site, or state all of it
+        contents, chain = site.applied(contents, chain, signals[0].source)
+        signals = [replace(signal, channel=contents.label(k)) for k, signal in enumerate(signals)]
     links = chain.links(contents, range(len(signals)), unit, signals[0].source)
     with np.errstate(over="ignore"):  # infinite samples are refused
-        return [
+        measured = [
             replace(
                 signal, unit=link.unit, samples=signal.samples * link.factor if link.factor != 1 else signal.samples
             )
             for signal, link in zip(signals, links, strict=True)
         ]
+    return measured, site.beams(contents, signals[0].source)
 
 
 def _signals(samples: Any, sampling_rate: float | None) -> list[Signal]:
