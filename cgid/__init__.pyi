@@ -20,7 +20,6 @@ from cgid.identification.training.classifier import ImpactClassifier as ImpactCl
 from cgid.identification.training.impact_table import impact_table as impact_table
 from cgid.identification.training.training import train_on_groups as train_on_groups
 from cgid.identification.training.training import train_on_specimens as train_on_specimens
-from cgid.impactor import estimate_impactors as estimate_impactors
 from cgid.learning.transformer import ImpactFeatures as ImpactFeatures
 from cgid.learning.transformer import stream as stream
 from cgid.measure.features.extraction import extract as extract

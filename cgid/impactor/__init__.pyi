@@ -1,10 +1,4 @@
-from cgid.impactor.columns import ImpactorColumns as ImpactorColumns
-from cgid.impactor.columns import detection_of as detection_of
-from cgid.impactor.masses import Detection as Detection
-from cgid.impactor.masses import SizeDistribution as SizeDistribution
-from cgid.impactor.masses import size_distribution as size_distribution
 from cgid.impactor.measured import MeasuredPulses as MeasuredPulses
 from cgid.impactor.population import population_of as population_of
 from cgid.impactor.posterior import ImpactorEstimates as ImpactorEstimates
 from cgid.impactor.posterior import ImpactorPopulation as ImpactorPopulation
-from cgid.impactor.recognition import estimate_impactors as estimate_impactors
