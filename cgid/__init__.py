@@ -10,6 +10,7 @@ __version__ = "0.2.0"
 
 #: Name that is no longer public -> what to use instead.
 _WITHDRAWN = {
+    "impactor": "a checkout of the source has it as studies.impactor",
     "estimate_impactors": "use cgid.extract(samples, features=['fitted_peak', 'fitted_width', 'fitted_restitution'])",
 }
 

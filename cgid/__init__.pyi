@@ -2,7 +2,6 @@ from cgid import calibration as calibration
 from cgid import errors as errors
 from cgid import export as export
 from cgid import identification as identification
-from cgid import impactor as impactor
 from cgid import learning as learning
 from cgid import measure as measure
 from cgid import physics as physics

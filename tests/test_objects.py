@@ -303,6 +303,8 @@ def test_extract_takes_samples_and_no_path(dataset: cgid.Dataset) -> None:
 
 
 def test_a_withdrawn_name_says_what_to_use_instead(dataset: cgid.Dataset) -> None:
+    with pytest.raises(AttributeError, match=r"impactor.*studies\.impactor"):
+        _ = cgid.impactor
     with pytest.raises(AttributeError, match=r"estimate_impactors.*cgid\.extract"):
         _ = cgid.estimate_impactors
     assert len(cgid.extract(dataset[0], features=["fitted_peak", "fitted_width", "fitted_restitution"])) == 1

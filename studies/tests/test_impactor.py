@@ -9,11 +9,12 @@ import pytest
 
 from cgid import shipped
 from cgid.errors import BadData
-from cgid.impactor import MeasuredPulses, population_of
-from cgid.impactor.estimation import estimate
-from cgid.impactor.posterior import LEVELS, QUANTITIES
 from cgid.physics import STEEL, HalfSpace, HuntCrossley, Impact, Material, Sphere
 from cgid.scene import load_scene, synthesise, varied
+from studies.impactor.estimation import estimate
+from studies.impactor.measured import MeasuredPulses
+from studies.impactor.population import population_of
+from studies.impactor.posterior import LEVELS, QUANTITIES
 from tests import few
 from tests.bad_input import pulse
 
