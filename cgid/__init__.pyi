@@ -2,7 +2,6 @@ from cgid import calibration as calibration
 from cgid import errors as errors
 from cgid import export as export
 from cgid import identification as identification
-from cgid import impactor as impactor
 from cgid import learning as learning
 from cgid import measure as measure
 from cgid import physics as physics
@@ -20,7 +19,6 @@ from cgid.identification.training.classifier import ImpactClassifier as ImpactCl
 from cgid.identification.training.impact_table import impact_table as impact_table
 from cgid.identification.training.training import train_on_groups as train_on_groups
 from cgid.identification.training.training import train_on_specimens as train_on_specimens
-from cgid.impactor import estimate_impactors as estimate_impactors
 from cgid.learning.transformer import ImpactFeatures as ImpactFeatures
 from cgid.learning.transformer import stream as stream
 from cgid.measure.features.extraction import extract as extract

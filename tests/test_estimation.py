@@ -5,7 +5,6 @@ import pytest
 from scipy import stats
 
 from cgid.errors import BadData, InvalidValue
-from cgid.impactor.estimation import Prior, cramer_rao_bound, estimate, posterior
 from cgid.measure.features.extraction import extract_array
 from cgid.measure.features.pulses import PulseBatch
 from cgid.measure.filters import fft_filter
@@ -14,6 +13,7 @@ from cgid.measure.fit.fit import MODEL_ERROR, PulseStart, fit_pulses
 from cgid.measure.fit.fit_samples import strongest_run
 from cgid.measure.fit.template import curve, relative_times
 from cgid.scene import load_scene, parse_scene, synthesise
+from studies.impactor.estimation import Prior, cramer_rao_bound, estimate, posterior
 from tests import few, naive
 from tests.conftest import ROOT
 

@@ -20,7 +20,6 @@ from cgid.errors import BadData, CannotCreate, InvalidValue, MissingOption
 from cgid.identification.model.model import stored
 from cgid.identification.prediction.answers import unmeasured
 from cgid.identification.training import Training, train_on_specimens
-from cgid.impactor import population_of
 from cgid.measure.features.extraction import in_units
 from cgid.physics import STEEL, YANG2018_SPHERES
 
@@ -177,7 +176,6 @@ def test_texts_of_odd_objects_are_right(dataset: cgid.Dataset) -> None:
     assert "force [N] at a random rate" in cgid.load_scene("randomised")._repr_html_()
     assert "[m/s^2] at 25600 Hz<" in stored(cgid.load_model("default-acceleration"))._repr_html_()
     assert repr(unmeasured("it is cut off", 0.12)) == "Answer(unknown at 0.12 s: not measured; it is cut off)"
-    assert repr(cgid.estimate_impactors(dataset.impact(0), among="reference")).startswith("ImpactorEstimates(1 impact,")
 
 
 def test_many_impacts_are_not_drawn() -> None:
@@ -294,45 +292,28 @@ def test_objects_of_the_package_go_into_its_functions(dataset: cgid.Dataset) -> 
         cgid.extract(batch.signals)
     (signal,) = cgid.read_recording(sample)
     assert [one.onset for one in cgid.find_impacts(sample)] == [one.onset for one in cgid.find_impacts(signal)]
-    population = cgid.impactor.population_of("reference", 2048)
-    assert np.array_equal(population.log_peak, cgid.impactor.population_of(cgid.load_scene("reference"), 2048).log_peak)
 
 
-def test_estimates_of_impactors_take_signals_and_batches(dataset: cgid.Dataset) -> None:
-    batch = next(dataset.batches(20))
-    row, rate = batch.signals[0].astype(np.float64), batch.sampling_rate
-    by_array = cgid.estimate_impactors(row, rate, "reference", pre_trigger=batch.pre_trigger).median("mass")
-    in_kn = cgid.Signal(row / 1000, rate, "kN", pre_trigger=batch.pre_trigger)
-    assert cgid.estimate_impactors(in_kn, among="reference").median("mass") == pytest.approx(by_array, rel=1e-6)
-    assert len(cgid.estimate_impactors(batch, among="reference").median("mass")) == 20
-    with pytest.raises(MissingOption, match="among"):
-        cgid.estimate_impactors(batch)
-    shaken = replace(batch, unit="m/s^2")
-    for among in ("reference", STEEL, population_of("reference", 2048)):
-        for wrong, error in (("m/s^2", BadData), ("V", MissingOption), ("FS", MissingOption), (None, MissingOption)):
-            with pytest.raises(error, match=r"quantity must be force|sensitivity|unit must be known"):
-                cgid.estimate_impactors(cgid.Signal(row, rate, wrong), among=among)
-        with pytest.raises(BadData, match="quantity must be force"):
-            cgid.estimate_impactors(shaken, among=among)
-        for own in (in_kn, batch):
-            with pytest.raises(InvalidValue, match="sampling_rate must be that of"):
-                cgid.estimate_impactors(own, rate / 2, among)
-    with pytest.raises(BadData, match="quantity must be acceleration"):
-        cgid.estimate_impactors(in_kn, among="tail_beam")
-    for call in (cgid.extract, cgid.estimate_impactors):
-        for wrong in ("sample.csv", dataset.path, *([dataset] if call is cgid.estimate_impactors else [])):
-            with pytest.raises(InvalidValue, match="must be an array, a Signal or a Batch"):
-                call(wrong)
-        with pytest.raises(MissingOption, match="sampling rate"):
-            call(row)
+def test_extract_takes_samples_and_no_path(dataset: cgid.Dataset) -> None:
+    for wrong in ("sample.csv", dataset.path):
+        with pytest.raises(InvalidValue, match="must be an array, a Signal or a Batch"):
+            cgid.extract(wrong)
+    with pytest.raises(MissingOption, match="sampling rate"):
+        cgid.extract(dataset[0].samples)
+
+
+def test_a_withdrawn_name_says_what_to_use_instead(dataset: cgid.Dataset) -> None:
+    with pytest.raises(AttributeError, match=r"impactor.*studies\.impactor"):
+        _ = cgid.impactor
+    with pytest.raises(AttributeError, match=r"estimate_impactors.*cgid\.extract"):
+        _ = cgid.estimate_impactors
+    assert len(cgid.extract(dataset[0], features=["fitted_peak", "fitted_width", "fitted_restitution"])) == 1
 
 
 def test_a_rate_or_unit_that_contradicts_the_object_is_refused(dataset: cgid.Dataset) -> None:
     batch, names = next(dataset.batches(20)), ["peak_force"]
     for given in (dataset[0], batch, dataset):
         calls: list[Callable[..., Any]] = [cgid.predict, lambda given, rate: cgid.extract(given, rate, names)]
-        if given is not dataset:
-            calls.append(lambda given, rate: cgid.estimate_impactors(given, rate, "reference"))
         for call in calls:
             with pytest.raises(InvalidValue, match=f"that of the {type(given).__name__}, 200000 Hz"):
                 call(given, 1e5)

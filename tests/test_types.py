@@ -34,8 +34,6 @@ def test_a_user_of_physics() -> None:
         assert impact.force(np.linspace(0.0, 1e-3, 50)).max() > 0
     laws: list[cgid.physics.Law] = [cgid.Elastic(), cgid.Viscoelastic(time_constant=1e-6)]
     assert [one.name for one in laws] == ["elastic", "kuwabara-kono"]
-    found = cgid.estimate_impactors(impact.force(np.arange(256) / 1e6 - 1e-5), 1e6, coal, pre_trigger=10)
-    assert_type(found, cgid.impactor.ImpactorEstimates)
 
 
 def test_a_user_of_recordings() -> None:

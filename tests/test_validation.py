@@ -13,12 +13,12 @@ from cgid._lib import validation
 from cgid.errors import InvalidValue
 from cgid.identification.detection import ImpactDetector
 from cgid.identification.model.reference import MeanSpectrum
-from cgid.impactor.estimation import estimate, posterior
-from cgid.impactor.likelihood import cramer_rao_bound
-from cgid.impactor.prior import Prior
 from cgid.measure.overview import OverviewStream
 from cgid.physics import RIGID, STEEL, Elastic, HuntCrossley, Material, ThinPlate
 from cgid.recordings import open_recording
+from studies.impactor.estimation import estimate, posterior
+from studies.impactor.likelihood import cramer_rao_bound
+from studies.impactor.prior import Prior
 
 RATE = 2e5
 PULSE = 800 * np.sin(np.pi * np.clip((np.arange(400) / RATE - 6e-4) / 5e-4, 0, 1)) ** 1.5

@@ -19,11 +19,11 @@ from cgid import shipped
 from cgid.identification.model.model import StoredModel
 from cgid.identification.training import measure
 from cgid.identification.training.metrics import evaluate
-from cgid.impactor.estimation import estimate
 from cgid.measure.fit.template import curve
 from cgid.physics import Elastic, HalfSpace, HuntCrossley, Impact, Material, Sphere, Viscoelastic
 from cgid.physics.contact.sampled import SampledPulses, shares_of_contact
 from cgid.scene import Scene, SolvedImpacts, load_scene, varied
+from studies.impactor.estimation import estimate
 from studies.paper.sensitivity import dissipative_constant
 
 FINITE_ELEMENTS, VISCOELASTIC, FAMILY = "finite elements", "Kuwabara-Kono", "Hunt-Crossley (the family)"

@@ -21,11 +21,12 @@ from cgid._lib.validation import Floats
 from cgid.identification.detection import find_impacts
 from cgid.identification.model.confusion import wilson_interval
 from cgid.identification.prediction import load_model, predict
-from cgid.impactor import MeasuredPulses, population_of
-from cgid.impactor.estimation import Estimates, estimate
 from cgid.recordings import read_recording
 from cgid.scene import parse_scene
 from cgid.signals import Signal
+from studies.impactor.estimation import Estimates, estimate
+from studies.impactor.measured import MeasuredPulses
+from studies.impactor.population import population_of
 
 HERE = Path(__file__).parent
 BALLS = HERE.parents[2] / "shared" / "realdata" / "steel_balls"

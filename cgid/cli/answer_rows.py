@@ -11,7 +11,7 @@ from cgid._lib.terminal import counted
 from cgid.cli.output import finite, print_json, say, warn
 from cgid.cli.table import TableOutput
 from cgid.errors import BadData
-from cgid.units import Column, numbers
+from cgid.units import Column
 
 if TYPE_CHECKING:
     from cgid.cli.hints import Hints
@@ -26,17 +26,6 @@ if TYPE_CHECKING:
 
 #: Version of the lines of --json; it rises if a key goes or has another meaning.
 ANSWERS_VERSION = 5
-
-#: The impactor and its units: the median and the ends of the 90 % interval.
-IMPACTOR_UNITS = {"mass": "kg", "radius": "m", "speed": "m/s"}
-
-
-def impactor_columns() -> tuple[Column, ...]:
-    """Return the columns of the impactor."""
-    values = (
-        numbers(f"{name}{end}", unit, ".4g") for name, unit in IMPACTOR_UNITS.items() for end in ("", "_low", "_high")
-    )
-    return (*values, Column("impactor_problem"))
 
 
 class AnswerLines:
@@ -65,7 +54,6 @@ class AnswerLines:
         if self.as_json or not self._has_rows:
             return
         columns = [Column("source"), *answer_columns(model, settings)]
-        columns += impactor_columns() if settings.impactors is not None else ()
         columns += [Column("index", dtype="int64"), Column("truth")] * self._datasets
         if lacking := self._table.begin(columns):
             raise BadData(
@@ -79,9 +67,6 @@ class AnswerLines:
         if not self._has_rows:
             return
         row = {"source": source, **answer.row, "problem": answer.problem or None, **more}
-        impactor = answer.impactor
-        if impactor is not None:
-            row |= {column.title: impactor.get(column.name) for column in impactor_columns()}
         if not self.as_json:
             self._table.add(row)
         if self.as_json or self._listener is not None:
@@ -92,8 +77,6 @@ class AnswerLines:
             content["most_likely"] = max(probabilities, key=lambda label: probabilities[label], default=None)
             content |= {"probabilities": probabilities, "in_training_range": answer.in_training_range}
             content["prediction_set"] = None if answer.prediction_set is None else list(answer.prediction_set)
-            if impactor is not None:
-                content["impactor"] = {column.title: row[column.title] for column in impactor_columns()}
             self._line(kind, source, content)
 
     def share(self, source: str, name: str, state: SupportState) -> None:

@@ -1,4 +1,4 @@
-"""Pictures of a recording's predictions: gangue fractions, the operators' curve, distributions of sizes."""
+"""Pictures of a recording's predictions: gangue fractions, the operators' curve."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cgid._lib.validation import Floats
-from cgid.plots.figure import COLOURS, NEUTRAL, colours_of, picture, plain, require_matplotlib
+from cgid.plots.figure import COLOURS, colours_of, plain, require_matplotlib
 from cgid.plots.recording import MAX_CHANNELS, MAX_LABEL_LENGTH, WIDTH, Clock
 
 if TYPE_CHECKING:
@@ -163,34 +163,3 @@ def finish_drawn(axes: Any) -> None:
     if len(axes.get_legend_handles_labels()[1]) > 1:
         for text in axes.legend(fontsize="small", loc="upper left").get_texts():
             text.set_parse_math(False)
-
-
-def sizes_picture(distribution: Any, source: str, suffix: str) -> bytes:
-    """Return the numbers of impacts in each size class, detected and corrected, as a file that ends in `suffix`."""
-    figure = require_matplotlib()(figsize=(7, 4.2), layout="constrained")
-    axes = figure.subplots()
-    draw_sizes(axes, distribution)
-    axes.set(title=plain(source))
-    return picture(figure, suffix)
-
-
-def draw_sizes(axes: Any, distribution: Any) -> None:
-    """Draw a distribution of sizes."""
-    units = {"mass": "mass [kg]", "radius": "radius [m]", "speed": "speed [m/s]"}
-    edges = distribution.edges
-    middle = np.sqrt(edges[1:] * edges[:-1])
-    axes.stairs(distribution.detected, edges, color="0.6", fill=True, alpha=0.5, label="detected")
-    is_known = np.isfinite(distribution.total)
-    below = (distribution.total - distribution.low_total)[is_known].clip(0)
-    above = (distribution.high_total - distribution.total)[is_known].clip(0)
-    axes.errorbar(
-        middle[is_known], distribution.total[is_known], (below, above), fmt="o", ms=4, capsize=2, color=NEUTRAL,
-        label="corrected for undetected impacts (90 %)",
-    )  # fmt: skip
-    unknown = np.flatnonzero(~is_known)
-    if unknown.size and unknown[0] == 0:
-        last = int(np.argmax(is_known)) if is_known.any() else is_known.size
-        axes.axvspan(edges[0], edges[last], color="0.92", zorder=0, label="too small to be detected")
-    axes.set(xscale="log", xlabel=units[distribution.quantity], ylabel="impacts")
-    axes.legend(fontsize="small")
-    axes.grid(alpha=0.3)

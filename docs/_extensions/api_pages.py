@@ -57,13 +57,6 @@ PAGES: dict[str, tuple[str, tuple[str, ...]]] = {
     ),
     "store": ("Datasets on disk: cgid.store", ("cgid.store",)),
     "calibration": ("The beam of a site: cgid.calibration", ("cgid.calibration",)),
-    "impactor": (
-        "What struck: cgid.impactor",
-        (
-            "cgid.impactor",
-            "cgid.impactor.estimation",
-        ),
-    ),
     "output": ("Pictures: cgid.plots", ("cgid.plots",)),
 }
 

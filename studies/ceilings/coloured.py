@@ -23,7 +23,6 @@ from numpy.typing import NDArray
 
 from cgid._lib.validation import Floats
 from cgid.errors import InvalidValue
-from cgid.impactor.likelihood import Profile, profile
 from cgid.measure.fit.fit_samples import by_length, mixing_matrix, tied
 from cgid.measure.fit.least_squares import solve_scaled
 from cgid.measure.fit.optimum import normal_equations
@@ -50,6 +49,7 @@ from studies.ceilings.limit import (
     true_pulses,
     uncovered_pulses,
 )
+from studies.impactor.likelihood import Profile, profile
 
 #: White noise that is always added, over the peak: the accuracy of the pulse as a curve.
 _FLOOR = 1e-5
@@ -366,7 +366,7 @@ def profile_in(
     n_nodes: int,
     onset_between: tuple[float, float] | None,
 ) -> Profile:
-    """Return the likelihood along the shape, as `cgid.impactor.likelihood.profile`.
+    """Return the likelihood along the shape, as `studies.impactor.likelihood.profile`.
 
     `near` (n, 5) holds pulses near the most likely ones, such as the true ones: (peak, ln width, place, s, 0).
     """

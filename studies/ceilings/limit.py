@@ -21,8 +21,6 @@ from numpy.typing import NDArray
 from cgid._lib import validation
 from cgid._lib.validation import Floats
 from cgid.errors import InvalidValue
-from cgid.impactor.likelihood import Profile, profile
-from cgid.impactor.prior import Prior
 from cgid.measure.features.extraction import extract_array
 from cgid.measure.features.pulses import PULSE_FEATURES
 from cgid.measure.features.table import Feature
@@ -32,6 +30,8 @@ from cgid.scene import Scene, load_scene, parse_scene, synthesise
 from cgid.scene.synthesis.draws import BLOCK
 from cgid.scene.synthesis.impacts import draws
 from cgid.signals import Batch
+from studies.impactor.likelihood import Profile, profile
+from studies.impactor.prior import Prior
 
 __all__ = ["Ceiling", "Learner", "ceiling", "learner"]
 

@@ -79,8 +79,6 @@ class Answer:
     traits : tuple of float or None
         What is compared with recordings like those of the training, `cgid.identification.model.world.TRAITS`; None if
         the model knows none, or without a measurement.
-    impactor : mapping or None
-        The impactor, where the settings ask for it.
     """
 
     channel: str = field(default="1", metadata={"column": Column("channel")})
@@ -102,7 +100,6 @@ class Answer:
     level: float = math.nan
     pulse: tuple[float, ...] | None = None
     traits: tuple[float, ...] | None = None
-    impactor: Mapping[str, Any] | None = None
 
     def __repr__(self) -> str:
         numbers = [f"p({label}) {value:.3f}" for label, value in self.probabilities.items()]
@@ -423,11 +420,7 @@ def _identified(
     if beam is not None and model.extras:
         rows = zip(identified, extras.tolist(), sound, strict=True)
         identified = [_with_extras(answer, *more) if is_sound else answer for answer, more, is_sound in rows]
-    identified = with_frames(identified, frames, sampling_rate, model, pre_trigger)
-    if settings.impactors is None:
-        return identified, values
-    estimates = settings.impactors(frames, sampling_rate, model, pre_trigger, detection_limit)
-    return [replace(answer, impactor=one) for answer, one in zip(identified, estimates, strict=True)], values
+    return with_frames(identified, frames, sampling_rate, model, pre_trigger), values
 
 
 def _with_extras(answer: Answer, misshapen: float, overlap: float) -> Answer:

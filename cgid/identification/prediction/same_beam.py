@@ -365,7 +365,6 @@ class SameBeam:
                 answer,
                 # The cause that the samples show is that of the clearest channel.
                 cause=answer.cause and (best.cause or answer.cause),
-                impactor=best.impactor,
                 end=max(one.end for one in own),
                 overlapping=any(one.overlapping for one in own),
                 clipped=any(one.clipped for one in own),

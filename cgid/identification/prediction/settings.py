@@ -18,7 +18,6 @@ from cgid.signals import KNOWN
 
 if TYPE_CHECKING:
     from cgid.identification.model.model import StoredModel
-    from cgid.impactor import ImpactorColumns
 
 __all__ = ["PredictionSettings"]
 
@@ -142,8 +141,6 @@ class PredictionSettings:
         Time without valid samples after which a support is blind; None: `BLIND_TIME`.
     give_up : float, optional [s]
         The recording ends where no channel has a sample that a sensor can give for this long; None: it goes on.
-    impactors : cgid.impactor.ImpactorColumns, optional
-        Estimates the impactor.
     same_beam : tuple of tuple of str
         Channels of one beam, by name or number from 1, such as (("1", "2"), ("3", "4")): an impact that several of them
         measure is one prediction.
@@ -174,7 +171,6 @@ class PredictionSettings:
     trained_seam: bool = False
     blind_after: float | None = None
     give_up: float | None = None
-    impactors: ImpactorColumns | None = None
     same_beam: tuple[tuple[str, ...], ...] = ()
 
     def __post_init__(self) -> None:
@@ -224,8 +220,6 @@ class PredictionSettings:
         self.labels(model, np.empty((0, len(model.labels))))
         if self.drop_height is not None:
             known_columns(model.known, 1, self.drop_height)
-        if self.impactors is not None:
-            self.impactors.check(model)
 
     def labels(self, model: StoredModel, probabilities: Floats) -> tuple[list[str], list[tuple[str, ...] | None]]:
         """Return the label and the prediction set of each row of probabilities."""

@@ -24,8 +24,8 @@ from cgid._lib import validation
 from cgid._lib.terminal import counted
 from cgid._lib.validation import Floats
 from cgid.errors import InvalidValue
-from cgid.impactor.measured import MeasuredPulses
 from cgid.measure.fit.template import dimensionless_logarithms
+from studies.impactor.measured import MeasuredPulses
 
 #: Estimated quantities of an impactor and their units.
 QUANTITIES = {"mass": "kg", "radius": "m", "speed": "m/s"}

@@ -14,8 +14,6 @@ from cgid._lib.validation import Floats
 from cgid.errors import InvalidValue
 from cgid.identification.inversion.inversion import ForceEstimate
 from cgid.identification.inversion.through_beam import ThroughBeam
-from cgid.impactor.estimation import estimate
-from cgid.impactor.posterior import ImpactorPopulation
 from cgid.measure.fit.template import relative_times
 from cgid.measure.modal.beam import FINE, TOUCH, filtered, respond
 from cgid.physics.contact.impact import Impact
@@ -25,6 +23,8 @@ from cgid.scene.synthesis.impacts import contacts_of, draws
 from cgid.scene.synthesis.plan import Plan
 from cgid.scene.synthesis.rocks import Rocks, arrivals_of, arriving, thrown_back
 from cgid.scene.synthesis.through_beam import beam_of, full_beam
+from studies.impactor.estimation import estimate
+from studies.impactor.posterior import ImpactorPopulation
 
 #: Number of draws if pulses follow from a formula, if pulses are fitted, and for a scene with a beam.
 _MANY, _FEW, _FEWEST = 1 << 17, 1 << 15, 1 << 14

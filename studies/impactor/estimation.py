@@ -15,13 +15,13 @@ from numpy.typing import ArrayLike, NDArray
 from cgid._lib import validation
 from cgid._lib.validation import Floats, require_rate
 from cgid.errors import BadData, InvalidValue
-from cgid.impactor.likelihood import cramer_rao_bound, profile
-from cgid.impactor.prior import Prior
 from cgid.measure.features.pulses import PulseBatch
 from cgid.measure.filters import low_pass_response
 from cgid.measure.fit.fit import MODEL_ERROR, PulseFit, fit_pulses, without_impact
 from cgid.measure.fit.template import parameters_of, relative_times
 from cgid.measure.frames import LARGEST, frames_of
+from studies.impactor.likelihood import cramer_rao_bound, profile
+from studies.impactor.prior import Prior
 
 __all__ = ["Estimates", "Posterior", "cramer_rao_bound", "estimate", "posterior"]
 

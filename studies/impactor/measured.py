@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from cgid._lib.validation import Floats
 from cgid.identification.inversion.contact import Contact
 from cgid.identification.inversion.inversion import ForceEstimate
-from cgid.impactor.estimation import FAMILY_LIMIT, Estimates, with_baseline_error
 from cgid.measure.features.pulses import PulseBatch
 from cgid.measure.fit.fit import PulseFit
 from cgid.measure.fit.template import MAX_SHAPE, MIN_SHAPE, relative_times
+from studies.impactor.estimation import FAMILY_LIMIT, Estimates, with_baseline_error
 
 #: A pulse whose peak, over the clipping level, minus 1, exceeds this is a guess.
 OVERLOAD_LIMIT = 1.0
@@ -110,7 +110,7 @@ class MeasuredPulses:
 
     @classmethod
     def of_estimates(cls, estimates: Estimates) -> MeasuredPulses:
-        """Return pulses fitted by `cgid.impactor.estimation.estimate` to forces [N].
+        """Return pulses fitted by `studies.impactor.estimation.estimate` to forces [N].
 
         The covariance is multiplied by the misfit: the deviation of other laws of loss is treated like noise (Birge
         1932, Phys. Rev. 40, 207).
