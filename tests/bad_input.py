@@ -518,11 +518,8 @@ _COMMANDS = r"""
 65 | fetch shock --mirror http:// | mirror
 65 | fetch shock --mirror http://me:pw@h/ | mirror
 65 | fetch shock --mirror file:///etc | begins with https://
-66 | predict good.csv --impactor none.toml | none.toml
-65 | predict good.csv --impactor randomised | take [randomise] out
-2 | predict good.csv --masses m.png | give --impactor SCENE
-73 | predict good.csv --impactor reference --masses m.txt | m.txt
-65 | predict acceleration.csv --model acceleration.npz --impactor reference | impactor needs the force [N]
+2 | predict good.csv --impactor reference | --impactor is withdrawn; use cgid features
+2 | predict good.csv --masses=m.png | --masses is withdrawn; use cgid features
 65 | predict good.csv --miss-cost granite=2 | granite
 73 | predict good.csv -o rows.txt | rows.txt
 73 | predict good.csv -o good.csv | good.csv
@@ -535,7 +532,6 @@ _COMMANDS = r"""
 65 | predict slow.csv --model beamless.npz | arrays of a beam
 65 | predict slow.csv --model growing.npz | poles that decay
 65 | predict vibration.csv --model pair.npz | --channel
-65 | predict vibration.csv --model pair.npz --impactor reference | a model of one sensor
 65 | train tail_beam --sensor '0.5;0.45' -o new.npz | --sensor
 65 | train tail_beam --sensor 9,0.45 -o new.npz | sensor_point.x
 65 | train tail_beam --sensor nan,0.4 -o new.npz | --sensor

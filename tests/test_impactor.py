@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import io
 import json
 from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
-import pandas as pd
 import pytest
 
 from cgid import shipped
-from cgid.cli.main import run
 from cgid.errors import BadData
 from cgid.impactor import Detection, MeasuredPulses, estimate_impactors, population_of, size_distribution
 from cgid.impactor.columns import match_times
@@ -23,7 +20,6 @@ from cgid.impactor.recognition import forces, of_material, through_beam
 from cgid.physics import RIGID, STEEL, HalfSpace, HuntCrossley, Impact, Material, Sphere
 from cgid.scene import Plan, load_scene, parse_scene, synthesise, varied
 from cgid.scene.synthesis.impacts import pulses_of_block
-from cgid.units import column_title
 from tests import few
 from tests.bad_input import pulse
 
@@ -356,23 +352,6 @@ def test_detection_is_learned_from_simulated_impacts():
     assert own.peak == pytest.approx(500, rel=0.05) and own.steepness == pytest.approx(3, rel=0.05)
     assert Detection.learned(peak, np.ones(peak.size)).probability(np.log(peak)).min() == 1
     assert Detection(500.0).probability(np.log([499.0, 501.0])).round(9).tolist() == [0, 1]
-
-
-# -- the command ----------------------------------------------------------------------------------------
-
-
-def test_predict_says_what_struck(capsys):
-    assert run(["predict", "--sample", "--impactor", "reference"]) == 0
-    rows = pd.read_csv(io.StringIO(capsys.readouterr().out))
-    for name, unit in QUANTITIES.items():
-        low, middle, high = (rows[column_title(f"{name}{end}", unit)] for end in ("_low", "", "_high"))
-        assert (low < middle).all() and (middle < high).all()
-    assert rows["impactor_problem"].isna().all()
-    assert run(["predict", "--sample", "--impactor", "reference", "--json"]) == 0
-    first = json.loads(capsys.readouterr().out.splitlines()[0])
-    assert first["impactor"]["mass_kg"] == pytest.approx(rows["mass_kg"][0], rel=1e-3)
-    assert run(["predict", "--sample"]) == 0
-    assert "mass_kg" not in capsys.readouterr().out
 
 
 def test_matched_takes_each_found_impact_once():

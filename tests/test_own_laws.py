@@ -399,7 +399,7 @@ def test_a_law_that_has_changed_completes_no_recordings(read_cone, tmp_path):
 def test_every_command_that_reads_a_scene_takes_its_laws(
     cone: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Among its rocks `predict` finds impactors; the error of a scene names --laws, so each command has it."""
+    """The error of a scene names --laws, so each command has it."""
     text = path_of("datasets", "reference.toml").read_text()
     scene, data = tmp_path / "cones.toml", tmp_path / "cones.h5"
     scene.write_text(text.replace('dissipation = "', 'dissipation = "cone" # "'))
@@ -407,7 +407,7 @@ def test_every_command_that_reads_a_scene_takes_its_laws(
     monkeypatch.setattr(own_laws, "_own", {})
     assert run(["info", str(data)]) == 0
     assert '{"cone": "' in capsys.readouterr().out
-    assert run(["predict", str(data), "--impactor", str(scene), "--laws", str(cone)]) == 0
+    assert run(["predict", str(data)]) == 0
     assert "gangue" in capsys.readouterr().out
     assert run(["info", str(scene), "--laws", str(cone)]) == 0
     assert f"next: cgid check {scene} --laws {cone}" in capsys.readouterr().out

@@ -24,7 +24,6 @@ _OPTIONS = {
     "Decision": "--miss-cost --coverage --class-conditional --vote",
     "Gangue fraction": "--window --gangue --dilution-cost --cost-late --cost-early --hold --coal-until --cycle-pause "
     "--cycle-by --labelled --trained-seam --blind-after",
-    "What struck": "--impactor --masses",
     "Signals": "--signals --seed --laws --dtype --quantities --shuffle-labels --test-share --calibration-share",
     "Calibration": "--start-error --drift --participation-error --dimension-error --exact --impacts",
     "Tap test": "--hammer --modes --band --max-order --contact --taps --window-tau",
@@ -59,6 +58,12 @@ _TEXTS = {
     "--participation-error": "ERROR",
     "--dimension-error": "ERROR",
     "--class-weights": "WEIGHTS",
+}
+_PULSES = "use cgid features FILE --features fitted_peak,fitted_width,fitted_restitution for the pulse of each impact"
+#: Option that no command has any more -> what to use instead.
+WITHDRAWN = {
+    "--impactor": _PULSES,
+    "--masses": _PULSES,
 }
 #: Heading -> the commands below it.
 _COMMANDS = {
@@ -108,7 +113,13 @@ class Command(click.Command):
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         """Read the arguments, and note the flags for messages."""
         output.flags = {str(one.name): max(one.opts, key=len) for one in self.params if isinstance(one, click.Option)}
-        return super().parse_args(ctx, args)
+        try:
+            return super().parse_args(ctx, args)
+        except click.NoSuchOption as error:
+            if error.option_name not in WITHDRAWN:
+                raise
+            withdrawn = f"{error.option_name} is withdrawn; {WITHDRAWN[error.option_name]}"
+            raise click.UsageError(withdrawn) from None
 
     def invoke(self, ctx: click.Context) -> Any:
         """Run the command, unless it would write over its inputs."""

@@ -20,11 +20,9 @@ from cgid.cli.help import Command
 from cgid.cli.options import (
     OUTPUT,
     PATH,
-    SCENE,
     Models,
     ReadingOptions,
     answering_options,
-    given_laws_option,
     given_options,
     printing_options,
     reading_options,
@@ -40,7 +38,6 @@ if TYPE_CHECKING:
     from cgid.identification.model.model import StoredModel
     from cgid.identification.prediction import Answer, PredictionSettings
     from cgid.identification.training.manifest import Manifest
-    from cgid.impactor import ImpactorColumns
     from cgid.measure.overview import Overview
     from cgid.plots.report import Report
     from cgid.recordings import RecordingFile
@@ -279,19 +276,6 @@ class _Tally:
     metavar="PAGE",
     help="Write one page (.html) with pictures and predictions of the recordings.",
 )
-@click.option(
-    "--impactor",
-    type=SCENE,
-    metavar="SCENE",
-    help="Estimate mass, radius and speed of the impactors with 90 % intervals, among the rocks of this scene.",
-)
-@click.option(
-    "--masses",
-    type=OUTPUT,
-    metavar="PICTURE",
-    help="Plot the distribution of masses (.png, .svg, .pdf), corrected for undetected impacts; with --impactor.",
-)
-@given_laws_option
 @output_options
 @reading_options
 @printing_options
@@ -300,8 +284,6 @@ def predict(
     sample: bool,
     summary: bool,
     report: str | None,
-    impactor: str | None,
-    masses: str | None,
     labelled: str | None,
     output: str | None,
     overwrite: bool,
@@ -327,9 +309,7 @@ def predict(
 
     if not files and not sample:
         raise click.UsageError("give at least one FILE, or --sample for the shipped one")
-    del options["laws"]  # scenes know them by now, and hints repeat the option
-    impactors, picture = _impactors(impactor, masses, overwrite=overwrite)
-    models, settings = settings_of(reading, **options, impactors=impactors)
+    models, settings = settings_of(reading, **options)
     if sample:
         name = shipped.ACCELERATION_SAMPLE if models.expects_acceleration else shipped.SAMPLE
         files = (*files, str(shipped.path_of("datasets", name)))
@@ -373,25 +353,4 @@ def predict(
 
         write_whole(report, report_page(prediction.reports).encode(), overwrite=overwrite)
         say(f"wrote {report}", err=True)
-    if picture is not None and impactors is not None:
-        from cgid._lib.files import write_whole
-        from cgid.plots.answers import sizes_picture
-
-        content = sizes_picture(impactors.sizes(), ", ".join(files), picture.suffix.lower())
-        write_whole(picture, content, overwrite=overwrite)
-        say(f"wrote {picture}", err=True)
     return errors.code
-
-
-def _impactors(scene: str | None, masses: str | None, *, overwrite: bool) -> tuple[ImpactorColumns | None, Path | None]:
-    """Return the estimation of impactors, if requested, and the picture of their masses."""
-    if scene is None:
-        if masses is not None:
-            raise click.UsageError("--masses needs the possible impactors; give --impactor SCENE, too")
-        return None, None
-    from cgid.impactor import ImpactorColumns
-    from cgid.plots.figure import FORMATS, new_picture
-    from cgid.scene import load_scene
-
-    picture = None if masses is None else new_picture(masses, endings=FORMATS, overwrite=overwrite)
-    return ImpactorColumns(load_scene(scene), keep=picture is not None), picture
