@@ -468,7 +468,6 @@ answering_options = _options(
     click.option(
         "--mass", type=float, help="Set the mass of the accelerated impactor [kg]: force = mass x acceleration."
     ),
-    click.option("--drop-height", type=float, help="Set the drop height of the rocks [m], for a model that needs it."),
     click.option(
         "--miss-cost",
         "costs",
@@ -641,7 +640,7 @@ class Models:
     def __init__(self, path: str | None, settings: PredictionSettings) -> None:
         self._path, self._settings = path, settings
         self._models: dict[str | None, StoredModel] = {}
-        self._one_for_all = path is not None or settings.mass is not None or settings.drop_height is not None
+        self._one_for_all = path is not None or settings.mass is not None
         if self._one_for_all:
             self.of(None)
 
@@ -669,7 +668,7 @@ class Models:
         """Return the file name of a model, or which default model it is."""
         if self._path is not None:
             return Path(self._path).name
-        return "default model" + (" that knows the drop height" if model.known else f" of {model.quantity}")
+        return f"default model of {model.quantity}"
 
 
 def warn_of_model(
