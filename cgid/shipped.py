@@ -18,11 +18,10 @@ if TYPE_CHECKING:
 _MAX_FILES = 10_000
 _PACKAGE = Path(__file__).parent
 DEFAULT_MODEL = "default.npz"
-DROP_HEIGHT_MODEL = "default-drop-height.npz"
 ACCELERATION_MODEL = "default-acceleration.npz"
 SAMPLE, ACCELERATION_SAMPLE = "sample.csv", "sample_acceleration.csv"
 FINITE_ELEMENT_IMPACTS = "finite_element.npz"
-MODELS = ("default", "default-drop-height", "default-acceleration")
+MODELS = ("default", "default-acceleration")
 SCENES = (
     "reference",
     "peers",

@@ -15,11 +15,8 @@ from cgid._lib import validation
 from cgid._lib.lazy import picture_of
 from cgid._lib.notebook import counts_text, facts_table
 from cgid._lib.terminal import counted
-from cgid._lib.validation import Floats, rates_agree, require_rate
+from cgid._lib.validation import rates_agree, require_rate
 from cgid.errors import BadData, InvalidValue
-
-#: Possible model inputs besides the signal, and their units.
-KNOWN: Mapping[str, str] = {"drop_height": "m"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -352,23 +349,3 @@ class Batch:
             matplotlib is not installed.
         """
         return picture_of("plot_batches", [self], n, "Batch", axes)
-
-    def drop_heights(self) -> Floats | None:
-        """Return the drop height of each rock [m]; None if the batch does not store it.
-
-        A stored velocity gives the height of a free fall, velocity^2 / (2 g). Raises `BadData` if some impacts have
-        neither, or a height that is not above 0.
-        """
-        missing = np.full(len(self), np.nan)
-        height, velocity = (self.parameters.get(name, missing) for name in ("drop_height", "velocity"))
-        heights = np.where(np.isfinite(height), height, velocity**2 / (2 * units.STANDARD_GRAVITY))
-        if np.isnan(heights).all():
-            return None
-        good = np.isfinite(heights) & (heights > 0)
-        if not good.all():
-            row = int(np.argmin(good))
-            raise BadData(
-                f"every impact must have a drop height above 0 m or a velocity, impact {row} has {height[row]:g} m and "
-                f"{velocity[row]:g} m/s; make the dataset again"
-            )
-        return heights

@@ -16,7 +16,6 @@ from cgid.identification.prediction import identify_frames
 from cgid.identification.training.card import plain, table
 from cgid.identification.training.metrics import evaluate
 from cgid.scene import Scene, load_scene, parse_scene, synthesise, varied
-from cgid.units import STANDARD_GRAVITY
 
 #: No training uses it.
 SEED = 2_000_003
@@ -84,12 +83,7 @@ def domain_shift(model: StoredModel, n_impacts: int = 5120) -> list[dict[str, An
     for name, scene in shifted_vibrations() if model.kind == "vibration" else shifted_scenes():
         answers, truth = [], []
         for batch in synthesise(scene, n_impacts, SEED):
-            # Taps do not fall: any height will do.
-            fallen = batch.parameters["velocity"] ** 2 / (2 * STANDARD_GRAVITY)
-            heights = np.where(np.isnan(fallen), 1.0, fallen) if model.known else None
-            answers += identify_frames(
-                batch.signals, batch.sampling_rate, model, pre_trigger=batch.pre_trigger, drop_height=heights
-            )
+            answers += identify_frames(batch.signals, batch.sampling_rate, model, pre_trigger=batch.pre_trigger)
             truth += batch.labels.tolist()
         measured = [(answer, label) for answer, label in zip(answers, truth, strict=True) if answer.probabilities]
         found: dict[str, Any] = {"accuracy": None, "calibration_error": None}

@@ -1,7 +1,7 @@
 """Compare all families of classifiers on a scene, by cross-validation on the same folds; print Markdown.
 
     python models/selection.py                          # the reference scene, 20000 impacts, 5 folds
-    python models/selection.py yang2018 -n 5000 --drop-height
+    python models/selection.py yang2018 -n 5000
 
 Standardising, fitting and calibrating happen inside the folds, which are the same for all and keep specimens together.
 """
@@ -133,7 +133,7 @@ def _judge(
     family: Family, measured: Rows, folds: list[tuple[NDArray[np.intp], NDArray[np.intp]]], seed: int, crew: Workers
 ) -> tuple[dict[str, Any], NDArray[np.bool_]]:
     """Return the row of a family, and which impacts it answers right."""
-    labels, inputs = measured.labels, np.ascontiguousarray(measured.inputs(measured.names))
+    labels, inputs = measured.labels, np.ascontiguousarray(measured.columns(measured.names))
     classes = tuple(np.unique(labels).tolist())
     probabilities = np.empty((len(labels), len(classes)))
     parts = []
@@ -181,7 +181,6 @@ def _in_use(classifier: ImpactClassifier, measured: Rows) -> tuple[Callable[[Flo
     model = StoredModel.from_classifier(
         classifier,
         features=measured.names,
-        known=measured.known_names,
         unit=measured.unit,
         sampling_rates=measured.sampling_rates,
         beam=measured.beam,
@@ -236,13 +235,11 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--folds", type=int, default=5)
     parser.add_argument("--features", help="only these, with commas between them")
-    parser.add_argument("--drop-height", action="store_true", help="the classifiers also get the drop height")
     parser.add_argument("--jobs", type=int, default=1, help="worker processes; fits then take longer each")
     arguments = parser.parse_args()
     scene = load_scene(shipped.scene_path(arguments.scene))
     features = None if arguments.features is None else arguments.features.split(",")
-    known = ("drop_height",) if arguments.drop_height else ()
-    measured = measure(synthesise(scene, arguments.signals, arguments.seed), features, known=known)
+    measured = measure(synthesise(scene, arguments.signals, arguments.seed), features)
     with workers(arguments.jobs) as crew:
         rows = select(
             measured,

@@ -1,7 +1,6 @@
 """Train the shipped models again, through the public API.
 
     python models/train.py -n 60000 --selection 2000   # models/default.npz, default.md and its pictures
-    python models/train.py --drop-height -n 60000   # the same with a known drop height: default-drop-height.npz
     python models/train.py --acceleration -n 44000 --selection 2000   # for vibrations: default-acceleration.npz
     python models/train.py --seams                # the same with its simulated seams and recordings anew
     python models/train.py --finish -n 5000       # that of acceleration with its guards and all its streams anew
@@ -315,7 +314,6 @@ def main() -> None:
     parser.add_argument("-n", "--signals", type=int, default=100_000, help="of the largest scene")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--family", default="network")
-    parser.add_argument("--drop-height", action="store_true", help="the model also gets the drop height")
     parser.add_argument("--acceleration", action="store_true", help="the model of a tail beam's vibration")
     parser.add_argument(
         "--finish", action="store_true", help="give that of acceleration its guards and streams anew, too"
@@ -324,10 +322,7 @@ def main() -> None:
     parser.add_argument("--streams", type=int, default=120, help="for acceleration; half as many finish the model")
     parser.add_argument("--selection", type=int, default=10_000, help="of each scene, to compare families on; 0: none")
     arguments = parser.parse_args()
-    if arguments.acceleration and arguments.drop_height:
-        parser.error("--acceleration and --drop-height make two models; give one of them")
-    name = shipped.DROP_HEIGHT_MODEL if arguments.drop_height else shipped.DEFAULT_MODEL
-    name = shipped.ACCELERATION_MODEL if arguments.acceleration else name
+    name = shipped.ACCELERATION_MODEL if arguments.acceleration else shipped.DEFAULT_MODEL
     output = check_model_output(arguments.output or HERE / name, plots=True, overwrite=True)
     if arguments.finish or arguments.seams:
         name = shipped.ACCELERATION_MODEL if arguments.finish else name
@@ -336,7 +331,6 @@ def main() -> None:
             model = finish(model, arguments.signals, arguments.streams // 2, arguments.seed)
         write_finished(simulated(model, arguments.seed), arguments.output or HERE / name, name)
         return
-    known = ("drop_height",) if arguments.drop_height else ()
     sizes = force_scenes(arguments.signals)
     if arguments.acceleration:
         sizes = acceleration_scenes(arguments.signals)
@@ -345,10 +339,10 @@ def main() -> None:
     # A seed for each scene: the same seed would draw the same rocks.
     seeded = [(scene, n, arguments.seed + number) for number, (scene, n) in enumerate(sizes)]
     told: dict[str, Any] = {}
-    if arguments.selection and not known:
+    if arguments.selection:
         share = arguments.selection / arguments.signals
         few = chain.from_iterable(synthesise(scene, round(share * n), seed) for scene, n, seed in seeded)
-        told["selection"] = select(measure(few, known=known, beam=beam), n_folds=3, seed=arguments.seed)
+        told["selection"] = select(measure(few, beam=beam), n_folds=3, seed=arguments.seed)
     batches = chain.from_iterable(synthesise(scene, n, seed) for scene, n, seed in seeded)
     others: Rows | None = None
     data: Any = batches
@@ -364,7 +358,6 @@ def main() -> None:
         data,
         features=None if beam is None else BEAM_FEATURES,
         guards=None if beam is None else BEAM_GUARDS,
-        known=known,
         family=arguments.family,
         seed=arguments.seed,
         judged_on=scenes[0].sha256,
@@ -378,8 +371,7 @@ def main() -> None:
         rival = force_model(scenes[0], arguments.signals, arguments.seed)
         told["beside_force"] = beside_force(training.model, scenes[0], rival)
     model = replace(training.model, training=training.model.training | told)
-    if not known:
-        model = simulated(model, arguments.seed)
+    model = simulated(model, arguments.seed)
     for path in write_model(replace(training, model=model), output, plots=True, further=sections(model)):
         print(path)
     note_version(output)

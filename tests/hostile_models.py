@@ -511,7 +511,7 @@ EXTREME: dict[str, Callable[[], bytes]] = {
 _SAYINGS: tuple[Any, ...] = (
     None, True, -1, 0, 1, 2, 64, 10**6, 2**63, -(2**31), 1e-320, 1e99, 1e308, float("nan"), float("inf"),
     "", "N", "m/s^2", "coal", "\x1b[2J", "network", "boosting", "logistic", "linear", "window_centroid",
-    [], [0], [1e-9, 1e9], ["coal"], ["coal", "gangue", "stone"], ["peak_force"], ["drop_height"],
+    [], [0], [1e-9, 1e9], ["coal"], ["coal", "gangue", "stone"], ["peak_force"],
     ["window_centroid", "window_rms"], {}, {"metrics": []}, {"metrics": {"confusion": [[1, 2], [3, 4]]}},
 )  # fmt: skip
 _NUMBERS = (

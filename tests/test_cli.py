@@ -192,27 +192,6 @@ def test_info_counts_samples_at_full_scale(n_full: int, tmp_path: Path, capsys: 
     assert told == "none" if n_full == 1 else f"{n_full} samples" in told[0]
 
 
-def test_drop_height_is_known_by_dataset_index_and_option(made: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    model = str(made / "h.npz")
-    assert run(["train", str(made / "data"), "-o", model, "--drop-height"]) == 0
-    capsys.readouterr()
-    assert run(["info", model]) == 0
-    assert "known: drop_height" in capsys.readouterr().out
-    arguments = ["predict", str(made / "new.h5"), "--model", model, "--json"]
-    assert run(arguments) == 0
-    whole = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
-    assert np.mean([max(row["probabilities"], key=row["probabilities"].get) == row["truth"] for row in whole]) > 0.87
-    assert run([*arguments, "--index", "17"]) == 0
-    (one,) = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
-    assert one["probabilities"] == pytest.approx(whole[17]["probabilities"], abs=1e-12)
-    answers = []
-    for height in ("0.5", "3"):
-        assert run(["predict", "--sample", "--model", model, "--drop-height", height, "--json"]) == 0
-        rows = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
-        answers.append([row["probabilities"]["coal"] for row in rows if row["kind"] == "impact"])
-    assert np.max(np.abs(np.subtract(*answers))) > 0.1
-
-
 @pytest.mark.parametrize("name", SCENES)
 def test_a_shipped_scene_is_checked_without_warnings(name: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert run(["check", name, "--json"]) == 0

@@ -137,7 +137,10 @@ def refused(capsys, *arguments):
     return line
 
 
-@pytest.mark.parametrize("change", [{"schema_version": 2}, {"schema_version": 3}, {"family": "discriminant"}], ids=str)
+CHANGES = [{"schema_version": 2}, {"schema_version": 3}, {"family": "discriminant"}, {"known": ["drop_height"]}]
+
+
+@pytest.mark.parametrize("change", CHANGES, ids=str)
 def test_a_model_of_a_development_version_is_refused(change, tmp_path, capsys):
     model = StoredModel.load(GOLDEN / "models-4-linear.npz")
     header = np.frombuffer(signed(model.header | change, model.arrays), np.uint8)

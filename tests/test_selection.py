@@ -17,15 +17,13 @@ from cgid.scene import Scene, synthesise
 from models.selection import FAMILIES, MARGIN, Family, preferred, select, selection_section, selection_table
 from tests import few
 
-FEATURES = ("peak_force", "width_50", "tilt")
+FEATURES = ("fitted_peak", "fitted_width", "fitted_restitution")
 
 
 def made(features: np.ndarray, labels: np.ndarray, specimen: np.ndarray) -> Rows:
     return Rows(
         names=FEATURES,
-        known_names=(),
         features=features,
-        known=np.empty((len(features), 0)),
         labels=labels,
         group=specimen.astype(np.uint64),
         unit="N",
@@ -38,7 +36,7 @@ def made(features: np.ndarray, labels: np.ndarray, specimen: np.ndarray) -> Rows
 
 @pytest.fixture(scope="module")
 def measured(reference_scene: Scene) -> Rows:
-    return measure(synthesise(reference_scene, 500, seed=3), FEATURES, known=("drop_height",))
+    return measure(synthesise(reference_scene, 500, seed=3), FEATURES)
 
 
 @pytest.mark.parametrize("families", few([list(FAMILIES[:1] + FAMILIES[-1:]), list(FAMILIES)]))
@@ -74,7 +72,7 @@ class Watched(ImpactClassifier):
 
 
 def test_all_see_the_same_folds_and_specimens_stay_together(measured: Rows) -> None:
-    names = ("features", "known", "labels", "group")
+    names = ("features", "labels", "group")
     twice = replace(measured, **{name: np.repeat(getattr(measured, name), 2, axis=0) for name in names})
     families = tuple(Family(str(k), Watched("linear", n_trees=k)) for k in (1, 2))
     select(twice, families=families, n_folds=4)

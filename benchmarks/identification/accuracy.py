@@ -1,6 +1,6 @@
 """Accuracy of the models against the ceiling of a scene, and with shuffled labels.
 
-    python benchmarks/identification/accuracy.py [SCENE] [--signals 100000] [--test 20000] [--drop-height]
+    python benchmarks/identification/accuracy.py [SCENE] [--signals 100000] [--test 20000]
 
 Training and test signals have different seeds, so they share no block of random numbers. All lines use the same test
 signals. The difference is the paired number of right answers, ceiling - model, with its standard error; no model can
@@ -17,7 +17,7 @@ from threadpoolctl import threadpool_limits
 from cgid import shipped
 from cgid.identification.training.classifier import FAMILIES, ImpactClassifier
 from cgid.identification.training.metrics import evaluate
-from cgid.identification.training.rows import Rows, linear_columns, measure
+from cgid.identification.training.rows import linear_columns, measure
 from cgid.scene import Scene, load_scene, synthesise
 from studies.ceilings.limit import ceiling
 
@@ -25,15 +25,10 @@ TEST_SEED = 1_000_003
 EXACT = ("peak_force", "contact_duration", "restitution")
 
 
-def exact(scene: Scene, n: int, seed: int, drop_height: bool) -> np.ndarray:
-    names = (*EXACT, "velocity") if drop_height else EXACT
+def exact(scene: Scene, n: int, seed: int) -> np.ndarray:
     return np.concatenate(
-        [np.log(np.stack([b.parameters[name] for name in names], axis=1)) for b in synthesise(scene, n, seed)]
+        [np.log(np.stack([b.parameters[name] for name in EXACT], axis=1)) for b in synthesise(scene, n, seed)]
     )
-
-
-def inputs(measured: Rows) -> np.ndarray:
-    return np.hstack([measured.features, measured.known])
 
 
 def main() -> None:
@@ -42,21 +37,16 @@ def main() -> None:
     parser.add_argument("--signals", type=int, default=100_000)
     parser.add_argument("--test", type=int, default=20_000)
     parser.add_argument("--seed", type=int, default=11)
-    parser.add_argument("--drop-height", action="store_true")
     arguments = parser.parse_args()
     scene = load_scene(shipped.scene_path(arguments.scene))
     n, n_test, seed = arguments.signals, arguments.test, arguments.seed
-    known = ("drop_height",) if arguments.drop_height else ()
-    train, test = (
-        measure(synthesise(scene, count, own), known=known) for count, own in ((n, seed), (n_test, TEST_SEED))
-    )
+    train, test = (measure(synthesise(scene, count, own)) for count, own in ((n, seed), (n_test, TEST_SEED)))
     if train.left_out or test.left_out:
         raise SystemExit(f"{train.left_out} and {test.left_out} impacts cannot be measured; choose another scene")
     start = time.perf_counter()
-    best = ceiling(scene, n_test, TEST_SEED, drop_height_known=arguments.drop_height)
+    best = ceiling(scene, n_test, TEST_SEED)
     seconds = time.perf_counter() - start
-    told = ", drop height known" if known else ""
-    print(f"Scene `{scene.name}`{told}, {n} impacts to train, {n_test} others to judge.\n")
+    print(f"Scene `{scene.name}`, {n} impacts to train, {n_test} others to judge.\n")
     print("| | accuracy | below the ceiling | Brier | calibration error | training [s] |\n|---|---|---|---|---|---|")
     print(
         f"| ceiling (Bayes' rule; expected {best.accuracy:.4f} ± {best.accuracy_error:.4f}) | "
@@ -80,15 +70,15 @@ def main() -> None:
         )
 
     boosting = HistGradientBoostingClassifier(max_iter=300, max_leaf_nodes=31, learning_rate=0.06, random_state=0)
-    clean = [exact(scene, count, own, arguments.drop_height) for count, own in ((n, seed), (n_test, TEST_SEED))]
+    clean = [exact(scene, count, own) for count, own in ((n, seed), (n_test, TEST_SEED))]
     line("noise-free: boosting on exact peak, duration, restitution", boosting, clean[0], train.labels, clean[1])
     linear = linear_columns(train.names)
     for family in FAMILIES:
-        line(f"cgid, {family}", ImpactClassifier(family, linear=linear), inputs(train), train.labels, inputs(test))
+        line(f"cgid, {family}", ImpactClassifier(family, linear=linear), train.features, train.labels, test.features)
     # Also judged on shuffled labels: a direction chosen by noise may lie along the true one, or against it.
     generator = np.random.default_rng(0)
-    guess = ImpactClassifier(linear=linear).fit(inputs(train), generator.permutation(train.labels))
-    hits = guess.predict(inputs(test)) == generator.permutation(test.labels)
+    guess = ImpactClassifier(linear=linear).fit(train.features, generator.permutation(train.labels))
+    hits = guess.predict(test.features) == generator.permutation(test.labels)
     print(f"| permuted labels | {hits.mean():.4f} ± {hits.std() / np.sqrt(n_test):.4f} | - | - | - | - |")
 
 

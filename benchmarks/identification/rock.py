@@ -16,7 +16,6 @@ Rocks, pulses and recorder are those of `rock_pulses.py`, which shares no code w
 4. Strangers of the shipped scene, and the real shocks where they stand beside the checkout: the share that is flagged.
 5. Contacts that are no spheres, rock that breaks, and an AC coupling: the share that the model answers, and of the
    answered those that are right, the mean probability of the answer, and the recall of each label.
-6. The same of the model with a known drop height, spheres beside.
 """
 
 from __future__ import annotations
@@ -62,11 +61,6 @@ _KINDS = {law: law.removesuffix(" by strength") for law in LAWS} | dict.fromkeys
 BOTH = "thornton and viscous"
 #: Cases of other benchmarks.
 _OTHERS = ("dull", "peers", "peers, pink 2 %")
-_WITH_HEIGHT = [
-    "hunt-crossley",
-    "white 0.05",
-    *(f"{law}, {level}" for law in ("cone", "face", "fragmentation") for level in ("1%", "5%")),
-]
 _UNKNOWN_TO_IT = [name for name, case in CASES.items() if case.coupled or not {*OTHERS}.isdisjoint(case.laws)]
 
 
@@ -112,10 +106,8 @@ class Answered(NamedTuple):
         }
 
 
-def answered(
-    model: StoredModel, signals: NDArray[Any], labels: NDArray[np.str_], trigger: int, height: Floats | None = None
-) -> Answered:
-    answers = identify_frames(signals, RATE, model, pre_trigger=trigger, drop_height=height)
+def answered(model: StoredModel, signals: NDArray[Any], labels: NDArray[np.str_], trigger: int) -> Answered:
+    answers = identify_frames(signals, RATE, model, pre_trigger=trigger)
     coal = np.array([answer.probabilities.get("coal", 0.5) for answer in answers])
     return Answered(coal, np.array([answer.label == UNKNOWN for answer in answers]), labels)
 
@@ -227,7 +219,6 @@ def joined(parts: Sequence[Rows]) -> Rows:
         group=np.concatenate([part.group + start for part, start in zip(parts, starts.tolist(), strict=True)]),
         source=np.concatenate([np.full(len(part.labels), k) for k, part in enumerate(parts)]),
         sources=tuple(str(k) for k in range(len(parts))),
-        known=np.empty((sum(len(part.labels) for part in parts), 0)),
         sampling_rates=(min(low for low, _ in rates), max(high for _, high in rates)),
         left_out=sum(part.left_out for part in parts),
     )
@@ -295,8 +286,7 @@ def table_of_unknown_contacts(model: StoredModel, names: Sequence[str], n: int) 
     """Yield what the model says of contacts and recorders that are not those of `reference`."""
     for name in names:
         impacts = record(CASES[name], n, _JUDGED)
-        height = impacts.rocks.speed**2 / (2 * 9.80665) if model.known else None
-        told = answered(model, impacts.signals, impacts.labels, CASES[name].trigger, height)
+        told = answered(model, impacts.signals, impacts.labels, CASES[name].trigger)
         sure = told.of(~told.unknown)
         right = {label: sure.hits[sure.labels == label] for label in ("coal", "gangue")}
         yield {
@@ -337,22 +327,19 @@ def show(title: str, lines: Iterator[Line]) -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--shows", type=int, nargs="+", choices=range(2, 7), default=range(2, 7))
+    parser.add_argument("--shows", type=int, nargs="+", choices=range(2, 6), default=range(2, 6))
     cases = [*(name for name in CASES if name not in (*_OTHERS, *_UNKNOWN_TO_IT)), BOTH]
     parser.add_argument("--cases", nargs="+", choices=[*CASES, BOTH], default=cases)
     parser.add_argument("--signals", type=int, default=4096, help="to judge a line on")
     parser.add_argument("--learner-signals", type=int, default=20_000, help="that a learner trains on")
     parser.add_argument("--rows", type=int, default=10_000, help="of the largest scene in table 3")
     own = parser.parse_args()
-    model, with_height = (
-        StoredModel.load(shipped.path_of("models", name)) for name in (shipped.DEFAULT_MODEL, shipped.DROP_HEIGHT_MODEL)
-    )
+    model = StoredModel.load(shipped.path_of("models", shipped.DEFAULT_MODEL))
     tables = {
         2: ("2. Laws, shapes, recorders", table_of_cases(model, own.cases, own.signals, own.learner_signals)),
         3: ("3. A law left out of the training", table_of_laws(model, own.rows, own.signals)),
         4: ("4. Strangers: share flagged", table_of_strangers(model, own.signals)),
         5: ("5. Contacts that are no spheres", table_of_unknown_contacts(model, _UNKNOWN_TO_IT, own.signals)),
-        6: ("6. With a known drop height", table_of_unknown_contacts(with_height, _WITH_HEIGHT, own.signals)),
     }
     for number in own.shows:
         show(*tables[number])

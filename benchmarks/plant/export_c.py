@@ -59,9 +59,8 @@ class Library:
 def rows_of(model: Model, scene: str, n: int) -> np.ndarray:
     """Return the values of measurable signals of a scene, (n_rows, n_values)."""
     asked = plan(load_scene(scene), "features", features=model.measured)
-    known = {"drop_height": "true_drop_height"}
     parts = [
-        np.stack([part.columns[known.get(name, name)] for name in (*model.inputs, *model.guards)], axis=1)
+        np.stack([part.columns[name] for name in (*model.inputs, *model.guards)], axis=1)
         for part in columns_of(asked, n, seed=11)
     ]
     rows = np.concatenate(parts)
@@ -93,7 +92,7 @@ def main() -> None:
         " other labels | of them within .5 +- .001 or novelty 1 +- .001 | odd rows answered otherwise |"
     )
     print("|---|---|---|---|---|---|---|---|---|")
-    for name, scene in (("default", "reference"), ("default-drop-height", "reference"), ("default-acceleration", None)):
+    for name, scene in (("default", "reference"), ("default-acceleration", None)):
         model = load_model(name)
         rows = in_training(model, n) if scene is None else rows_of(model, scene, n)
         labels, probabilities, by_numpy = judged(model, rows)

@@ -59,15 +59,14 @@ Parts = list[tuple[str, Rows]]
 
 def of_force(model: StoredModel, n: int) -> Parts:
     """Return rows of the scenes of the models of force, and of single rigs."""
-    heights = model.known
     parts = [
-        (name, measure(synthesise(load_scene(shipped.scene_path(name)), n, SEED), model.measured, known=heights))
+        (name, measure(synthesise(load_scene(shipped.scene_path(name)), n, SEED), model.measured))
         for name in ("reference", "rock")
     ]
     for scene, _ in on_rigs(shipped_scene("rock"), n):
         # A block of impacts has one rig.
         for batch in synthesise(scene, n // 3, SEED):
-            parts.append(("single rigs", measure([batch], model.measured, known=heights)))
+            parts.append(("single rigs", measure([batch], model.measured)))
     return parts
 
 
@@ -83,7 +82,7 @@ class World:
 
     def __init__(self, model: StoredModel, parts: Parts) -> None:
         self.model, self.names = model, [name for name, _ in parts]
-        self.inputs = [np.hstack([rows.features[:, : len(model.features)], rows.known]) for _, rows in parts]
+        self.inputs = [rows.features[:, : len(model.features)] for _, rows in parts]
         self.guards = [rows.features[:, len(model.features) :] for _, rows in parts]
         self.scaled = np.array([name in FEATURES and FEATURES[name].unit in ("U", "N") for name in model.inputs])
 
@@ -332,7 +331,7 @@ def main() -> None:
     if arguments.labelled:
         labelled(arguments.recordings)
         return
-    for name in (shipped.DEFAULT_MODEL, shipped.DROP_HEIGHT_MODEL, shipped.ACCELERATION_MODEL):
+    for name in (shipped.DEFAULT_MODEL, shipped.ACCELERATION_MODEL):
         model = StoredModel.load(shipped.path_of("models", name))
         if model.beam is None:
             parts = of_force(model, arguments.impacts)

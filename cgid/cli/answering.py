@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from cgid.cli.options import MODEL, PATH, SECONDS, options_of
+from cgid.cli.options import MODEL
 from cgid.cli.output import warn
-from cgid.cli.reading import READING, ReadingOptions, beam_words, same_beam_option
+from cgid.cli.reading import ReadingOptions, beam_words
+from cgid.cli.site import site_words
 
 if TYPE_CHECKING:
     from cgid.identification.model.model import StoredModel
@@ -21,112 +22,8 @@ if TYPE_CHECKING:
     from cgid.recordings.recording import Channel
 
 
-#: Options for the model and its settings, as arguments of `settings_of`.
-answering_options = options_of(
-    click.option(
-        "--model",
-        "model_path",
-        type=MODEL,
-        help="Use this model: a file, or a shipped one such as default-acceleration; by default chosen by the unit.",
-    ),
-    click.option(
-        "--mass", type=float, help="Set the mass of the accelerated impactor [kg]: force = mass x acceleration."
-    ),
-    click.option("--drop-height", type=float, help="Set the drop height of the rocks [m], for a model that needs it."),
-    click.option(
-        "--miss-cost",
-        "costs",
-        multiple=True,
-        metavar="LABEL=COST",
-        help="Set the cost of missing this label, by default 1.",
-    ),
-    click.option(
-        "--coverage",
-        type=float,
-        help="Reject impacts whose prediction set at this coverage (0.9) is not a single label.",
-    ),
-    click.option(
-        "--class-conditional", is_flag=True, help="Guarantee the coverage for each label, not only for their mixture."
-    ),
-    click.option(
-        "--vote",
-        "vote_time",
-        type=float,
-        help="Set the time over which windows vote [s], by default 0.5; with 0, no vote.",
-    ),
-    click.option(
-        "--sensor",
-        "sensors",
-        multiple=True,
-        metavar="NAME",
-        help="Name the sensor among those of the model's reference runs; once, or once per channel.",
-    ),
-    same_beam_option,
-    click.option(
-        "--lines/--no-lines",
-        default=None,
-        help="Remove machine tones from accelerations of a beam from the first sample on, or keep them; by default "
-        "they are removed once they are detected, after two seconds.",
-    ),
-    click.option(
-        "--window", "share_time", type=float, help="Set the window of the gangue fraction [s], by default 10."
-    ),
-    click.option(
-        "--gangue", multiple=True, metavar="LABEL", help="Count this label as gangue; repeat the option for several."
-    ),
-    click.option(
-        "--dilution-cost",
-        type=float,
-        help="Set the cost of drawn gangue in units of lost coal, by default 1; it decides when to shut.",
-    ),
-    click.option(
-        "--cost-late",
-        type=float,
-        help="Set the loss of each second of drawing above the limit, for each unit of fraction above, by default 1.",
-    ),
-    click.option(
-        "--cost-early",
-        type=float,
-        help="Set the loss of each second shut below the limit, for each unit of fraction below, by default 6.",
-    ),
-    click.option(
-        "--hold", type=float, help="Hold SHUT or OPEN for at least this time [s], by default the length of the window."
-    ),
-    click.option(
-        "--coal-until",
-        type=SECONDS,
-        metavar="TIME",
-        help="State that only coal falls for this long (30s) at the beginning; the gangue fraction is then "
-        "that of this seam.",
-    ),
-    click.option(
-        "--cycle-pause",
-        type=SECONDS,
-        metavar="TIME",
-        help="Start a new caving cycle at the first impact after a pause of this length (120s); with --coal-until.",
-    ),
-    click.option(
-        "--labelled",
-        type=PATH,
-        metavar="TABLE",
-        help="Use what this manifest or table of events labels coal in the recording, instead of --coal-until; some "
-        "lumps labelled gangue make the fraction sharper, beside either.",
-    ),
-    click.option(
-        "--trained-seam",
-        is_flag=True,
-        help="State that the seam is like that of the model's training: its coal and gangue, their sizes "
-        "and drop heights.",
-    ),
-    click.option(
-        "--blind-after",
-        type=float,
-        help="Call a support blind, and withdraw its decision, after this long without valid samples [s], "
-        "by default 5.",
-    ),
-    click.option(
-        "--give-up", type=float, help="End when no channel has been readable for this long [s]; by default go on."
-    ),
+model_option = click.option(
+    "--model", "model_path", type=MODEL, help="Model: a file, or a shipped one; by default chosen by the unit."
 )
 
 
@@ -143,39 +40,32 @@ def settings_with_coal(
     return replace(settings, coal=coal, lumps=lumps if uses_lumps else ())
 
 
-def settings_of(
-    reading: ReadingOptions, *, model_path: str | None, costs: tuple[str, ...], **given: Any
-) -> tuple[Models, PredictionSettings]:
-    """Return the models and the settings; `given` are the other fields of the settings."""
+def settings_of(reading: ReadingOptions, model_path: str | None, **given: Any) -> tuple[Models, PredictionSettings]:
+    """Return the models and the settings, by the line, else by the site; `given` are fields of the settings."""
     from cgid.identification.prediction import PredictionSettings
 
-    settings = PredictionSettings(
-        costs=dict(_cost(text) for text in costs), dead_time=reading.dead_time, invert=reading.invert, **given
-    )
-    return Models(model_path, settings), settings
-
-
-def _cost(text: str) -> tuple[str, float]:
-    """Return label and cost of LABEL=COST."""
-    label, _, cost = text.partition("=")
-    try:
-        return label, float(cost)
-    except ValueError:
-        raise click.UsageError(f"--miss-cost must be LABEL=COST such as gangue=3, got {text!r}") from None
+    stated = {name: value for name, value in given.items() if value is not None}
+    settings = PredictionSettings(dead_time=reading.dead_time, **{**reading.site.settings, **stated})
+    return Models(model_path or reading.site.get("model"), settings), settings
 
 
 def prediction_by(path: Path, model: StoredModel, manifest: Manifest | None, reading: ReadingOptions) -> str:
     """Return the command for predictions by a new model, on a recording that is read like all of its manifest."""
-    words, own = [], {**vars(reading), **reading.chain_of("")}
-    flags = {"sampling_rate": "rate", "milliseconds": "dead-time", "full_scale": "full-scale"}
+    own = {**vars(reading), **reading.chain_of("")}
+    flags = {
+        **dict.fromkeys(("unit", "channel", "sensitivity")),
+        "sampling_rate": "--rate",
+        "full_scale": "--full-scale",
+        **dict.fromkeys(("gain", "variable", "format", "invert"), "--set"),
+    }
     fields = {"channel": "channels", "gain": "recording_gain"}
-    rows = [] if manifest is None else [one for one in manifest.annotations if not one.reference]
-    for name in READING:
-        stated = {getattr(one, fields.get(name, name), None) or getattr(one, name, None) or own[name] for one in rows}
+    words, rows = site_words(), [] if manifest is None else manifest.annotations
+    for name, flag in flags.items():
+        stated = {getattr(one, fields.get(name, name), None) or getattr(one, name, None) or own.get(name) for one in rows}
         value = stated.pop() if len(stated) == 1 else None
         for part in value if isinstance(value, tuple) else (value,) if value else ():
-            text = f"{part:.12g}" if isinstance(part, float) else f"{part}"
-            words += [f"--{flags.get(name, name)}", *([] if part is True else [text])]
+            text = f"{part:.12g}" if isinstance(part, float) else f"{part}".replace("True", "true")
+            words += [flag or f"--{name}", f"{name}={text}" if flag == "--set" else text]
     return shlex.join(["cgid", "predict", "FILE", *words, "--model", str(path), *beam_words(model.same_beam)])
 
 
@@ -185,7 +75,7 @@ class Models:
     def __init__(self, path: str | None, settings: PredictionSettings) -> None:
         self._path, self._settings = path, settings
         self._models: dict[str | None, StoredModel] = {}
-        self._one_for_all = path is not None or settings.mass is not None or settings.drop_height is not None
+        self._one_for_all = path is not None or settings.mass is not None
         if self._one_for_all:
             self.of(None)
 
@@ -213,7 +103,7 @@ class Models:
         """Return the file name of a model, or which default model it is."""
         if self._path is not None:
             return Path(self._path).name
-        return "default model" + (" that knows the drop height" if model.known else f" of {model.quantity}")
+        return f"default model of {model.quantity}"
 
 
 def warn_of_model(

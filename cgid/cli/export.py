@@ -46,7 +46,7 @@ def export(data: str, output: str, overwrite: bool) -> None:
 @click.option("-o", "--output", type=OUTPUT, required=True, help="Write this file, ending in .c or .onnx.")
 @overwrite_option
 def export_model(model: str, to: str, output: str, overwrite: bool) -> None:
-    """Write MODEL, a file or default, default-drop-height or default-acceleration, for machines without Python.
+    """Write MODEL, a file or default or default-acceleration, for machines without Python.
 
     The result maps features to probabilities, novelty and label, as cgid predict does; it does not measure them. The
     head of the C file lists the required values, their order and units, and how to compile it. ONNX needs the extra

@@ -20,7 +20,7 @@ _OPTIONS = {
     "Reading the recording": "--rate --unit --sensitivity --gain --full-scale --channel --channels --same-beam "
     "--sample-format --variable --format --index --invert --keep-baseline --lines --dead-time --give-up --from --to "
     "--events --kind",
-    "Model": "--model --mass --drop-height --sensor --family --by --hop --level-free --features --class-weights",
+    "Model": "--model --mass --sensor --family --by --hop --level-free --features --class-weights",
     "Decision": "--miss-cost --coverage --class-conditional --vote",
     "Gangue fraction": "--window --gangue --dilution-cost --cost-late --cost-early --hold --coal-until --cycle-pause "
     "--cycle-by --labelled --trained-seam --blind-after",
@@ -64,6 +64,7 @@ _PULSES = "use cgid features FILE --features fitted_peak,fitted_width,fitted_res
 WITHDRAWN = {
     "--impactor": _PULSES,
     "--masses": _PULSES,
+    "--drop-height": "leave it out, no model needs a drop height",
 }
 #: Heading -> the commands below it.
 _COMMANDS = {

@@ -163,9 +163,10 @@ def _table(file: str) -> dict[str, Any]:
 
 def _model(file: str) -> dict[str, Any]:
     from cgid.identification.model.model import StoredModel
+    from cgid.identification.model.model_file import WITHDRAWN
 
     model = StoredModel.load(file)
-    header = model.header
+    header = {name: value for name, value in model.header.items() if name not in WITHDRAWN}
     training = header.pop("training")
     metrics = training.pop("metrics", {})
     for table in ("selection", "domain_shift", "beside_force"):  # the model card contains these

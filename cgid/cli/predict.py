@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
-import numpy as np
 
 from cgid import shipped
 from cgid._lib.terminal import counted
@@ -180,17 +179,13 @@ class _Prediction:
     def dataset_signal(self, path: str, index: int, signal: Signal) -> None:
         """Print the prediction for one signal of a dataset."""
         from cgid.identification.prediction import identify, suited
-        from cgid.identification.prediction.batches import drop_heights, require_one_signal
-        from cgid.store import Dataset
+        from cgid.identification.prediction.batches import require_one_signal
 
         require_one_signal(self.settings, path)
         model = self.models.of(signal.quantity)
         fitting = suited(signal, model, self.settings.mass)
         warn_of_model(fitting.name, fitting.name, fitting.sampling_rate, model, self.settings)
-        height = drop_heights(Dataset(path).impact(index), model, self.settings, path)
-        (answer,) = identify(
-            fitting, model, self.settings, drop_height=None if height is None else float(np.max(height))
-        )
+        (answer,) = identify(fitting, model, self.settings)
         if not answer.probabilities:
             raise BadData(f"{fitting.name}: {answer.problem}")
         self.lines.begin(path, model, self.settings)

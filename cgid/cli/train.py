@@ -49,10 +49,10 @@ _OF_RECORDINGS = (
     "--by --window --hop --level-free --rate --unit --channel --format --sensitivity --gain --full-scale --dead-time "
     "--strict"
 )
-_OF_DATASETS = "--test-share --calibration-share --drop-height --start-error --sensor"
+_OF_DATASETS = "--test-share --calibration-share --start-error --sensor"
 _OF_TRAINING = (
     "--features --family --class-weights --by --window --hop --level-free --test-share --calibration-share "
-    "--drop-height --start-error --signals --shuffle-labels"
+    "--start-error --signals --shuffle-labels"
 )
 
 
@@ -121,7 +121,6 @@ class ClassifierName(click.types.StringParamType):
     metavar="X,Y",
     help="Use sensors at these points [m] of a scene's beam together: the recording's channels, in this order.",
 )
-@click.option("--drop-height", is_flag=True, help="Use the drop height of each rock as an input.")
 @click.option(
     "--start-error",
     metavar="SHARE",
@@ -330,7 +329,7 @@ def _from_signals(data: list[str], options: dict[str, Any]) -> tuple[Any, list[A
         sources, options = [scene], {**options, "sensors": []}
     given = _given(options, *_COMMON, "test_share", "calibration_share")
     n_signals = options["n_signals"]
-    if scene is not None and not (options["features"] or options["drop_height"] or options["sensors"]):
+    if scene is not None and not (options["features"] or options["sensors"]):
         from cgid.identification.model.model import stored
         from cgid.learning.seams import N_STREAMS, taught
         from cgid.learning.streams import is_streamable, numbers_of_streams, train_on_streams
@@ -348,7 +347,6 @@ def _from_signals(data: list[str], options: dict[str, Any]) -> tuple[Any, list[A
     with progress_bar(total, "signals", "measuring") as progress:
         training = train_on_specimens(
             _batches(sources, options),
-            known=("drop_height",) if options["drop_height"] else (),
             beam=beam,
             progress=progress,
             **given,

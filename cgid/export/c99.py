@@ -26,7 +26,6 @@ from cgid.identification.model.model_file import STANDARDISER
 from cgid.measure.features.extraction import FEATURES, base_of
 from cgid.measure.features.vibration import EARLY_BANDS, EARLY_TIME, WINDOW_TIME
 from cgid.measure.spectra import THIRD_OCTAVES, third_octave
-from cgid.signals import KNOWN
 from cgid.units import column_title
 
 __all__ = ["c_source"]
@@ -106,9 +105,8 @@ def _values(model: StoredModel) -> list[tuple[str, str, str]]:
     """Return name, unit and definition of each value of an impact."""
     values = []
     for name in (*model.inputs, *model.guards):
-        feature = FEATURES[base_of(name)] if name not in model.known else None
-        unit = KNOWN[name] if feature is None else feature.unit_for(model.unit)
-        values.append((name, unit, "known besides the signal" if feature is None else feature.definition))
+        feature = FEATURES[base_of(name)]
+        values.append((name, feature.unit_for(model.unit), feature.definition))
     return values
 
 
@@ -170,7 +168,7 @@ def _bands(model: StoredModel) -> dict[str, NDArray[Any]] | None:
     relative = {f"relative_level_{name}_hz": edges for name, edges in octaves.items()}
     early = {f"early_level_{low}_{high}_hz": (low, high) for low, high in EARLY_BANDS}
     edges, names = levels | relative | early, model.measured
-    if model.n_channels > 1 or model.known or model.sensors or not edges.keys() >= set(names):
+    if model.n_channels > 1 or model.sensors or not edges.keys() >= set(names):
         return None
     return {
         "band_edges": np.array([edges[name] for name in names], np.float64),

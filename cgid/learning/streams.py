@@ -153,7 +153,6 @@ def _measured(settings: tuple[int, tuple[str, ...], Beam], numbered: tuple[int, 
         source=np.zeros(int(is_known.sum()), np.intp),
         sources=(scene.sha256,),
         digests=(scene.sha256,),
-        known=np.empty((int(is_known.sum()), 0)),
         unit=str(signal.unit),
         sampling_rates=(signal.sampling_rate, signal.sampling_rate),
         time=time[is_known],
@@ -253,7 +252,7 @@ def finished(model: StoredModel, streams: Sequence[StreamRows]) -> StoredModel:
 def _answered(model: StoredModel, stream: StreamRows) -> StreamAnswers:
     """Return the predictions of a model for a stream."""
     rows = stream.rows
-    inputs = rows.inputs(model.features)
+    inputs = rows.columns(model.features)
     logits = logit(model.probabilities(inputs)[:, 1])
     logits[model.novelty(inputs, rows.columns(model.guards)) > 1] = np.nan
     return StreamAnswers(

@@ -40,6 +40,7 @@ from cgid.identification.model.model_file import (
     STANDARDISER,
     UNEXPLAINED,
     VOTE_CORRELATION,
+    WITHDRAWN,
     NewerSchema,
     arrays_of,
     check_names,
@@ -58,7 +59,7 @@ from cgid.measure.features.extraction import FEATURES, UnknownFeature, base_of, 
 from cgid.measure.features.table import Kind
 from cgid.measure.filters import Equalisation
 from cgid.measure.modal.beam import Beam
-from cgid.signals import KNOWN, Batch, Signal
+from cgid.signals import Batch, Signal
 from cgid.units import quantity_of
 
 if TYPE_CHECKING:
@@ -161,7 +162,7 @@ class Model(ABC):
     @property
     @abstractmethod
     def inputs(self) -> tuple[str, ...]:
-        """Inputs of the classifier: the features, channel by channel, then the known quantities."""
+        """Inputs of the classifier: the features, channel by channel."""
 
     @abstractmethod
     def predict_proba(self, features: pandas.DataFrame | ArrayLike) -> Floats:
@@ -241,8 +242,6 @@ class StoredModel(Model):
     temperature, neighbourhood_limit : float
         Divisor of the scores; distance at which the novelty is 1.
     arrays : dict of ndarray
-    known : tuple of str
-        Quantities needed besides the signal, from `cgid.signals.KNOWN`.
     guards : tuple of str
         Features that only measure novelty; larger is more novel.
     guard_limits : tuple of float
@@ -260,7 +259,6 @@ class StoredModel(Model):
     temperature: float
     neighbourhood_limit: float
     arrays: Mapping[str, NDArray[Any]]
-    known: tuple[str, ...] = ()
     guards: tuple[str, ...] = ()
     guard_limits: tuple[float, ...] = ()
     window_time: float = 0.0
@@ -362,7 +360,7 @@ class StoredModel(Model):
 
     @cached_property
     def inputs(self) -> tuple[str, ...]:  # noqa: D102 -- in `Model`
-        return inputs_of(self.features, self.n_channels) + self.known
+        return inputs_of(self.features, self.n_channels)
 
     @property
     def together(self) -> int:
@@ -456,7 +454,7 @@ class StoredModel(Model):
                 f"features must have the columns {', '.join(self.inputs)}, {', '.join(missing)} missing; measure them "
                 "by cgid.extract(samples, sampling_rate, model.features)"
             )
-        units = {one: KNOWN.get(one) or FEATURES[base_of(one)].unit_for(self.unit) for one in self.inputs}
+        units = {one: FEATURES[base_of(one)].unit_for(self.unit) for one in self.inputs}
         return validation.real("features", in_units(features, units)[list(self.inputs)])
 
     def novelty(self, inputs: Floats, guards: Floats | None = None) -> Floats:
@@ -499,13 +497,12 @@ class StoredModel(Model):
 
     def _contrast(self, inputs: Floats, guards: Floats) -> Floats:
         assert self.contrast is not None
-        signal_inputs = np.asarray(inputs, np.float64)[:, : len(self.inputs) - len(self.known)]
-        return _in_blocks(self.contrast.novelty, np.hstack([signal_inputs, guards]), self.contrast.scorer.width)
+        return _in_blocks(self.contrast.novelty, np.hstack([inputs, guards]), self.contrast.scorer.width)
 
     @cached_property
     def contrast(self) -> Contrast | None:
         """The classifier of out-of-distribution impacts; None if the training had none."""
-        return Contrast.from_arrays(self.arrays, len(self.inputs) - len(self.known) + len(self.guards))
+        return Contrast.from_arrays(self.arrays, len(self.inputs) + len(self.guards))
 
     @cached_property
     def beam(self) -> ThroughBeam | None:
@@ -694,7 +691,7 @@ class StoredModel(Model):
         Parameters
         ----------
         classifier : ImpactClassifier
-            Fitted to the inputs: features, channel by channel, then known quantities.
+            Fitted to the inputs: features, channel by channel.
         guards : dict of float, optional
             Limits of the guards.
         conformal : Conformal, optional
@@ -747,6 +744,7 @@ class StoredModel(Model):
             "format": FORMAT,
             "schema_version": SCHEMA_VERSION,
             "quantity": self.quantity,
+            **{name: [] for name in WITHDRAWN},
             **{name: list(value) if isinstance(value, tuple) else value for name, value in fields.items()},
             "training": dict(self.training),
         }

@@ -38,7 +38,6 @@ from cgid.identification.model.world import World, trait_names
 from cgid.measure.features.extraction import any_through_beam, require_known
 from cgid.measure.modal.beam import Beam
 from cgid.measure.spectra import MEL_BANDS
-from cgid.signals import KNOWN
 from cgid.units import quantity_of
 
 if TYPE_CHECKING:
@@ -118,8 +117,10 @@ _DEEPEST = 32
 #: Largest absolute value of any number: products of three are still finite.
 _MAX_NUMBER = 1e100
 _LISTS_OF_NUMBERS = ("guard_limits", "sampling_rates")
+#: Fields that must be empty: what a model of an earlier development version needed -> why it is withdrawn.
+WITHDRAWN = {"known": "a model that needs a drop height is withdrawn"}
 #: Other fields: the quantity follows from the unit, the others are checked on reading.
-_FURTHER_FIELDS = {"format", "schema_version", "quantity", "sha256"}
+_FURTHER_FIELDS = {"format", "schema_version", "quantity", "sha256", *WITHDRAWN}
 
 
 class NewerSchema(BadData):
@@ -167,6 +168,9 @@ def fields_of(
         raise BadData("header and arrays must match the SHA-256 in the header, they were changed")
     if unknown := header.keys() - stored.keys() - _FURTHER_FIELDS:
         raise BadData(f"the header must have the fields of a model only, got {min(unknown)[:40]!r}")
+    for name, reason in WITHDRAWN.items():
+        if header.get(name) != []:
+            raise BadData(f"{name} must be an empty list, {reason}, got {header.get(name)!s:.40}")
     for name, kind in stored.items():
         good = _is(header.get(name), kind)
         if not good or (name in _LISTS_OF_NUMBERS and not all(_is(number, float) for number in header[name])):
@@ -234,14 +238,13 @@ def with_floats(arrays: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
 
 
 def check_names(model: StoredModel) -> None:
-    """Raise unless family, labels, features, guards and known quantities are valid and distinct."""
+    """Raise unless family, labels, features and guards are valid and distinct."""
     if model.estimator is None:
         validation.choice("family", model.family, tuple(BY_NAME))
     for name, values, min_count in (
         ("labels", model.labels, 2),
         ("features", model.features, 1),
         ("features and guards", model.measured, 1),
-        ("known", model.known, 0),
         ("sensors", model.sensors, 0),
     ):
         if len(values) < min_count or not all(map(_is_word, values)) or len(set(values)) != len(values):
@@ -255,8 +258,6 @@ def check_names(model: StoredModel) -> None:
             raise BadData(f"{name} must be at most {max_count}, got {len(values)}")
     for feature in model.measured:
         require_known(feature)
-    for name in model.known:
-        validation.choice("known", name, dict(KNOWN))
     quantity_of(model.unit)
 
 
@@ -394,8 +395,8 @@ def _check_windows(model: StoredModel) -> None:
     """Raise unless windows, channels and reference spectra are consistent."""
     if isinstance(model.n_channels, bool) or not 1 <= model.n_channels <= MAX_CHANNELS:
         raise BadData(f"n_channels must be between 1 and {MAX_CHANNELS}, got {model.n_channels}")
-    if model.n_channels > 1 and (model.guards or model.known):
-        raise BadData("guards and known quantities must be left out in a model of several channels")
+    if model.n_channels > 1 and model.guards:
+        raise BadData("guards must be left out in a model of several channels")
     if model.kind == "window":
         require_times(model.window_time, model.hop_time)
     elif model.window_time or model.hop_time:

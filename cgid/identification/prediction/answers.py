@@ -9,7 +9,7 @@ from functools import cache
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from cgid._lib.validation import UNKNOWN, Floats
 from cgid.errors import BadData, InvalidValue, MissingOption
@@ -18,7 +18,7 @@ from cgid.identification.detection.events import Event, frames_alike
 from cgid.identification.model.anchor import pulse_names
 from cgid.identification.model.model import Model, StoredModel, stored
 from cgid.identification.prediction.diagnosis import Cause, causes_of, with_frames
-from cgid.identification.prediction.settings import PredictionSettings, known_columns
+from cgid.identification.prediction.settings import PredictionSettings
 from cgid.measure.features.extraction import as_rows, measured, require_measurable
 from cgid.measure.filters import Equalisation
 from cgid.measure.frames import DETECTION_LIMIT, MINIMUM_FRAME, Problem, ProblemKind, frames_of
@@ -230,9 +230,9 @@ def identify(signal: Signal, model: Model, settings: PredictionSettings | None =
         In the quantity and unit of the model; see `suited`.
     model : Model
     settings : PredictionSettings, optional
-        Costs, coverage, drop height and more; by default the most probable label is predicted.
+        Costs, coverage and more; by default the most probable label is predicted.
     **fields
-        Override fields of the settings, such as `costs={"gangue": 3.0}` or `drop_height=1.5` [m].
+        Override fields of the settings, such as `costs={"gangue": 3.0}`.
 
     Returns
     -------
@@ -243,8 +243,6 @@ def identify(signal: Signal, model: Model, settings: PredictionSettings | None =
     ------
     BadData
         The signal has no impact.
-    MissingOption
-        The model needs a drop height.
     InvalidValue
         The model does not support one of the settings.
 
@@ -284,7 +282,6 @@ def measured_events(
             "a complete recording of them, or use a model of one sensor"
         )
     sensors = settings.sensors_for(model, channels)
-    known = known_columns(model.known, 1, settings.drop_height)
     answers: dict[int, Answer] = {}
     values = np.full((len(events), len(model.measured)), np.nan)
     for sensor in dict.fromkeys(sensors):
@@ -297,7 +294,6 @@ def measured_events(
                 event.sampling_rate,
                 model,
                 settings,
-                known.repeat(len(frames), axis=0),
                 pre_trigger=event.pre_trigger,
                 detection_limit=event.detection_limit,
                 equalisation=None if sensor is None else model.equalisation(sensor)[0],
@@ -329,7 +325,6 @@ def identify_frames(
     settings: PredictionSettings | None = None,
     *,
     pre_trigger: int | None,
-    drop_height: ArrayLike | None = None,
     detection_limit: float = DETECTION_LIMIT,
     equalisation: Equalisation | None = None,
 ) -> list[Answer]:
@@ -345,8 +340,6 @@ def identify_frames(
         Only the settings of the decision are used, such as costs and coverage.
     pre_trigger : int or None
         Samples before onset, for baseline and noise; None to determine them from the pulse.
-    drop_height : float or array_like, (n_signals,), optional [m]
-        For a model that needs it.
     detection_limit : float
         Minimum height of a pulse over the standard deviation of the noise.
     equalisation : Equalisation, optional
@@ -359,11 +352,11 @@ def identify_frames(
 
     Raises
     ------
-    BadData, MissingOption, InvalidValue
+    BadData, InvalidValue
         As in `identify`, except that a frame without an impact gets an answer with a problem.
     """
     model = stored(model)
-    known, shape = known_columns(model.known, len(frames), drop_height), np.shape(frames)
+    shape = np.shape(frames)
     if shape[-1] >= MINIMUM_FRAME:
         require_measurable(model.measured, sampling_rate, shape[-1], equalisation, model.beam)
         rows = as_rows(frames, 1 if model.beam is None else model.beam.n_sensors, model.measured)
@@ -373,7 +366,6 @@ def identify_frames(
         sampling_rate,
         model,
         settings or PredictionSettings(),
-        known,
         pre_trigger=pre_trigger,
         detection_limit=detection_limit,
         equalisation=equalisation,
@@ -385,7 +377,6 @@ def _identified(
     sampling_rate: float,
     model: StoredModel,
     settings: PredictionSettings,
-    known: Floats,
     *,
     pre_trigger: int | None,
     detection_limit: float,
@@ -393,7 +384,7 @@ def _identified(
     beam: BeamStream | None = None,
     channel: NDArray[np.intp] | None = None,
 ) -> tuple[list[Answer], Floats]:
-    """Return one prediction for each frame, and what was measured; `known` are inputs besides the features."""
+    """Return one prediction for each frame, and what was measured."""
     if frames.shape[-1] < MINIMUM_FRAME:
         text = f"a frame must contain at least {MINIMUM_FRAME} samples, got {frames.shape[-1]}"
         short = Problem(ProblemKind.TOO_SHORT, text)
@@ -412,7 +403,7 @@ def _identified(
     sound = np.asarray(np.isfinite(values).all(axis=1))
     time = 0.0 if pre_trigger is None else pre_trigger / sampling_rate
     features, guards = np.split(values[sound], [len(model.features)], axis=1)
-    answers = answers_from(np.hstack([features, known[sound]]), guards, model, settings, sampling_rate, time=time)
+    answers = answers_from(features, guards, model, settings, sampling_rate, time=time)
     identified = [
         next(answers) if sound[row] else unmeasured(problems.get(row, "a feature has no finite value"), time)
         for row in range(len(frames))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 
-from cgid._lib.validation import Floats
 from cgid.errors import BadData, InvalidValue
 from cgid.identification.model.model import StoredModel
 from cgid.identification.prediction.answers import Answer, identify_frames
@@ -23,7 +22,7 @@ def identify_batches(
     batches : iterable of Batch
     model : Model
     settings : PredictionSettings
-        Of the decision, and `invert`; the drop height is that of the batch if the model needs it.
+        Of the decision, and `invert`.
     source : str
         Name for error messages.
 
@@ -37,7 +36,7 @@ def identify_batches(
     BadData
         The signals are of another quantity than the model's.
     InvalidValue
-        A drop height is given and stored, or channels of one beam are given.
+        Channels of one beam are given.
     """
     require_one_signal(settings, source)
     for batch in batches:
@@ -54,7 +53,6 @@ def identify_batches(
             model,
             settings,
             pre_trigger=batch.pre_trigger,
-            drop_height=drop_heights(batch, model, settings, source),
         )
         yield batch, answers
 
@@ -63,11 +61,3 @@ def require_one_signal(settings: PredictionSettings, source: str) -> None:
     """Raise `InvalidValue` for channels of one beam, which a dataset does not have."""
     if settings.same_beam:
         raise InvalidValue(f"{source}: --same-beam is for recordings, a dataset has one signal an impact; leave it out")
-
-
-def drop_heights(batch: Batch, model: StoredModel, settings: PredictionSettings, source: str) -> Floats | float | None:
-    """Return the stored drop heights of a batch if the model needs them, else the given one; not both."""
-    stored, given = batch.drop_heights() if "drop_height" in model.known else None, settings.drop_height
-    if stored is not None and given is not None:
-        raise InvalidValue(f"{source}: --drop-height must be left out, this dataset stores that of each impact")
-    return given if stored is None else stored

@@ -180,7 +180,7 @@ def with_frames(
     if not rows:
         return explained
     outside, causes = frames[rows], {}
-    if not model.covers(sampling_rate) and not model.known:
+    if not model.covers(sampling_rate):
         rate = min(max(sampling_rate, min(model.sampling_rates)), max(model.sampling_rates))
         causes = dict.fromkeys(
             np.flatnonzero(_inside(outside, rate, model, pre_trigger)).tolist(), Cause(CauseKind.SAMPLING_RATE, rate)

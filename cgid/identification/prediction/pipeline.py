@@ -168,7 +168,7 @@ def identify_recording(
     BadData
         The recording is damaged, or of another quantity than the model's.
     MissingOption
-        The unit of a channel, or the drop height that the model needs, is not given.
+        The unit of a channel is not given.
     """
     recording = recording if isinstance(recording, RecordingFile) else open_recording(recording)
     settings = replace(settings or PredictionSettings(), **fields)

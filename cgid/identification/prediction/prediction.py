@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 Groups = tuple[tuple[str, ...], ...]
 #: Fields of `PredictionSettings` that `predict` accepts: all except those of the gangue fraction.
 _SETTINGS = (
-    "costs", "coverage", "class_conditional", "drop_height", "mass", "invert", "sensors", "lines", "dead_time",
+    "costs", "coverage", "class_conditional", "mass", "invert", "sensors", "lines", "dead_time",
     "vote_time", "same_beam",
 )  # fmt: skip
 
@@ -48,9 +48,8 @@ def load_model(model: str | Path = "default") -> Model:
     Parameters
     ----------
     model : str or Path
-        A file, or "default" (pulses of force), "default-drop-height" (these, with a given drop height) or
-        "default-acceleration" (vibrations of a tail beam), or these in a version, as "default@2", which raises
-        `NoInput` if this cgid has another; a `Path` is always a file.
+        A file, or "default" (pulses of force) or "default-acceleration" (vibrations of a tail beam), or these in a
+        version, as "default@2", which raises `NoInput` if this cgid has another; a `Path` is always a file.
 
     Returns
     -------
@@ -85,9 +84,7 @@ def _shipped(name: str) -> StoredModel:
 
 
 def default_model(quantity: str | None, settings: PredictionSettings) -> str:
-    """Return the name of the shipped model for a quantity; a mass or a drop height implies a force."""
-    if settings.drop_height is not None:
-        return "default-drop-height"
+    """Return the name of the shipped model for a quantity; a mass implies a force."""
     return "default-acceleration" if quantity == "acceleration" and settings.mass is None else "default"
 
 
@@ -125,7 +122,7 @@ def predict(
         A site, or its file, which states what the other arguments do not, the model, and the names of channels.
     **settings
         Fields of `cgid.identification.prediction.PredictionSettings`, such as ``mass=2.5`` [kg] of an
-        accelerated impactor, ``drop_height=1.5`` [m], ``invert=True``, ``lines=False`` (keep tones of machines),
+        accelerated impactor, ``invert=True``, ``lines=False`` (keep tones of machines),
         ``costs={"gangue": 3.0}`` and ``coverage=0.9``, which change labels (the first to that of the lowest expected
         cost, the second to "unknown" unless the prediction set is one label); or, for channels of one beam,
         ``same_beam=[("1", "2")]``.
@@ -154,7 +151,7 @@ def predict(
     InvalidValue
         The sampling rate, the unit, the sensitivity or a setting is invalid.
     MissingOption
-        The sampling rate or the unit is not known, volts have no sensitivity, or the model needs a drop height.
+        The sampling rate or the unit is not known, or volts have no sensitivity.
     NoInput
         There is no such file or model.
 

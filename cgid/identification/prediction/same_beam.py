@@ -21,7 +21,7 @@ from cgid.identification.detection.events import Event
 from cgid.identification.model.families import softmax
 from cgid.identification.model.model import StoredModel
 from cgid.identification.prediction.answers import Answer, answers_from, measured_events
-from cgid.identification.prediction.settings import PredictionSettings, known_columns
+from cgid.identification.prediction.settings import PredictionSettings
 from cgid.measure.features.extraction import FEATURES
 from cgid.measure.features.vibration import BEAM_PULSE
 
@@ -346,15 +346,13 @@ class SameBeam:
         values = np.array([joined(np.stack([part.values for part in parts]), self._model.measured) for parts in used])
         values = values.reshape(len(used), len(self._model.measured))
         features, guards = np.split(values, [len(self._model.features)], axis=1)
-        known = known_columns(self._model.known, 1, self._settings.drop_height).repeat(len(used), axis=0)
         labels = self._model.labels
 
         def mean(*_: object) -> Floats:
             return np.stack([mean_of_log_odds(_table([part.answer for part in parts], labels)) for parts in used])
 
         vote: dict[str, Any] = {} if self._columns else {"vote": mean}
-        inputs = np.hstack([features, known])
-        answers = answers_from(inputs, guards, self._model, self._settings, self._rate, **vote)
+        answers = answers_from(features, guards, self._model, self._settings, self._rate, **vote)
         for parts, answer in zip(used, answers, strict=True):
             inside = [part for part in parts if part.answer.novelty <= 1]
             if answer.novelty > 1 and inside and not self._columns:

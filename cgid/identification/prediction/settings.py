@@ -8,13 +8,11 @@ from itertools import compress
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
 
 from cgid._lib import validation
 from cgid._lib.validation import UNKNOWN, Floats, Rule, shown
-from cgid.errors import InvalidValue, MissingOption
+from cgid.errors import InvalidValue
 from cgid.identification.prediction.vote import VOTE_TIME
-from cgid.signals import KNOWN
 
 if TYPE_CHECKING:
     from cgid.identification.model.model import StoredModel
@@ -95,8 +93,6 @@ class PredictionSettings:
         Fraction of prediction sets that contain the truth; rejects sets without exactly one label; None: no rejection.
     class_conditional : bool
         Whether each label has this coverage, and so any mixture; else the mixture of the training.
-    drop_height : float, optional [m]
-        Drop height of the rocks, for a model that needs it.
     mass : float, optional [kg]
         Mass of the accelerated impactor; turns an acceleration into a force.
     invert : bool
@@ -149,7 +145,6 @@ class PredictionSettings:
     costs: Mapping[str, float] = field(default_factory=dict)
     coverage: float | None = None
     class_conditional: bool = False
-    drop_height: float | None = None
     mass: float | None = None
     invert: bool = False
     sensors: tuple[str, ...] = ()
@@ -216,10 +211,8 @@ class PredictionSettings:
     # -- decision -------------------------------------------------------------------------------------
 
     def check(self, model: StoredModel) -> None:
-        """Raise `InvalidValue` if the model lacks a label or the coverage, or does not use the drop height."""
+        """Raise `InvalidValue` if the model lacks a label or the coverage."""
         self.labels(model, np.empty((0, len(model.labels))))
-        if self.drop_height is not None:
-            known_columns(model.known, 1, self.drop_height)
 
     def labels(self, model: StoredModel, probabilities: Floats) -> tuple[list[str], list[tuple[str, ...] | None]]:
         """Return the label and the prediction set of each row of probabilities."""
@@ -349,23 +342,3 @@ def require_groups(groups: Any) -> tuple[tuple[str, ...], ...]:
                 "write channels of one beam as one group, such as 1+2+3"
             )
     return named
-
-
-def known_columns(known: tuple[str, ...], n_impacts: int, drop_height: ArrayLike | None) -> Floats:
-    """Return the given model inputs, (n_impacts, n_known); the drop height [m] may be one number."""
-    if drop_height is None:
-        if "drop_height" in known:
-            raise MissingOption(
-                "drop_height is required by this model and is not given; give --drop-height METRES, or use a model "
-                "without it"
-            )
-        return np.empty((n_impacts, 0))
-    if "drop_height" not in known:
-        raise InvalidValue(
-            "drop_height must be left out, this model was trained without it; "
-            "or give a model made by cgid train --drop-height"
-        )
-    heights: NDArray[np.float64] = validation.positive("drop_height", drop_height, KNOWN["drop_height"])
-    if heights.shape not in ((), (n_impacts,)):
-        raise InvalidValue(f"drop_height must be one number or one for each impact ({n_impacts}), got {heights.shape}")
-    return np.broadcast_to(heights, (n_impacts,))[:, None]

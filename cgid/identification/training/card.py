@@ -17,7 +17,6 @@ from cgid.identification.detection.detector import VIBRATION_DEAD_TIME
 from cgid.identification.model.model import MIN_GROUPS, Model, StoredModel, stored
 from cgid.identification.training.metrics import drawn_text
 from cgid.measure.features import FEATURES
-from cgid.signals import KNOWN
 
 if TYPE_CHECKING:
     from cgid.identification.training.training import Training
@@ -167,7 +166,6 @@ def _fields(model: StoredModel, name: str, pictures: tuple[str, ...]) -> dict[st
         "rows": f"{model.subject}s",
         "shape": _SHAPES[model.kind],
         "rates": " to ".join(f"{rate / 1e3:g}" for rate in dict.fromkeys(model.sampling_rates)),
-        "known": ", ".join(f"{name} [{KNOWN[name]}]" for name in model.known) or "nothing",
         "features": _features(model),
         "guards": ", ".join(f"{name} (edge {limit:.4g})" for name, limit in guards) or "none",
         "window": model.window_time * 1e3,

@@ -195,10 +195,6 @@ def require_correctable(model: StoredModel) -> None:
     """Raise `InvalidValue` unless impacts can correct the model."""
     if model.kind == "window":
         raise InvalidValue("--from must name a model of impacts, this one is for windows; train it again with more")
-    if model.known:
-        raise InvalidValue(
-            f"--from must name a model without further inputs, this one needs {', '.join(model.known)}; use another"
-        )
 
 
 def require_known(model: StoredModel, rows: Rows, n_labelled: int) -> None:

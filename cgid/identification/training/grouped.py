@@ -393,7 +393,7 @@ def _held_out(training_set: TrainingSet, fold: NDArray[np.bool_]) -> tuple[Float
     """Return the distances of the clear rows of a fold from the other rows, and the levels of all its rows."""
     (candidate,), rows = training_set.candidates, training_set.rows
     with threadpool_limits(1):
-        without, inputs = _fitted(training_set, candidate, ~fold, rejects=True), rows.inputs(candidate.features)
+        without, inputs = _fitted(training_set, candidate, ~fold, rejects=True), rows.columns(candidate.features)
         novelty = without.novelty(inputs[fold & rows.is_clear])
         standardiser, neighbourhood = without.standardiser_, without.neighbourhood_
         weights = level_weights(inputs_of(candidate.features, rows.n_channels), standardiser, neighbourhood)
@@ -404,14 +404,14 @@ def _held_out(training_set: TrainingSet, fold: NDArray[np.bool_]) -> tuple[Float
 def _noise_scores(training_set: TrainingSet, fold: NDArray[np.bool_]) -> Floats:
     """Return the noise novelty of the recorded rows of a fold by the other rows, for the only candidate."""
     with threadpool_limits(1):
-        inputs = training_set.rows[fold & training_set.rows.is_recorded].inputs(training_set.candidates[0].features)
+        inputs = training_set.rows[fold & training_set.rows.is_recorded].columns(training_set.candidates[0].features)
         return _contrast(training_set, training_set.rows[~fold]).scores(inputs)
 
 
 def _contrast(training_set: TrainingSet, rows: Rows) -> Contrast:
     features = training_set.candidates[0].features
     copies = rows[np.isfinite(rows.snr)]
-    return noise_contrast(copies.inputs(features), copies.snr, linear_columns(features * rows.n_channels))
+    return noise_contrast(copies.columns(features), copies.snr, linear_columns(features * rows.n_channels))
 
 
 def _teaches_all(labels: NDArray[np.str_], fold: NDArray[np.bool_]) -> bool:
@@ -432,11 +432,11 @@ def _fitted(
         rejects=rejects,
         random_state=training_set.seed,
     )
-    return classifier.fit(rows.inputs(candidate.features), rows.labels)
+    return classifier.fit(rows.columns(candidate.features), rows.labels)
 
 
 def _scores(candidate: Candidate, training_set: TrainingSet, fold: NDArray[np.bool_]) -> Floats:
     """Return the scores of a fold by a candidate trained on the other rows, (n_rows, n_labels)."""
-    left_out = training_set.rows.only(candidate.features, fold).inputs(candidate.features)
+    left_out = training_set.rows.only(candidate.features, fold).columns(candidate.features)
     scores = _fitted(training_set, candidate, ~fold).decision_function(left_out)
     return np.stack([np.zeros(len(scores)), scores], axis=1) if scores.ndim == 1 else scores

@@ -41,7 +41,7 @@ from cgid.measure.features.vibration import BEAM_PULSE, EARLY_BANDS
 from cgid.measure.frames import frames_of
 from cgid.measure.modal.beam import Beam
 from cgid.measure.spectra import THIRD_OCTAVES
-from cgid.signals import KNOWN, Batch
+from cgid.signals import Batch
 from cgid.units import UNITS, quantity_of
 
 __all__ = ["Rows", "measure"]
@@ -104,10 +104,6 @@ class Rows:
         Names that `source` and `group` count.
     digests : tuple of str
         SHA-256 of scenes, datasets or files.
-    known_names : tuple of str
-        Known quantities, from `cgid.signals.KNOWN`.
-    known : ndarray, (n_rows, n_known)
-        Their values.
     unit : str
         Unit of the signals.
     sampling_rates : tuple of two floats [Hz]
@@ -153,8 +149,6 @@ class Rows:
     sources: tuple[str, ...] = ()
     groups: tuple[str, ...] = ()
     digests: tuple[str, ...] = ()
-    known_names: tuple[str, ...] = ()
-    known: Floats = field(default_factory=lambda: np.empty((0, 0)))
     unit: str = ""
     sampling_rates: tuple[float, float] = (0.0, 0.0)
     n_channels: int = 1
@@ -194,7 +188,6 @@ class Rows:
             features=np.concatenate([part.features for part in parts]),
             labels=np.concatenate([part.labels for part in parts]),
             group=np.concatenate([part.group for part in parts]),
-            known=np.concatenate([part.known for part in parts]),
             source=np.concatenate(source_numbers),
             sources=sources,
             digests=sources,
@@ -205,7 +198,7 @@ class Rows:
 
     def __getitem__(self, selected: NDArray[np.bool_]) -> Rows:
         """Return the rows of a mask."""
-        names = ("features", "labels", "group", "source", "known", "time", "file", "channel", "chosen", "snr")
+        names = ("features", "labels", "group", "source", "time", "file", "channel", "chosen", "snr")
         columns = {name: getattr(self, name) for name in names}
         return replace(self, **{name: column[selected] for name, column in columns.items() if len(column)})
 
@@ -242,10 +235,6 @@ class Rows:
     def columns(self, names: Sequence[str]) -> Floats:
         """Return the columns of some features, channel by channel."""
         return self.features[:, columns_of(self.names, names, self.features.shape[1])]
-
-    def inputs(self, names: Sequence[str]) -> Floats:
-        """Return the inputs of a classifier: the columns of some features, then the known quantities."""
-        return np.hstack([self.columns(names), self.known]) if self.known_names else self.columns(names)
 
 
 # -- choice of features -----------------------------------------------------------------------------------
@@ -341,7 +330,6 @@ def measure(
     features: Iterable[Named] | None = None,
     progress: Callable[[int], object] | None = None,
     *,
-    known: tuple[str, ...] = (),
     beam: Beam | None = None,
     workers: Workers = SERIAL,
 ) -> Rows:
@@ -355,8 +343,6 @@ def measure(
         Names of features; by default those of the default model.
     progress : callable, optional
         Called with the number of signals of each batch.
-    known : tuple of str
-        Quantities of each impact that the model will need, such as "drop_height".
     beam : Beam, optional
         The beam that vibrates, for features that need it.
     workers : Workers
@@ -369,16 +355,14 @@ def measure(
     Raises
     ------
     BadData
-        There is no signal, none has all features, or batches differ in their unit or lack a known quantity.
+        There is no signal, none has all features, or batches differ in their unit.
     InvalidValue
-        A feature or known quantity does not exist.
+        A feature does not exist.
     """
     batches, names = features_for(batches, features, beam)
-    for name in known:
-        validation.choice("known", name, dict(KNOWN))
     parts: list[Rows] = []
     problem = ""
-    with closing(workers.each(_measured, (names, known, beam), batches)) as parts_measured:
+    with closing(workers.each(_measured, (names, beam), batches)) as parts_measured:
         for part, first_problem in parts_measured:
             if parts and part.unit != parts[0].unit:
                 raise BadData(
@@ -402,9 +386,9 @@ def measure(
     return rows
 
 
-def _measured(settings: tuple[tuple[str, ...], tuple[str, ...], Beam | None], batch: Batch) -> tuple[Rows, str]:
+def _measured(settings: tuple[tuple[str, ...], Beam | None], batch: Batch) -> tuple[Rows, str]:
     """Return the complete rows of a batch, and what the first other signal lacks."""
-    names, known, beam = settings
+    names, beam = settings
     if not batch.labelled:
         raise BadData("all signals must have labels for training, got a batch without; give Batch(labels=...)")
     with threadpool_limits(1):
@@ -421,8 +405,6 @@ def _measured(settings: tuple[tuple[str, ...], tuple[str, ...], Beam | None], ba
         group=batch.specimen,
         source=np.zeros(len(batch), np.intp),
         sources=(batch.source,),
-        known_names=known,
-        known=_known_of(batch) if known else np.empty((len(batch), 0)),
         unit=batch.unit,
         sampling_rates=(batch.sampling_rate, batch.sampling_rate),
         beam=beam if any_through_beam(names) else None,
@@ -435,16 +417,6 @@ def _measured(settings: tuple[tuple[str, ...], tuple[str, ...], Beam | None], ba
 def through(beam: Beam) -> ThroughBeam:
     """Return the tables of a beam, made once in each process."""
     return ThroughBeam(beam)
-
-
-def _known_of(batch: Batch) -> Floats:
-    heights = batch.drop_heights()
-    if heights is None:
-        raise BadData(
-            "the data must contain drop_height or velocity among its parameters, it has "
-            f"{', '.join(batch.parameters) or 'none'}; train without --drop-height"
-        )
-    return heights[:, None]
 
 
 # -- synthetic rows among recorded ones -------------------------------------------------------------------

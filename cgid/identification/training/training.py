@@ -167,7 +167,6 @@ def train_on_specimens(  # noqa: PLR0913
     *,
     features: Iterable[Named] | None = None,
     guards: Iterable[str] | None = None,
-    known: Iterable[str] = (),
     family: str | ClassifierMixin = "logistic",
     test_share: float = TEST_SHARE,
     calibration_share: float = CALIBRATION_SHARE,
@@ -195,8 +194,6 @@ def train_on_specimens(  # noqa: PLR0913
     guards : iterable of str, optional
         Features that only measure novelty (larger is more novel) and are left out of `features`. Default:
         `DEFAULT_GUARDS` for batches of pulses, else none.
-    known : iterable of str
-        Known quantities from `cgid.signals.KNOWN`.
     family : {"boosting", "logistic", "network", "linear"} or classifier
         A classifier of scikit-learn's kind may stand here, as in `cgid.ImpactClassifier`. Forests, linear scores and
         histogram boosting can be saved as a model file, any other is for this Python.
@@ -230,7 +227,7 @@ def train_on_specimens(  # noqa: PLR0913
     Raises
     ------
     BadData
-        Fewer than two labels, too few specimens, nothing to train on, or a missing known quantity.
+        Fewer than two labels, too few specimens, or nothing to train on.
     InvalidValue
         An unknown choice, a label with a single specimen, a guard that is not positive, or rows of recordings.
     """
@@ -245,7 +242,7 @@ def train_on_specimens(  # noqa: PLR0913
         data = Dataset(data) if isinstance(data, str | Path) else data
         batches = data.batches() if isinstance(data, Dataset) else [data] if isinstance(data, Batch) else data
         _refuse_others("data", batches, Iterable)
-        rows, names, limiting = _measured(batches, features, guards, tuple(known), beam, progress, workers)
+        rows, names, limiting = _measured(batches, features, guards, beam, progress, workers)
     rows = _in_one_spelling(rows)
     rows = _shuffled(rows, seed) if shuffle_labels else rows
     _require_labels(rows, class_weights)
@@ -379,7 +376,6 @@ def _measured(
     batches: Iterable[Batch],
     features: Iterable[Named] | None,
     guards: Iterable[str] | None,
-    known: tuple[str, ...],
     beam: Beam | None,
     progress: Callable[[int], object] | None,
     workers: Workers,
@@ -390,7 +386,7 @@ def _measured(
     guards = choose(guards) if guards else ()
     names = tuple(name for name in names if name not in guards)
     with threadpool_limits(1):
-        rows = measure(batches, names + guards, progress, known=known, beam=beam, workers=workers)
+        rows = measure(batches, names + guards, progress, beam=beam, workers=workers)
     return rows, names, guards
 
 
@@ -435,7 +431,6 @@ def _trained(
     slicing = rows.slicing if rows.kind == "window" else None
     model = StoredModel.from_classifier(
         classifier,
-        known=rows.known_names,
         unit=rows.unit,
         sampling_rates=rows.sampling_rates,
         window_time=0.0 if slicing is None else slicing.window_time,
@@ -545,7 +540,7 @@ def _tried_on_left_out(
         return classifier.fit(inputs[training], labels[training], specimen[training], workers=workers)
 
     with threadpool_limits(1):
-        tried = {names: np.ascontiguousarray(rows.inputs(names)) for names in open_sets}
+        tried = {names: np.ascontiguousarray(rows.columns(names)) for names in open_sets}
         classifiers = {names: fitted(names, inputs) for names, inputs in tried.items()}
         names = min(classifiers, key=lambda one: np.nan_to_num(classifiers[one].held_out_loss_, nan=np.inf))
         classifier, inputs = classifiers[names], tried[names]
