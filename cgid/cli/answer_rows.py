@@ -40,10 +40,15 @@ class AnswerLines:
         live: bool = False,
         clock: bool = False,
         only_summary: bool = False,
+        fractions: bool = False,
         listener: Callable[[dict[str, Any]], None] | None = None,
     ) -> None:
         self.as_json, self.only_summary = as_json, only_summary
         self._live, self._clock, self._listener = live, clock, listener
+        #: Whether each fraction and decision has a line of text; else the summary tells the last ones.
+        self.has_fractions = live or fractions
+        self._last: dict[str, str] = {}  # fraction of each support
+        self._turns: dict[str, list[str]] = {}
         self._table, self._datasets = table or TableOutput(), datasets
         self._has_rows = not only_summary or self._table.is_file
 
@@ -89,8 +94,9 @@ class AnswerLines:
         )
         content = {"from_s": share.start, "to_s": share.time, **_record(state)}
         answers = counted(share.n_impacts, "answer") + unknown
-        span = f"from {share.start:.6g} to {share.time:.6g} s"
-        self._note("share", source, f"{name}: gangue fraction {fraction} {span}, {answers}", content)
+        text = f"gangue fraction {fraction} from {share.start:.6g} to {share.time:.6g} s, {answers}"
+        self._last[name] = text
+        self._note("share", source, f"{name}: {text}", content, is_told=self.has_fractions)
 
     def state(self, source: str, name: str, state: SupportState, message: str | None) -> None:
         """Print that the ground or the decision of a support has changed; without a message only in JSON."""
@@ -110,12 +116,19 @@ class AnswerLines:
             f"{limit:.2f}, the limit where a drawn gangue costs {costs['dilution_cost']:g} coal)  {name}"
         )
         content = {"cost": turn.cost, "evidence": turn.evidence, **costs}
-        self._note(word.lower(), source, message, _record(state) | content)
+        self._turns.setdefault(name, []).append(f"{word} at {turn.time:.6g} s")
+        self._note(word.lower(), source, message, _record(state) | content, is_told=self.has_fractions)
 
     def summary(self, source: str, tally: RecordingTally, duration: float, start_time: Any = None) -> None:
         """Print the summary of a recording."""
         content = {"duration_s": duration, **tally.content(start_time)}
-        self._note("summary", source, f"{source}: {tally.text()} in {duration:.6g} s", content)
+        message = f"{source}: {tally.text()} in {duration:.6g} s"
+        if not self.has_fractions:
+            told = {name: "; ".join([text, *self._turns.pop(name, [])]) for name, text in self._last.items()}
+            message += "".join(f"; {text}" if name == source else f"\n{name}: {text}" for name, text in told.items())
+        self._last.clear()
+        for one in message.splitlines():
+            self._note("summary", source, one, content)
 
     def warning(self, source: str, message: str, **more: Any) -> None:
         """Print a warning about a readable recording, on stderr and in JSON; `more`: what programs get besides."""
@@ -134,10 +147,10 @@ class AnswerLines:
         warn(f"{source}: {behind:.1f} s behind: {message}")
         self._line("delay", source, {"behind_s": behind, "message": message})
 
-    def _note(self, kind: str, source: str, message: str, content: dict[str, Any]) -> None:
+    def _note(self, kind: str, source: str, message: str, content: dict[str, Any], is_told: bool = True) -> None:
         """Print the content in JSON, else the message: on stderr, unless it is all that is printed."""
         self._line(kind, source, content)
-        if not self.as_json:
+        if is_told and not self.as_json:
             say(message, err=not self.only_summary)
 
     def _line(self, kind: str, source: str, content: dict[str, Any]) -> None:
@@ -437,7 +450,7 @@ class RecordingRows:
         """Return whether a fraction waits for the end of the recording."""
         if self._live or not (share.n_impacts or share.n_unknown):
             return False
-        return self.lines.only_summary or (share.n_impacts < _ENOUGH and not self.lines.as_json)
+        return not self.lines.as_json and (share.n_impacts < _ENOUGH or not self.lines.has_fractions)
 
     def _print_endless(self, time: float, begun: Mapping[str, float]) -> None:
         """Print which supports had no pause since their caving cycles have begun [s], once for each."""
@@ -445,8 +458,8 @@ class RecordingRows:
             self._endless.add(name)
             self._warn(
                 f"{self.name(name)}: no pause of {self.settings.cycle_pause:.6g} s came from {begun[name]:.6g} to "
-                f"{time:.6g} s, so this is one caving cycle with one coal; give a shorter --cycle-pause, or let "
-                "cgid monitor begin cycles with --cycle-by",
+                f"{time:.6g} s, so this is one caving cycle with one coal; give a shorter cycle_pause, or let "
+                "cgid monitor begin cycles with --set cycle_by=stdin",
                 channel=name,
             )
 
@@ -483,7 +496,7 @@ class RecordingRows:
             say(
                 f"{self.source}: the interval of the gangue fraction is for any seam; it is a third narrower if you "
                 "can say how long coal alone fell at the beginning (--coal-until 30s), or that the seam is that of the "
-                "training (--trained-seam)",
+                "training (--set trained_seam=true)",
                 err=True,
             )
 

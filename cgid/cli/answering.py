@@ -61,7 +61,9 @@ def prediction_by(path: Path, model: StoredModel, manifest: Manifest | None, rea
     fields = {"channel": "channels", "gain": "recording_gain"}
     words, rows = site_words(), [] if manifest is None else manifest.annotations
     for name, flag in flags.items():
-        stated = {getattr(one, fields.get(name, name), None) or getattr(one, name, None) or own.get(name) for one in rows}
+        stated = {
+            getattr(one, fields.get(name, name), None) or getattr(one, name, None) or own.get(name) for one in rows
+        }
         value = stated.pop() if len(stated) == 1 else None
         for part in value if isinstance(value, tuple) else (value,) if value else ():
             text = f"{part:.12g}" if isinstance(part, float) else f"{part}".replace("True", "true")

@@ -18,7 +18,6 @@ from cgid.cli.options import (
     SCENE,
     OutputName,
     json_option,
-    laws_option,
     overwrite_option,
     point_of,
     share_of,
@@ -99,9 +98,8 @@ def _modes_beside(path: Path) -> list[Path]:
     "--plot", "picture", type=OUTPUT, help="Plot the modes before and after, with standard deviations, as PNG."
 )
 @overwrite_option
-@laws_option
 @json_option
-@reading_options
+@reading_options("index")
 def calibrate(
     recordings: tuple[str, ...],
     scene_name: str,
@@ -249,7 +247,7 @@ def _found(recording: Any, scene: Scene, reading: ReadingOptions, n_sensors: int
             + ("--full-scale '500 g'" if quantity == "level" else "--unit")
         )
     check_scene(scene, recording.sampling_rate)
-    factor = UNITS[quantity][unit] * (-1 if reading.invert else 1)
+    factor = UNITS[quantity][unit]
     return found_impacts(recording, "vibration", factor, dead_time=reading.dead_time, told=warn)
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from cgid import shipped
 from cgid.cli.help import Command
-from cgid.cli.options import SCENE, json_option, laws_option, seed_option
+from cgid.cli.options import SCENE, json_option, seed_option
 from cgid.cli.output import print_json, say, warn, warn_of_one_place
 
 #: Blocks of 256 impacts in the preview.
@@ -20,7 +20,6 @@ _BLOCKS = 16
 @click.argument("scene", type=SCENE, required=False)
 @click.option("--list", "as_list", is_flag=True, help="Print the names of the shipped scenes.")
 @seed_option
-@laws_option
 @json_option
 def check(scene: str | None, as_list: bool, seed: int, as_json: bool) -> None:
     """Validate SCENE (a .toml file or the name of a shipped one), and preview 4096 of its impacts."""

@@ -13,17 +13,14 @@ import numpy as np
 
 from cgid._lib.terminal import counted
 from cgid.cli.help import Command
-from cgid.cli.options import OUTPUT, PATH, overwrite_option, require_no_input_written, strict_option
+from cgid.cli.options import OUTPUT, PATH, overwrite_option, require_no_input_written
 from cgid.cli.output import FileErrors, say, say_error, warn
-from cgid.cli.reading import ReadingOptions, reading_options, same_beam_option
+from cgid.cli.reading import ReadingOptions, reading_options
 from cgid.errors import CgidError, InvalidValue, MissingOption
 from cgid.units import quantity_of
 
 if TYPE_CHECKING:
     from cgid.recordings import RecordingFile
-
-#: Channels of each beam, by name or number.
-Groups = tuple[tuple[str, ...], ...]
 
 
 @click.command(
@@ -42,16 +39,12 @@ Groups = tuple[tuple[str, ...], ...]
     help="Fill in the labels of this label track of Audacity; if it does not exist, write one to label there.",
 )
 @overwrite_option
-@strict_option
-@same_beam_option
-@reading_options
+@reading_options("same_beam")
 def events(
     files: tuple[str, ...],
     output: str,
     audacity: str | None,
     overwrite: bool,
-    strict: bool,
-    same_beam: tuple[str, ...],
     reading: ReadingOptions,
 ) -> int:
     """Find the impacts in FILEs, or in the recordings of a folder, and write one row for each.
@@ -62,11 +55,10 @@ def events(
     each beam and each other channel has rows of its own.
     """
     from cgid._lib.files import check_new, write_whole
-    from cgid.identification.prediction.settings import require_groups
     from cgid.identification.training.audacity import read_track
     from cgid.identification.training.manifest import manifest_text, recordings_of, require_labels_kept
 
-    beams = require_groups(same_beam)
+    beams = reading.has_beams
     path = None if output == "-" else check_new(Path(output), "a table of impacts", (".csv",), overwrite=overwrite)
     folder = Path() if path is None else path.parent
     rows: list[dict[str, str]] = []
@@ -83,7 +75,7 @@ def events(
         )
     marks = None if audacity is None or not Path(audacity).exists() else read_track(Path(audacity))
     rates = require_trainable(every, reading, beams)
-    errors, n_read = FileErrors(strict=strict), 0
+    errors, n_read = FileErrors(), 0
     for file in errors.each(every):
         with errors:
             rows += _rows(file, folder, reading, beams, rates)
@@ -120,7 +112,7 @@ def _exchange(rows: list[dict[str, str]], track: Path, marks: list[tuple[float, 
         warn(f"{track}: {counted(lost, 'mark')} with a label at no impact")
 
 
-def require_trainable(files: Sequence[str], reading: ReadingOptions, beams: Groups) -> set[float]:
+def require_trainable(files: Sequence[str], reading: ReadingOptions, beams: bool) -> set[float]:
     """Return the sampling rates [Hz] of the recordings; raise an error if no model could be trained on them."""
     from cgid.identification.training.recordings import measurable, require_alike, unit_of
     from cgid.measure.features.extraction import kind_for
@@ -157,21 +149,22 @@ def cells_of(file: str, folder: Path, reading: ReadingOptions) -> dict[str, str]
     """Return the cells that every row of a recording has in a table in a folder."""
     from cgid.identification.training.manifest import path_from
 
+    given = reading.site.given
     chain = {name: ";".join(values) for name, values in reading.chain_of(file).items() if values}
     return {
         **chain,
         "path": path_from(folder, file),
         "channel": "+".join(reading.channel),
-        "invert": "yes" if reading.invert else "",
+        "invert": "yes" if given.get("invert") else "",
+        "site": path_from(folder, reading.site.path) if reading.site.path else "",
         "rate": "" if reading.sampling_rate is None else f"{reading.sampling_rate:.12g}",
         "unit": reading.unit or "",
-        "variable": reading.variable or "",
-        "format": reading.format or "",
+        **{name: str(given.get(name, "")) for name in ("gain", "variable", "format")},
     }
 
 
 def _rows(
-    file: str, folder: Path, reading: ReadingOptions, beams: Groups, rates: Collection[float]
+    file: str, folder: Path, reading: ReadingOptions, beams: bool, rates: Collection[float]
 ) -> Iterator[dict[str, str]]:
     """Yield a row for each impact of a recording; the columns are those of a manifest and informative ones."""
     from cgid.identification.detection import Event
@@ -184,12 +177,9 @@ def _rows(
         raise InvalidValue("stdin: a table of impacts must name files, a stream has no name; save it first")
     recording = reading.recording(file)
     unit = unit_of(recording)
-    named = recording.named(beams, "--same-beam")
+    named = reading.beams(recording)
     kind = kind_for(quantity_of(unit))
-    sign = -1.0 if reading.invert else 1.0
-    events = measured_impacts(
-        recording, kind, sorted(rates), sign, dead_time=reading.dead_time, joint=not beams, told=warn
-    )
+    events = measured_impacts(recording, kind, sorted(rates), dead_time=reading.dead_time, joint=not beams, told=warn)
     names = [channel.name for channel in recording.channels]
     given = cells_of(file, folder, reading)
     if not beams:

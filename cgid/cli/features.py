@@ -9,7 +9,7 @@ import click
 
 from cgid._lib.terminal import counted
 from cgid.cli.help import Command
-from cgid.cli.options import PATH, printing_options
+from cgid.cli.options import PATH, json_option
 from cgid.cli.output import FileErrors, print_json, say, warn
 from cgid.cli.reading import ReadingOptions, reading_options
 from cgid.cli.table import TableOutput, output_options
@@ -35,8 +35,8 @@ _MAX_REPORTED = 3
 @click.option("--features", "names", help="Measure only these features or banks, separated by commas.")
 @click.option("--keep-baseline", is_flag=True, help="Keep the baseline instead of subtracting it.")
 @output_options
-@reading_options
-@printing_options
+@reading_options("index")
+@json_option
 def features(
     files: tuple[str, ...],
     as_list: bool,
@@ -45,7 +45,6 @@ def features(
     output: str | None,
     overwrite: bool,
     as_json: bool,
-    strict: bool,
     reading: ReadingOptions,
 ) -> int:
     """Print the features of every impact in FILEs as one CSV table, in the unit of the file; - is stdin.
@@ -62,7 +61,7 @@ def features(
     table = TableOutput(output, overwrite=overwrite, as_json=as_json)
     rows = _FeatureRows(table, as_json, not keep_baseline, selected, datasets=any(map(is_dataset, files)))
 
-    errors = FileErrors(strict=strict, one_output=True)
+    errors = FileErrors(one_output=True)
     with table:
         if as_list:
             rows.of_features()
@@ -70,7 +69,7 @@ def features(
         for path in errors.each(files):
             with errors:
                 if reading.wants_complete_dataset(path):
-                    rows.dataset(path, reading.invert)
+                    rows.dataset(path, bool(reading.site.get("invert")))
                 else:
                     rows.signals(path, reading)
     return errors.code

@@ -15,7 +15,6 @@ from cgid.cli.options import (
     SCENE,
     given_flags,
     json_option,
-    laws_option,
     overwrite_option,
     require_one_executor,
     seed_option,
@@ -55,7 +54,6 @@ _OF_DATASETS = (*_OF_RECORDINGS, "shard_signals", "compression", "jobs", "schedu
 )
 @seed_option
 @worker_options
-@laws_option
 @click.option(
     "--dtype",
     type=click.Choice(["float32", "float64"]),

@@ -11,6 +11,8 @@ import click
 
 from cgid.cli import output
 from cgid.cli.options import OutputName, require_no_input_written
+from cgid.cli.site import COMMON, section_of, the_site
+from cgid.recordings.site import KEYS
 
 _OTHERS, _PLANT = "Other", "Plant outputs"
 #: Heading -> the options below it; "command --option" if a command uses the name differently.
@@ -117,14 +119,34 @@ class Command(click.Command):
         try:
             return super().parse_args(ctx, args)
         except click.NoSuchOption as error:
+            if section := section_of(key := error.option_name.removeprefix("--no-").strip("-").replace("-", "_")):
+                raise click.UsageError(
+                    f"{error.option_name} is no option; give --set {key}=VALUE, or {key} in [{section}] of a site file"
+                ) from None
             if error.option_name not in WITHDRAWN:
                 raise
             withdrawn = f"{error.option_name} is withdrawn; {WITHDRAWN[error.option_name]}"
             raise click.UsageError(withdrawn) from None
 
+    def get_params(self, ctx: click.Context) -> list[click.Parameter]:
+        """Return the options of this command, and those of all."""
+        *own, helping = super().get_params(ctx)
+        return [*own, *COMMON, helping]
+
     def invoke(self, ctx: click.Context) -> Any:
         """Run the command, unless it would write over its inputs."""
-        require_no_input_written()
+        if isinstance(self, Group):
+            return super().invoke(ctx)
+        site = the_site()
+        for section, keys in KEYS.items():
+            for key, about in keys.items():
+                where = f"{site.path}: [{section}] {key}" if key in site.values[section] else f"--set {key}"
+                output.flags.setdefault(about.field or key, where if key not in site.given else f"--set {key}")
+        for module in site.get("laws", ()):
+            from cgid.physics.contact.own_laws import add_laws
+
+            add_laws(module)
+        require_no_input_written([site.path] if site.path else [])
         for one in self.params:
             is_file = isinstance(one.type, OutputName) and one.name == "output"
             if (is_file or heading_of(self.name, one) == _PLANT) and ctx.params[str(one.name)] not in (None, "-"):

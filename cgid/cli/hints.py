@@ -215,8 +215,12 @@ class Hints(Diagnosis):
         if channels.keys() - turned and self.model.together == 1:
             names = [name for name in channels if name in turned]
             options = _without(options, ("--channel",)) + [word for name in names for word in ("--channel", name)]
-        invert = [] if "--invert" in options else ["--invert"]
-        return (shlex.join(["cgid", "predict", self._source, *_without(options, ("--invert",)), *invert]),)
+        words, again = ["--set", "invert=true"], []
+        pairs = list(pairwise([*options, ""]))
+        if tuple(words) in pairs:
+            at = pairs.index(tuple(words))
+            options, words = [*options[:at], *options[at + 2 :]], again
+        return (shlex.join(["cgid", "predict", self._source, *options, *words]),)
 
     def _as_acceleration(self) -> tuple[str, ...]:
         if "--unit" not in self._options or self._is_converted("--unit"):
@@ -277,18 +281,17 @@ class Hints(Diagnosis):
         options, table = list(self._for_rows()), _unused("events", ".csv")
         if self.model.quantity == "level" and "--unit" not in options:
             options += ["--unit", "FS"]
-        dead_time = [word for pair in pairwise(options) if pair[0] == "--dead-time" for word in pair]
+        kept = ("--site", "--set")
+        stated = [word for pair in pairwise(options) if pair[0] in kept for word in pair]
         return (
             shlex.join(["cgid", "events", self._source, *options, *self._beams, "-o", table]),
             InWords(f"fill in the label column of {table}"),
-            shlex.join(["cgid", "train", table, *dead_time, "-o", model]),
+            shlex.join(["cgid", "train", table, *stated, "-o", model]),
             self._predict_with(model),
         )
 
     def _training_on_windows(self) -> tuple[str, ...]:
         """Return the steps to train a model on parts of this recording; none if train cannot read it."""
-        if {"--variable", "--invert"} & set(self._options):
-            return ()
         table, model = _unused("parts", ".csv"), _unused("mine", ".npz")
         return (
             shlex.join(["cgid", "train", self._source, *self._options, "--template", table]),

@@ -13,15 +13,14 @@ import numpy as np
 from cgid import shipped
 from cgid._lib.terminal import counted
 from cgid.cli.help import Command
-from cgid.cli.options import PATH, json_option, laws_option
+from cgid.cli.options import PATH, json_option
 from cgid.cli.output import FileErrors, print_json, say, warn
-from cgid.cli.reading import CHAIN, ReadingOptions, reading_options_for, same_beam_option, warn_of_volts
+from cgid.cli.reading import ReadingOptions, reading_options, warn_of_volts
 from cgid.cli.table import written_table
 from cgid.errors import BadData, CgidError
 from cgid.signals import channel_name
 
 if TYPE_CHECKING:
-    from cgid.cli.events import Groups
     from cgid.identification.detection import Event
     from cgid.store import Dataset
 
@@ -37,19 +36,15 @@ _LOCAL_HEAD, _HEADER = 30, b"header.npy"
     cls=Command, short_help="Describe a dataset, a model or a recording.", example="cgid info datasets/sample.csv"
 )
 @click.argument("file", type=PATH)
-@reading_options_for("sampling_rate", "unit", "channel", "variable", "format", *CHAIN)
-@same_beam_option
-@laws_option
+@reading_options("same_beam")
 @json_option
-def info(file: str, as_json: bool, same_beam: tuple[str, ...], reading: ReadingOptions) -> int:
+def info(file: str, as_json: bool, reading: ReadingOptions) -> int:
     """Describe FILE: a dataset, table, model, manifest, scene or recording, or each recording of a folder.
 
     Shipped models and scenes have names, such as default or caving.
     """
-    from cgid.identification.prediction.settings import require_groups
     from cgid.identification.training.manifest import recordings_of
 
-    beams = require_groups(same_beam)
     if not Path(file).exists():
         for names, path_of in ((shipped.MODELS, shipped.model_path), (shipped.SCENES, shipped.scene_path)):
             file = str(path_of(file)) if file.partition("@")[0] in names else file
@@ -58,11 +53,11 @@ def info(file: str, as_json: bool, same_beam: tuple[str, ...], reading: ReadingO
     errors = FileErrors(strict=len(files) == 1)
     for one in errors.each(files):
         with errors:
-            _describe(one, as_json, beams, reading)
+            _describe(one, as_json, reading)
     return errors.code
 
 
-def _describe(file: str, as_json: bool, beams: Groups, reading: ReadingOptions) -> None:
+def _describe(file: str, as_json: bool, reading: ReadingOptions) -> None:
     from cgid.recordings import is_dataset
     from cgid.store.table import is_table
 
@@ -75,7 +70,7 @@ def _describe(file: str, as_json: bool, beams: Groups, reading: ReadingOptions) 
     elif (rows := written_table(file)) is not None:
         content = {"kind": rows.kind, "file": file, "rows": rows.n_rows, "columns": rows.columns}
     else:
-        content = _manifest(file) or _recording(file, as_json, beams, reading)
+        content = _manifest(file) or _recording(file, as_json, reading)
     if as_json:
         print_json(content)
     else:
@@ -193,7 +188,7 @@ def _manifest(file: str) -> dict[str, Any]:
 
         scene = load_scene(file)
         about = {"kind": "scene", "file": file, "name": scene.name, "description": scene.description}
-        laws = [word for source in sources() for word in ("--laws", source)]
+        laws = [word for source in sources() for word in ("--set", f"laws={source}")]
         return {**about, "scene_sha256": scene.sha256, "next": shlex.join(["cgid", "check", file, *laws])}
     if is_toml:
         listed = [one for one in read_manifest(file).annotations if not one.reference]
@@ -228,10 +223,10 @@ def is_model(file: str) -> bool:
     return not start.startswith(b"PK") or start[_LOCAL_HEAD:] == _HEADER
 
 
-def _recording(file: str, as_json: bool, beams: Groups, reading: ReadingOptions) -> dict[str, Any]:
+def _recording(file: str, as_json: bool, reading: ReadingOptions) -> dict[str, Any]:
     recording = reading.recording(file)
     volts = warn_of_volts(recording)
-    channels, clipped = _channels(recording, as_json, recording.named(beams, "--same-beam"))
+    channels, clipped = _channels(recording, as_json, reading.beams(recording))
     for warning in (*recording.warnings, *clipped):
         warn(warning)
     started = {} if recording.start_time is None else {"start_time": recording.start_time.isoformat()}

@@ -10,7 +10,7 @@ import numpy as np
 
 from cgid._lib.terminal import counted
 from cgid.cli.help import Command
-from cgid.cli.options import OUTPUT, PATH, SCENE, json_option, laws_option, overwrite_option
+from cgid.cli.options import OUTPUT, PATH, SCENE, json_option, overwrite_option
 from cgid.cli.output import print_json, say, warn, warn_of_one_place
 from cgid.cli.reading import ReadingOptions, reading_options
 from cgid.cli.tap import read_with_hammer
@@ -41,7 +41,6 @@ _WRONG = 0.5
     help="Use this table of cgid tap --hammer, for impacts at the place of its taps; repeat it for each channel.",
 )
 @click.option("--scene", "scene_name", type=SCENE, help="Look for the place of each impact on the beam of this scene.")
-@laws_option
 @click.option("-o", "--output", type=OUTPUT, help="Write force and standard deviation over time to this table (.csv).")
 @click.option("--hammer", metavar="CHANNEL", help="Compare with the force measured in this channel.")
 @click.option(
@@ -52,7 +51,7 @@ _WRONG = 0.5
 )
 @overwrite_option
 @json_option
-@reading_options
+@reading_options("index")
 def invert(
     recording: str,
     tables: tuple[str, ...],
@@ -98,7 +97,9 @@ def invert(
         if row["clipped"]:
             warn(f"impact at {row['time']:.4g} s: the response is clipped, its force is wrong; use a larger range")
         if row["peak"] <= 0:
-            warn(f"impact at {row['time']:.4g} s: the force pulls; is the signal inverted (--invert), or elsewhere?")
+            warn(
+                f"impact at {row['time']:.4g} s: the force pulls; is the signal inverted (--set invert=true), or elsewhere?"
+            )
     if left_out:
         warn(f"{recording}: {len(left_out)} of {len(rows) + len(left_out)} impacts left out, for these reasons")
     left = sorted(row["unexplained"] for row in rows)[len(rows) // 2]

@@ -12,11 +12,11 @@ import click
 
 from cgid._lib import validation
 from cgid._lib.terminal import counted
-from cgid.cli.events import Groups, cells_of, require_trainable
+from cgid.cli.events import cells_of, require_trainable
 from cgid.cli.help import Command
 from cgid.cli.options import MODEL, OUTPUT, PATH, require_no_input_written
 from cgid.cli.output import say, warn
-from cgid.cli.reading import ReadingOptions, given_options, reading_options, same_beam_option
+from cgid.cli.reading import ReadingOptions, beam_words, given_options, reading_options
 from cgid.errors import CannotCreate, CgidError, InvalidValue
 from cgid.units import quantity_of
 
@@ -47,8 +47,7 @@ _PORT = 8062
 @click.option("--labels", default="coal,gangue", show_default=True, help="Offer these labels, separated by commas.")
 @click.option("--save", "saved_as", type=OUTPUT, metavar="FILE.npz", help="Name of the model that the page saves.")
 @click.option("--port", type=click.IntRange(1, 65535), help="Serve the page on this port of this machine.")
-@reading_options
-@same_beam_option
+@reading_options("same_beam")
 def label(
     files: tuple[str, ...],
     written: str,
@@ -56,7 +55,6 @@ def label(
     labels: str,
     saved_as: str | None,
     port: int | None,
-    same_beam: tuple[str, ...],
     reading: ReadingOptions,
 ) -> int:
     """Label the impacts of RECORDINGs, or of those in a folder, on a page in the browser of this machine.
@@ -67,7 +65,6 @@ def label(
     of an impact. Each label is saved to disk at once; the table is one for cgid train. Ctrl-C ends the page.
     """
     from cgid._lib.files import check_new
-    from cgid.identification.prediction.settings import require_groups
     from cgid.identification.training.manifest import recordings_of
     from cgid.labelling.page import Workbench, serve
     from cgid.labelling.table import LabelTable
@@ -83,11 +80,10 @@ def label(
         raise InvalidValue("stdin: a table of labels must name files, a stream has no name; save it first")
     require_no_input_written(every)
     reading.require_files(every)
-    beams = require_groups(same_beam)
-    rates = require_trainable(every, reading, beams)
-    flags = [*given_options()[0], *(part for one in same_beam for part in ("--same-beam", one))]
+    rates = require_trainable(every, reading, reading.has_beams)
+    flags = [*given_options()[0], *beam_words(reading.same_beam)]
     base = _base(model, every[0], reading)
-    parts = [(file, *part) for file in every for part in _beams_of(file, reading, beams)]
+    parts = [(file, *part) for file in every for part in _beams_of(file, reading)]
     recordings = [_opened(file, path.parent, of, beam, base, rates) for file, of, beam in parts]
     table = LabelTable(path)
     try:
@@ -141,15 +137,15 @@ def _base(model: str | None, file: str, reading: ReadingOptions) -> StoredModel 
     return loaded
 
 
-def _beams_of(file: str, reading: ReadingOptions, beams: Groups) -> list[tuple[ReadingOptions, str]]:
+def _beams_of(file: str, reading: ReadingOptions) -> list[tuple[ReadingOptions, str]]:
     """Return how to read each beam and each other channel of a file, and the channels of a beam; else all together."""
     from cgid.identification.prediction.same_beam import grouped
 
-    if not beams:
+    if not reading.has_beams:
         return [(reading, "")]
     recording = reading.recording(file)
     names = [channel.name for channel in recording.channels]
-    groups = [tuple(names[row] for row in rows) for rows in grouped(names, recording.named(beams, "--same-beam"))]
+    groups = [tuple(names[row] for row in rows) for rows in grouped(names, reading.beams(recording))]
     return [(replace(reading, channel=group), "+".join(group) if len(group) > 1 else "") for group in groups]
 
 

@@ -8,6 +8,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from threading import Condition, Thread
@@ -18,13 +19,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid.cli.answer_rows import AnswerLines, RecordingRows
-from cgid.cli.answering import Models, answering_options, settings_of, settings_with_coal, warn_of_model
+from cgid.cli.answering import Models, model_option, settings_of, settings_with_coal, warn_of_model
 from cgid.cli.help import Command
 from cgid.cli.options import PATH, json_option
 from cgid.cli.output import say, warn
 from cgid.cli.reading import CHAIN, ReadingOptions, beam_words, given_options, reading_options_for
 from cgid.cli.table import TableOutput
-from cgid.cli.watching import plant_options
+from cgid.cli.watching import coal_option, plant_options
 from cgid.errors import InvalidValue, NoInput
 
 if TYPE_CHECKING:
@@ -164,22 +165,14 @@ _BEHIND = 1.0
     "cgid monitor sample.f32 --rate 200000 --channels 1 --sample-format f32le --unit N",
 )
 @click.argument("stream", type=PATH, default="-")
-@click.option("--rate", "sampling_rate", type=float, help="Set the rate [Hz] of raw numbers, or the true one of a WAV.")
-@click.option("--channels", "n_channels", type=int, help="Set the number of channels of raw numbers.")
-@click.option(
-    "--sample-format", help="Set the format of raw numbers: u8, s16le, s24le, s32le, f32le, ...; be for big-endian."
-)
-@click.option("--unit", help="Set the unit of the numbers: floats as they are, integers after scaling to -1 to 1.")
-@reading_options_for("invert", "milliseconds", *CHAIN)
-@answering_options
+@click.option("--rate", "sampling_rate", type=float, help="Rate [Hz] of raw numbers, or the true one of a WAV.")
+@click.option("--channels", "n_channels", type=int, help="Number of channels of raw numbers.")
+@click.option("--sample-format", help="Format of raw numbers: u8, s16le, s24le, s32le, f32le, ...; be: big-endian.")
+@click.option("--unit", help="Unit of the numbers; integers are scaled to -1 to 1.")
+@reading_options_for("same_beam", *CHAIN)
+@model_option
+@coal_option
 @json_option
-@click.option("--clock", is_flag=True, help="Give each JSON object the time when it was printed, as wall_time (UTC).")
-@click.option(
-    "--cycle-by",
-    type=click.Choice(["stdin", "mqtt"]),
-    help="Start a new caving cycle at each line on stdin, or message of TOPIC/cycle of --mqtt: the name of a "
-    "support, or nothing for all; with --coal-until.",
-)
 @plant_options
 def monitor(
     stream: str,
@@ -188,12 +181,10 @@ def monitor(
     sample_format: str | None,
     unit: str | None,
     reading: ReadingOptions,
+    model_path: str | None,
+    coal_until: float | None,
     as_json: bool,
-    clock: bool,
-    cycle_by: str | None,
-    labelled: str | None,
     outputs: dict[str, str],
-    **options: Any,
 ) -> None:
     """Identify the impacts in STREAM as they arrive: raw numbers or WAV; - is stdin.
 
@@ -201,21 +192,19 @@ def monitor(
 
     Stdout is one CSV table, one row per impact. Everything else goes to stderr: each channel is a support with its own
     gangue fraction, printed ten times per window and once in a pause. SHUT is printed when going on is expected to lose
-    more (--cost-late) than shutting (--cost-early), with drawn gangue (--dilution-cost) against lost coal (1); OPEN
-    when staying shut is, after at least a window (--hold). Nothing is dropped: if predictions are slower than the
+    more than shutting, OPEN when staying shut is, after at least a window; costs are keys of a site file. Nothing is dropped: if predictions are slower than the
     stream, a warning reports the delay.
     """
-    from cgid.identification.prediction.settings import SHARE_TIME
     from cgid.identification.prediction.support import STEPS
     from cgid.identification.training.manifest import read_manifest
     from cgid.recordings.chain import Chain
     from cgid.recordings.live import live_stream
 
-    step = (SHARE_TIME if options["share_time"] is None else options["share_time"]) / STEPS
-    models, settings = settings_of(reading, **options, batch=1, share_step=step)
+    site = reading.site
+    models, settings = settings_of(reading, model_path, coal_until=coal_until, batch=1)
+    settings = replace(settings, share_step=settings.shares.window / STEPS)
+    clock, cycle_by, labelled = bool(site.get("clock")), site.get("cycle_by"), site.get("labelled")
     stated = Chain.of(**reading.chain)
-    if clock and not as_json:
-        raise click.UsageError("--clock is for lines of JSON; give --json, too")
     _require_cycles(cycle_by, stream, settings, outputs)
     table_of_coal = None if labelled is None else read_manifest(labelled)
     with _plant_outputs(outputs) as listener, _opened(stream) as file:
@@ -228,7 +217,10 @@ def monitor(
             unit=unit,
             source=source,
             chain=stated,
+            site=site,
         )
+        given = tuple(tuple(one.split("+")) for one in reading.same_beam) or live.beams
+        settings = replace(settings, same_beam=given)
         with TableOutput() as table:
             lines = AnswerLines(as_json, table, live=True, clock=clock, listener=listener)
             _follow(live, models, settings, lines, listener, cycle_by, table_of_coal)
@@ -237,11 +229,13 @@ def monitor(
 def _require_cycles(by: str | None, stream: str, settings: PredictionSettings, outputs: dict[str, str]) -> None:
     """Raise `UsageError` unless what begins cycles is there, and they begin with coal."""
     if by is not None and settings.coal_until is None:
-        raise click.UsageError("--cycle-by needs the coal of each cycle; give --coal-until, too")
+        raise click.UsageError("cycle_by needs the coal of each cycle; give --coal-until, too")
     if by == "stdin" and stream == "-":
-        raise click.UsageError("--cycle-by stdin needs stdin, which is the stream; name a file or pipe as STREAM")
+        raise click.UsageError("cycle_by stdin needs stdin, which is the stream; name a file or pipe as STREAM")
     if by == "mqtt" and "mqtt" not in outputs:
-        raise click.UsageError("--cycle-by mqtt needs a broker; give --mqtt, too")
+        raise click.UsageError("cycle_by mqtt needs a broker; give --mqtt, too")
+    if by not in (None, "stdin", "mqtt"):
+        raise InvalidValue(f"cycle_by must be stdin or mqtt, got {by}")
 
 
 def _plant_outputs(given: dict[str, str]) -> AbstractContextManager[PlantOutputs | None]:

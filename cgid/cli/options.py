@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from functools import partial, wraps
+from functools import wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -156,15 +156,6 @@ def require_one_executor(context: click.Context) -> None:
         raise click.UsageError("--jobs is for this machine, --scheduler for a cluster; give one of them", context)
 
 
-def _add_laws(_context: click.Context, _option: click.Parameter, modules: tuple[str, ...]) -> tuple[str, ...]:
-    if modules:
-        from cgid.physics.contact.own_laws import add_laws
-
-        for module in modules:
-            add_laws(module)
-    return modules
-
-
 def options_of(*options: Callable[[Any], Any]) -> Callable[[F], F]:
     """Return a decorator that adds options to a command."""
 
@@ -192,7 +183,6 @@ def bundle(
 
 
 json_option = click.option("--json", "as_json", is_flag=True, help="Print JSON, one object per line.")
-strict_option = click.option("--strict", is_flag=True, help="Stop at the first file that fails.")
 overwrite_option = click.option(
     "--overwrite", is_flag=True, help="Replace an existing file or folder, with all its contents."
 )
@@ -203,8 +193,6 @@ seed_option = click.option(
     show_default=True,
     help="Choose the random numbers; the same seed gives the same signals and splits.",
 )
-#: Options of commands that print the contents of recordings.
-printing_options = options_of(json_option, strict_option)
 #: Options for worker processes and clusters; `require_one_executor` refuses both at once.
 worker_options = options_of(
     click.option("--jobs", type=int, default=1, show_default=True, help="Use this many worker processes."),
@@ -213,16 +201,6 @@ worker_options = options_of(
         help="Use the workers of a dask cluster with this address, such as tcp://192.168.0.7:8786.",
     ),
 )
-_laws_option = partial(
-    click.option,
-    "--laws",
-    metavar="MODULE",
-    multiple=True,
-    is_eager=True,
-    callback=_add_laws,
-    help="Add the contact laws of your own module, by its name or the path of its file.",
-)
-laws_option, given_laws_option = _laws_option(expose_value=False), _laws_option()
 
 
 def point_of(text: str) -> tuple[float, float]:

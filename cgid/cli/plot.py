@@ -13,7 +13,7 @@ from cgid._lib.terminal import counted
 from cgid.cli.help import Command
 from cgid.cli.options import OUTPUT, PATH, json_option, overwrite_option
 from cgid.cli.output import print_json, say, warn
-from cgid.cli.reading import ReadingOptions, reading_options, same_beam_option, warn_of_volts
+from cgid.cli.reading import ReadingOptions, reading_options, warn_of_volts
 from cgid.errors import InvalidValue
 
 if TYPE_CHECKING:
@@ -47,10 +47,9 @@ if TYPE_CHECKING:
 )
 @click.option("--from", "begin", type=float, default=0.0, metavar="SECONDS", help="Plot only after this time.")
 @click.option("--to", "end", type=float, metavar="SECONDS", help="Plot only before this time.")
-@same_beam_option
 @overwrite_option
 @json_option
-@reading_options
+@reading_options("index", "same_beam")
 def plot(
     file: str,
     output: str,
@@ -58,7 +57,6 @@ def plot(
     kind: ImpactKind | None,
     begin: float,
     end: float | None,
-    same_beam: tuple[str, ...],
     overwrite: bool,
     as_json: bool,
     reading: ReadingOptions,
@@ -70,7 +68,6 @@ def plot(
     """
     from cgid._lib.files import write_whole
     from cgid.identification.detection.detector import INVERT_HINT
-    from cgid.identification.prediction.settings import require_groups
     from cgid.measure.overview import OverviewStream
     from cgid.plots import picture
     from cgid.plots.figure import FORMATS, new_picture
@@ -79,9 +76,8 @@ def plot(
     path = new_picture(output, endings=FORMATS, overwrite=overwrite)
     gap = reading.dead_time
     _require_order(begin, end)
-    beams = require_groups(same_beam)
     recording = _opened(file, reading)
-    beams = recording.named(beams, "--same-beam")
+    beams = reading.beams(recording)
     warn_of_volts(recording)
     channels = recording.channels[:MAX_CHANNELS]
     if len(channels) < len(recording.channels):
@@ -92,7 +88,7 @@ def plot(
     stream = OverviewStream(recording.sampling_rate, len(channels), recording.source)
     finder = _Finder(recording.sampling_rate, channels, kind, gap, begin) if events else None
     for block in _between(recording, begin, end):
-        drawn = -block[: len(channels)] if reading.invert else block[: len(channels)]
+        drawn = block[: len(channels)]
         stream.feed(drawn)
         if finder is not None:
             finder.feed(drawn)

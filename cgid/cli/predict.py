@@ -15,12 +15,13 @@ import click
 from cgid import shipped
 from cgid._lib.terminal import counted
 from cgid.cli.answer_rows import AnswerLines, RecordingRows
-from cgid.cli.answering import Models, answering_options, settings_of, settings_with_coal, warn_of_model
+from cgid.cli.answering import Models, model_option, settings_of, settings_with_coal, warn_of_model
 from cgid.cli.help import Command
-from cgid.cli.options import OUTPUT, PATH, printing_options
+from cgid.cli.options import OUTPUT, PATH, json_option
 from cgid.cli.output import FileErrors, progress_bar, say
 from cgid.cli.reading import ReadingOptions, given_options, reading_options
 from cgid.cli.table import TableOutput, output_options
+from cgid.cli.watching import coal_option, labelled_option
 from cgid.errors import BadData, CgidError, InvalidValue
 
 if TYPE_CHECKING:
@@ -70,6 +71,7 @@ class _Prediction:
 
     models: Models
     settings: PredictionSettings
+    reading: ReadingOptions
     lines: AnswerLines
     reports: list[Report] | None
     joint: tuple[str, ...] = ()  # channels joined by "+", as on the command line
@@ -82,7 +84,7 @@ class _Prediction:
             model = self.models.of(channel.quantity)
             groups.setdefault(self.models.key(channel.quantity), (model, []))[1].append(number)
         errors: list[CgidError] = []
-        same_beam = recording.named(self.settings.same_beam, "--same-beam")
+        same_beam = self.reading.beams(recording)
         try:
             for model, numbers in groups.values():
                 try:
@@ -249,52 +251,41 @@ class _Tally:
 )
 @click.argument("files", type=PATH, nargs=-1, metavar="FILE...")
 @click.option("--sample", is_flag=True, help="Use the bundled sample recording.")
-@answering_options
-@click.option(
-    "--summary",
-    is_flag=True,
-    help="Print only the gangue fraction at the end, the counts and warnings; rows go to --output.",
-)
-@click.option(
-    "--report",
-    type=OUTPUT,
-    metavar="PAGE",
-    help="Write one page (.html) with pictures and predictions of the recordings.",
-)
+@model_option
+@reading_options("index", "same_beam")
+@coal_option
+@labelled_option
+@click.option("--fractions", is_flag=True, help="Print the gangue fraction twice a window, and each SHUT and OPEN.")
+@click.option("--summary", is_flag=True, help="Print no rows, but to --output.")
+@click.option("--report", type=OUTPUT, metavar="PAGE", help="Write a page (.html) with pictures and predictions.")
 @output_options
-@reading_options
-@printing_options
+@json_option
 def predict(
     files: tuple[str, ...],
     sample: bool,
+    model_path: str | None,
+    coal_until: float | None,
+    fractions: bool,
     summary: bool,
     report: str | None,
     labelled: str | None,
     output: str | None,
     overwrite: bool,
     as_json: bool,
-    strict: bool,
     reading: ReadingOptions,
-    **options: Any,
 ) -> int:
     """Identify the material of every impact in FILEs: recordings, folders of them, or datasets; - is stdin.
 
-    Without --model, forces use the default model of pulses and accelerations that of vibrations; with --mass an
-    acceleration is that of the impactor, and is converted to a force. A model of windows predicts each window.
-
     Stdout is one CSV table, with the probability of each label as p_LABEL. The label is "unknown" if the impact is out
-    of distribution (novelty above 1), or with --coverage if several labels, or none, remain.
-
-    Recordings of several impacts have a gangue fraction over a sliding window, with its 95 % interval, a line SHUT
-    where going on is expected to lose more than shutting (--cost-late, --cost-early), and a summary; these go to
-    stderr. With --json all of it goes to stdout in lines that have a kind: impact, window, share, shut, open, warning,
-    summary.
+    of distribution (novelty above 1). A summary on stderr has the counts, the gangue fraction at the end with its 95 %
+    interval, and when to shut the window. With --json all of it goes to stdout in lines that have a kind.
     """
     from cgid.recordings import is_dataset
 
     if not files and not sample:
         raise click.UsageError("give at least one FILE, or --sample for the shipped one")
-    models, settings = settings_of(reading, **options)
+    models, settings = settings_of(reading, model_path, coal_until=coal_until)
+    labelled = reading.site.get("labelled") if labelled is None else labelled
     if sample:
         name = shipped.ACCELERATION_SAMPLE if models.expects_acceleration else shipped.SAMPLE
         files = (*files, str(shipped.path_of("datasets", name)))
@@ -311,21 +302,22 @@ def predict(
         manifest = None if labelled is None else read_manifest(labelled)
     reading.require_files(files)
     table = TableOutput(output, overwrite=overwrite, as_json=as_json)
-    lines = AnswerLines(as_json, table, datasets=any(map(is_dataset, files)), only_summary=summary)
+    lines = AnswerLines(as_json, table, datasets=any(map(is_dataset, files)), only_summary=summary, fractions=fractions)
     prediction = _Prediction(
         models=models,
         settings=settings,
+        reading=reading,
         lines=lines,
         labelled=manifest,
         reports=None if report is None else [],
         joint=tuple(channel for channel in reading.channel if "+" in channel),
     )
 
-    errors = FileErrors(strict=strict, one_output=True)
+    errors = FileErrors(one_output=True)
     with table:
         for path in errors.each(files):
             with errors:
-                if reading.wants_complete_dataset(path, settings.mass):
+                if reading.wants_complete_dataset(path):
                     prediction.dataset(path)
                 elif reading.index is not None:
                     (signal,) = reading.signals(path)

@@ -159,7 +159,9 @@ def _is_file(name: str, path: str) -> bool:
 
 #: Options for reading a recording: field of `ReadingOptions` -> option.
 READING: dict[str, Callable[[Any], Any]] = {
-    "sampling_rate": click.option("--rate", "sampling_rate", type=float, help="Sampling rate [Hz], if a file lacks it."),
+    "sampling_rate": click.option(
+        "--rate", "sampling_rate", type=float, help="Sampling rate [Hz], if a file lacks it."
+    ),
     "unit": click.option("--unit", help="Unit of the samples, if a file lacks it: N, g, m/s^2, V; or 1=N,2=m/s^2."),
     "channel": click.option("--channel", multiple=True, help="Read only this channel: its name or number; repeatable."),
     "index": click.option("--index", type=click.IntRange(min=0), help="Read only this signal of a dataset, from 0."),

@@ -13,7 +13,7 @@ import numpy as np
 
 from cgid._lib.terminal import counted
 from cgid.cli.help import Command
-from cgid.cli.options import OUTPUT, PATH, SCENE, json_option, laws_option, overwrite_option, point_of, share_of
+from cgid.cli.options import OUTPUT, PATH, SCENE, json_option, overwrite_option, point_of, share_of
 from cgid.cli.output import print_json, progress_bar, say, warn
 from cgid.cli.reading import ReadingOptions, reading_options
 from cgid.errors import BadData, InvalidValue
@@ -78,9 +78,8 @@ _COARSE = 0.3
 )
 @click.option("--uff", type=OUTPUT, help="Write the frequency response, measured and modelled, to this universal file.")
 @overwrite_option
-@laws_option
 @json_option
-@reading_options
+@reading_options()
 def tap(
     recording: str,
     output: str,
@@ -209,8 +208,7 @@ def read_with_hammer(
         raise InvalidValue("stdin: a recording of taps must be a file, it is read more than once; save it first")
     if is_dataset(path):
         raise InvalidValue(f"{path}: taps must be a recording, this is a dataset of impacts; record taps on the beam")
-    chain: dict[str, Any] = {"variable": reading.variable, "sampling_rate": reading.sampling_rate, **reading.chain}
-    chain["format"] = reading.format
+    chain: dict[str, Any] = {"sampling_rate": reading.sampling_rate, "site": reading.site, **reading.chain}
     # A unit for all channels is that of the response.
     by_name = reading.unit if "=" in (reading.unit or "") else None
     recorded_hammer, pull = None, 1.0
@@ -236,7 +234,7 @@ def read_with_hammer(
     if recorded_hammer is not None and recorded_hammer.channels[0].name in [one.name for one in recording.channels]:
         raise InvalidValue(f"{path}: --hammer and --channel must be different channels, got {hammer} for both")
     quantity, factor = factor_of(unit_of(recording), path)
-    spans = _spans(recording, recorded_hammer, -factor if reading.invert else factor, pull, overlap)
+    spans = _spans(recording, recorded_hammer, factor, pull, overlap)
     return spans, recording.sampling_rate, quantity
 
 

@@ -23,18 +23,16 @@ from cgid.cli.options import (
     OutputName,
     given_flags,
     json_option,
-    laws_option,
     overwrite_option,
     point_of,
     refuse,
     require_one_executor,
     seed_option,
     share_of,
-    strict_option,
     worker_options,
 )
 from cgid.cli.output import accuracy_text, print_json, progress_bar, say, warn, warn_of_one_place
-from cgid.cli.reading import CHAIN, ReadingOptions, reading_options_for, same_beam_option
+from cgid.cli.reading import ReadingOptions, reading_options
 from cgid.errors import BadData, InvalidValue
 
 if TYPE_CHECKING:
@@ -45,10 +43,7 @@ if TYPE_CHECKING:
     from cgid.store import Dataset
 
 #: Options for recordings only, for datasets and scenes only, and for training rather than correction.
-_OF_RECORDINGS = (
-    "--by --window --hop --level-free --rate --unit --channel --format --sensitivity --gain --full-scale --dead-time "
-    "--strict"
-)
+_OF_RECORDINGS = "--by --window --hop --level-free --rate --unit --channel --sensitivity --full-scale"
 _OF_DATASETS = "--test-share --calibration-share --start-error --sensor"
 _OF_TRAINING = (
     "--features --family --class-weights --by --window --hop --level-free --test-share --calibration-share "
@@ -154,9 +149,7 @@ class ClassifierName(click.types.StringParamType):
     "--hop", "hop_time", type=float, help="Set the time from one window to the next [s], by default half a window."
 )
 @click.option("--level-free", is_flag=True, help="Use only features independent of the gain of a sensor.")
-@reading_options_for("sampling_rate", "unit", "channel", "format", "milliseconds", *CHAIN)
-@same_beam_option
-@strict_option
+@reading_options("same_beam")
 @seed_option
 @worker_options
 @click.option(
@@ -166,7 +159,6 @@ class ClassifierName(click.types.StringParamType):
 )
 @click.option("--plots", is_flag=True, help="Plot confusion matrix, reliability diagram and ROC curve (extra plot).")
 @overwrite_option
-@laws_option
 @json_option
 @click.pass_context
 def train(
@@ -216,10 +208,11 @@ def train(
     path = check_model_output(Path(output), plots=plots, overwrite=overwrite)
     if (base := options.pop("base")) is not None:
         refuse(context, _OF_TRAINING, "--from corrects a model instead of training one")
-        how = reading.of_manifest(strict=options["strict"], same_beam=options["same_beam"])
+        how = reading.of_manifest()
         return _correct(data, base, path, reading, how, plots=plots, as_json=as_json)
     names = options.pop("names")
     options["features"] = None if names is None else choose([name.strip() for name in names.split(",")])
+    options["same_beam"] = reading.same_beam
     options["class_weights"] = _class_weights(options["class_weights"])
     options["sensors"] = [point_of(text) for text in options["sensors"]]
     recorded = [item for item in data if _recorded(item)]
@@ -232,7 +225,7 @@ def train(
     from cgid.identification.training.manifest import joined
 
     if options["by"] is None:
-        options["by"] = _requested_windows(context, others, options["features"])
+        options["by"] = _requested_windows(context, others, options["features"], reading)
     manifest = joined([_manifest(item) for item in recorded]) if recorded else None
     with workers(options.pop("jobs"), options.pop("scheduler")) as options["workers"]:
         if manifest is not None:
@@ -294,14 +287,16 @@ def _noted(manifest: Manifest) -> Manifest:
     return manifest
 
 
-def _requested_windows(context: click.Context, others: list[str], features: Any) -> Literal["window", "impact"] | None:
+def _requested_windows(
+    context: click.Context, others: list[str], features: Any, reading: ReadingOptions
+) -> Literal["window", "impact"] | None:
     """Return the slicing given by other options; None to choose from the recordings."""
     if features is not None:
         return None
     given = given_flags(context)
     if "window_time" in given or "hop_time" in given:
         return "window"
-    return "impact" if "milliseconds" in given or others else None
+    return "impact" if reading.dead_time is not None or others else None
 
 
 #: Options for every training.
@@ -400,7 +395,7 @@ def _from_recordings(
             manifest,
             options["features"],
             slicing=slicing,
-            reading=reading.of_manifest(strict=options["strict"], same_beam=options["same_beam"]),
+            reading=reading.of_manifest(),
             level_free=options["level_free"],
             augment=True,
             progress=progress,

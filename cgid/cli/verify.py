@@ -9,7 +9,7 @@ import click
 
 from cgid._lib.terminal import counted
 from cgid.cli.help import Command
-from cgid.cli.options import PATH, SCENE, given_laws_option, json_option
+from cgid.cli.options import PATH, SCENE, json_option
 from cgid.cli.output import FileErrors, print_json, progress_bar, say
 from cgid.cli.reading import ReadingOptions, reading_options_for
 from cgid.errors import BadData, CgidError, MissingOption
@@ -28,23 +28,21 @@ _NO_SUM = "no checksum, "
 )
 @click.argument("data", type=PATH, nargs=-1, required=True, metavar="DATA...")
 @click.option("--scene", type=SCENE, help="Use this scene file of a dataset, if it names a recorded background.")
-@given_laws_option
-@reading_options_for("variable", "format")
+@reading_options_for()
 @json_option
-def verify(
-    data: tuple[str, ...], scene: str | None, laws: tuple[str, ...], as_json: bool, reading: ReadingOptions
-) -> int:
+def verify(data: tuple[str, ...], scene: str | None, as_json: bool, reading: ReadingOptions) -> int:
     """Find damage in DATA: datasets (folders or files), recordings, tables, models; the exit code is 65 then.
 
     The files of a folder are compared with its SHA256SUMS, single files with their own checksums. A recording of
     another program (TDMS, WAV, CSV, ...) has none: it is read to its end, as are all in a folder. For a damaged dataset
     the command is named that makes exactly its damaged and missing files again, to the same bytes. Files that do not
-    belong to a dataset are reported, but are not damage. With --laws the first signals of each file of a dataset with
-    contact laws of one's own are made again, and must be the stored ones within 1e-6 of their peaks: what a law's
-    module reads or imports is in no checksum.
+    belong to a dataset are reported, but are not damage. With --set laws=MODULE the first
+    signals of each file of a dataset with contact laws of one's own are made again, and must be the stored ones within
+    1e-6 of their peaks: what a law's module reads or imports is in no checksum.
     """
+    laws = reading.site.get("laws")
     if scene is not None and not laws:
-        raise click.UsageError("--scene needs --laws, for which it is the source; give both or neither")
+        raise click.UsageError("--scene needs --set laws=MODULE, for which it is the source; give both or neither")
     from cgid.cli.info import is_model
 
     given = None
@@ -155,9 +153,9 @@ def _read(path: str, reading: ReadingOptions) -> tuple[RecordingFile, int]:
     from cgid.recordings import open_recording
 
     try:
-        recording = open_recording(path, variable=reading.variable, **reading.common)
+        recording = open_recording(path, **reading.common)
     except MissingOption:
-        recording = open_recording(path, variable=reading.variable, **reading.common | {"sampling_rate": 1.0})
+        recording = open_recording(path, **reading.common | {"sampling_rate": 1.0})
     n_samples = 0
     with progress_bar(recording.n_samples, "samples", "reading") as progress:
         for block in recording.blocks():

@@ -62,7 +62,7 @@ class Sensitivity:
         value = found[0] * ratio[2]
         if not 0 < value < math.inf:
             raise InvalidValue(
-                f"sensitivity must be above 0 and finite, got {text}; for a reversed sensor use --invert"
+                f"sensitivity must be above 0 and finite, got {text}; for a reversed sensor use --set invert=true"
             )
         return cls(value=value, signal=ratio[0], measured=ratio[1], text=text)
 
@@ -93,7 +93,7 @@ class Gain:
                 f"'1 mV/pC', got {shown(given)}"
             )
         if not 0 < number < math.inf:
-            raise InvalidValue(f"gain must be above 0 and finite, got {text}; to invert a signal use --invert")
+            raise InvalidValue(f"gain must be above 0 and finite, got {text}; to invert a signal use --set invert=true")
         return cls(value=number * (ratio[2] if ratio and is_of_charge else 1.0), is_of_charge=is_of_charge, text=text)
 
 
@@ -382,7 +382,7 @@ def _charge_gain(
         if gain is None or not gain.is_of_charge:
             raise MissingOption(
                 f"{name}: a sensitivity of {sensitivity.text} gives a charge and the samples are a voltage, the gain "
-                "of the charge amplifier is missing; give it as in --gain '1 mV/pC'"
+                "of the charge amplifier is missing; give it as in --set gain='1 mV/pC'"
             )
         return gain
     if sensitivity.signal != quantity:
@@ -406,8 +406,8 @@ def _gain_of_file(text: str, needed: bool, name: str) -> Gain | None:
     if gain is not None and gain.is_of_charge == needed and (needed or gain.value == 1.0):
         return gain if needed else None
     raise MissingOption(
-        f"{name}: the file states a gain ({text[:40]}) and not whether the samples contain it; give --gain to have it "
-        "divided out, or --gain 1 if that is done"
+        f"{name}: the file states a gain ({text[:40]}) and not whether the samples contain it; give --set gain=VALUE to have it "
+        "divided out, or --set gain=1 if that is done"
     )
 
 

@@ -73,7 +73,7 @@ class Format:
         if variable is not None and not self.takes_variable:
             raise InvalidValue(
                 f"{source}: a {self.name} file holds one recording, there is no variable {variable!r}; leave out "
-                "--variable"
+                "--set variable=NAME"
             )
         module, _, function = self.reader.partition(":")
         read = getattr(import_module(f"cgid.recordings.{module}"), function)
@@ -108,7 +108,7 @@ class OutsideFormat:
 
     @contextmanager
     def _reader_errors(self, source: str = "recording") -> Iterator[None]:
-        with library_errors(source, f"the reader {self.name} failed", "choose another by --format"):
+        with library_errors(source, f"the reader {self.name} failed", "choose another by --set format=NAME"):
             try:
                 yield
             except SystemExit as error:

@@ -223,7 +223,7 @@ class _Segments:
             if piece.text and only in (None, number):
                 return segment, piece.text
         if only is not None and not 0 < only <= number:
-            raise BadData(f"{self.source}: there is no segment {variable}, the last is {number}; correct --variable")
+            raise BadData(f"{self.source}: there is no segment {variable}, the last is {number}; correct variable")
         raise BadData(f"{self.source}: a recording must contain at least one sample, there is none; record it again")
 
     def parts(self) -> Iterator[tuple[_Segment, Piece]]:
@@ -314,7 +314,7 @@ class _Rows(Body):
         """Raise `BadData` unless a segment continues the one before with the same channels and rate."""
         step, channel = segment.number_of("Delta_X", self.channel), self.channel
         name = f"{self.source}: segment {following.number} (line {following.line})"
-        hint = f"pick one segment by --variable {segment.number}, {following.number}, ..."
+        hint = f"pick one segment by --set variable={segment.number}, {following.number}, ..."
         if following.n_channels != segment.n_channels or following.number_of("Delta_X", channel) != step:
             raise BadData(f"{name} must have the channels and the rate of the one before, it has others; {hint}")
         if step is None:

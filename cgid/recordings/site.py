@@ -125,6 +125,8 @@ class Site:
     ----------
     path : str
         Its file, "" without one.
+    given : dict of str to values
+        The values that replace those of the file.
     values : dict of str to values
         Section -> key -> value, checked.
     channels : dict of int or str to dict
@@ -151,6 +153,7 @@ class Site:
     """
 
     path: str
+    given: Mapping[str, Any]
     values: Mapping[str, Mapping[str, Any]]
     channels: Mapping[int | str, Mapping[str, Any]]
 
@@ -161,12 +164,18 @@ class Site:
         found = {name: self._section(name, content.get(name, {})) for name in KEYS}
         for name in content:
             self._known(name, [*KEYS, "channels"], f"section [{name}]" if isinstance(content[name], dict) else name)
+        stated: dict[str, Any] = {}
         for key, value in (values or {}).items():
+            if key.startswith("channels."):
+                _, channel, name = [*key.split(".", 2), ""][:3]
+                channels = {**channels, channel: {**channels.get(channel, {}), name: value}}
+                continue
             section = next((name for name, keys in KEYS.items() if key in keys), None)
             if section is None:
                 raise InvalidValue(f"{key} must be a key of a site file{_meant(key, _all_keys())}")
-            found[section][key] = self._value(section, key, KEYS[section][key], value, Path())
+            stated[key] = found[section][key] = self._value("", key, KEYS[section][key], value, Path())
         object.__setattr__(self, "values", found)
+        object.__setattr__(self, "given", stated)
         object.__setattr__(self, "channels", self._channels(channels))
 
     @classmethod
@@ -244,7 +253,7 @@ class Site:
 
     def _value(self, section: str, key: str, about: Key, value: Any, folder: Path) -> Any:
         """Return a checked value."""
-        name = f"{self.path}: [{section}] {key}" if self.path else key
+        name = f"{self.path}: [{section}] {key}" if section else key
         is_number = isinstance(value, int | float) and not isinstance(value, bool)
         match about.kind:
             case "number" | "whole":

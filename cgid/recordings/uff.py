@@ -121,7 +121,7 @@ def read_uff(path: Path, source: str, variable: str | None) -> Blocks:
     first = selected[0]
     rates = [_rate_of(one, its, source) for one, its in zip(data_sets, selected, strict=True)]
     if not all(rates_agree(rate, rates[0]) for rate in rates):
-        raise BadData(f"{source}: data sets must be of one rate, got {rates} Hz; pick one by --variable NUMBER")
+        raise BadData(f"{source}: data sets must be of one rate, got {rates} Hz; pick one by --set variable=NUMBER")
     names = [one.name for one in selected]
     return Blocks.of_array(
         samples,
@@ -179,7 +179,7 @@ def _select(sets: Sequence[_DataSet], source: str, variable: str | None) -> list
     if len(selected) != 1:
         raise BadData(
             f"{source}: variable {variable!r} must be one of the data sets, there are {listed}; give its number by "
-            "--variable NUMBER"
+            "--set variable=NUMBER"
         )
     return selected
 
@@ -207,7 +207,7 @@ def _require_recordings(selected: Sequence[_DataSet], source: str) -> None:
         if one.n_samples != first.n_samples or (both_even and not rates_agree(one.step, first.step)):
             raise BadData(
                 f"{source}: channels must be of one length and rate, data sets {first} every {first.step:g} s and "
-                f"{one} every {one.step:g} s differ; pick one by --variable NUMBER"
+                f"{one} every {one.step:g} s differ; pick one by --set variable=NUMBER"
             )
 
 

@@ -192,7 +192,7 @@ def remedy(path: str | Path, scenes: Collection[str] = ()) -> str:
     options["-o"] = path
     name, mode = str(about.get("scene_name")), "--resume" if is_folder else "--overwrite"
     words = [name if name in scenes else "SCENE.toml", *(word for option in options.items() for word in option)]
-    words += ["--laws", "MODULE"] if "laws" in about else []
+    words += ["--set", "laws=MODULE"] if "laws" in about else []
     stand_ins = [] if name in scenes else [f"SCENE.toml is the file of scene {name}"]
     stand_ins += ["MODULE is that of its laws"] if "laws" in about else []
     return "; ".join([shlex.join(["cgid", "generate", *map(str, words), mode]), *stand_ins])

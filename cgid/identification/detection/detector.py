@@ -42,7 +42,7 @@ _EVERY = 64
 #: A signal is upside down if it falls this many times as far as it rises.
 _UPSIDE_DOWN = 3.0
 #: The remedy for a signal that is upside down.
-INVERT_HINT = "invert it with --invert, since pulses must point upwards"
+INVERT_HINT = "invert it with --set invert=true, since pulses must point upwards"
 
 
 class ImpactDetector:

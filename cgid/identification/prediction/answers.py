@@ -198,7 +198,7 @@ def factor_to(model: Measurand, unit: str | None, name: str, mass: float | None 
         hint = f"give a recording of {model.quantity}"
         if (quantity, model.quantity) == ("acceleration", "force"):
             hint = (
-                "if the accelerated body is the impactor, force = mass x acceleration: give --mass KG, in Python "
+                "if the accelerated body is the impactor, force = mass x acceleration: give --set mass=KG, in Python "
                 "signal.as_force(mass)"
             )
         elif quantity == "level":

@@ -206,7 +206,7 @@ class PredictionSettings:
                 "--coal-until, or leave the row out"
             )
         if self.class_conditional and self.coverage is None:
-            raise InvalidValue("class_conditional must come with a coverage; give --coverage, such as --coverage 0.9")
+            raise InvalidValue("class_conditional must come with a coverage; give --set coverage=0.9")
 
     # -- decision -------------------------------------------------------------------------------------
 
@@ -235,7 +235,7 @@ class PredictionSettings:
 
     def require_use(self, model: StoredModel) -> None:
         """Raise `InvalidValue` for a vote time with a model of impacts, or a dead time with a model of windows."""
-        of_others = {"impact": ("--vote", self.vote_time), "window": ("--dead-time", self.dead_time)}
+        of_others = {"impact": ("vote_time", self.vote_time), "window": ("dead_time", self.dead_time)}
         flag, given = of_others[model.subject]
         if given is not None:
             raise InvalidValue(f"{flag} must be left out, this model decides on {model.subject}s")

@@ -58,10 +58,10 @@ _QUIET_AGAIN = "there are quiet moments again"
 _UNSTEADY = (
     "tones of a machine begin, end or move too fast to be taken out in full, or the beam rings long beside them, so "
     "the gangue fraction may be wrong while they do; move the sensor away from the machine, or keep tones with "
-    "--no-lines"
+    "--set lines=false"
 )
 _TONES = (
-    "tones of a machine are taken out, the strongest at {:.0f} Hz; --no-lines keeps them, as where no machine runs and "
+    "tones of a machine are taken out, the strongest at {:.0f} Hz; --set lines=false keeps them, as where no machine runs and "
     "the beam rings long"
 )
 

@@ -33,7 +33,7 @@ _VERBS = ("force", "corner", "turn")
 
 #: What to do about a law that no scene knows.
 HOW_TO_ADD = (
-    "give the name of a law of your own, and its module with --laws MODULE, in Python cgid.physics.add_laws(MODULE)"
+    "give the name of a law of your own, and its module with --set laws=MODULE, in Python cgid.physics.add_laws(MODULE)"
 )
 
 
@@ -50,7 +50,7 @@ _sound: list[type[Law]] = []
 
 
 def add_laws(source: str | Path) -> None:
-    """Register the laws of a module for scenes, as `--laws` does; worker processes load the module, too.
+    """Register the laws of a module for scenes, as `--set laws=MODULE` does; worker processes load the module, too.
 
     Parameters
     ----------
