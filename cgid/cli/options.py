@@ -489,13 +489,6 @@ answering_options = _options(
         type=float,
         help="Set the time over which windows vote [s], by default 0.5; with 0, no vote.",
     ),
-    click.option(
-        "--sensor",
-        "sensors",
-        multiple=True,
-        metavar="NAME",
-        help="Name the sensor among those of the model's reference runs; once, or once per channel.",
-    ),
     same_beam_option,
     click.option(
         "--lines/--no-lines",
@@ -624,7 +617,7 @@ def prediction_by(path: Path, model: StoredModel, manifest: Manifest | None, rea
     words, own = [], {**vars(reading), **reading.chain_of("")}
     flags = {"sampling_rate": "rate", "milliseconds": "dead-time", "full_scale": "full-scale"}
     fields = {"channel": "channels", "gain": "recording_gain"}
-    rows = [] if manifest is None else [one for one in manifest.annotations if not one.reference]
+    rows = [] if manifest is None else manifest.annotations
     for name in _READING:
         stated = {getattr(one, fields.get(name, name), None) or getattr(one, name, None) or own[name] for one in rows}
         value = stated.pop() if len(stated) == 1 else None
@@ -679,17 +672,11 @@ def warn_of_model(
     settings: PredictionSettings,
     channels: Sequence[str] = (),
 ) -> None:
-    """Warn if a model was not trained for the sampling rate [Hz] of a signal, or needs its sensor or its channels."""
+    """Warn if a model was not trained for the sampling rate [Hz] of a signal, or needs its channels."""
     if beams := untold_beams(model, channels, settings.same_beam):
         warn(
             f"{source}: the model was trained with channels of one beam together; give {shlex.join(beams)}, or the "
             "channels that this recording has on one beam"
-        )
-    if model.sensors and not settings.sensors:
-        known = ", ".join(model.sensors)
-        warn(
-            f"{source}: the model corrects the responses of known sensors only; give --sensor NAME if this is one of "
-            f"{known}"
         )
     if model.beam is not None and not model.beam.beam.region.any():
         warn(
