@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 
 from cgid.identification.detection.windows import measure_windows
 from cgid.identification.model.model import StoredModel
-from cgid.identification.model.reference import MeanSpectrum
 from cgid.identification.training import ImpactClassifier
 from cgid.recordings import read_recording
 
@@ -43,13 +42,8 @@ def stream(labels: list[str], gap: float, seed: int = 0, noise: float = 25.0) ->
     return samples
 
 
-def window_model(
-    n_channels: int = 1, hop_time: float = 0.05, references: dict[str, NDArray[np.float64]] | None = None
-) -> StoredModel:
-    """Return a model that separates windows of 0.1 s at 8 kHz: dull noise ("coal") from white noise ("gangue").
-
-    Each of `references` names a sensor and has the windows (n_windows, 800) of its reference run.
-    """
+def window_model(n_channels: int = 1, hop_time: float = 0.05) -> StoredModel:
+    """Return a model that separates windows of 0.1 s at 8 kHz: dull noise ("coal") from white noise ("gangue")."""
     names = ("window_zero_crossing_rate", "window_centroid")
     rng = np.random.default_rng(1)
     white = rng.normal(size=(200, n_channels, 800))
@@ -66,11 +60,4 @@ def window_model(
         window_time=0.1,
         hop_time=hop_time,
         n_channels=n_channels,
-        references={name: np.stack([_levels(of)] * n_channels) for name, of in (references or {}).items()},
     )
-
-
-def _levels(windows: NDArray[np.float64]) -> NDArray[np.float64]:
-    spectrum = MeanSpectrum(8000.0)
-    spectrum.feed(windows)
-    return spectrum.levels

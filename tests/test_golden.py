@@ -137,7 +137,10 @@ def refused(capsys, *arguments):
     return line
 
 
-CHANGES = [{"schema_version": 2}, {"schema_version": 3}, {"family": "discriminant"}, {"known": ["drop_height"]}]
+CHANGES = [
+    *({"schema_version": 2}, {"schema_version": 3}, {"family": "discriminant"}),
+    *({"known": ["drop_height"]}, {"sensors": ["left"]}),
+]
 
 
 @pytest.mark.parametrize("change", CHANGES, ids=str)

@@ -43,7 +43,7 @@ def test_the_command_after_a_training_reads_recordings_like_its_own(capsys: Any,
     assert main(shlex.split(then.replace("FILE", str(folder / "thursday.wav")))) == 0
     # What differs between the rows is left to the reader, and an option is for rows without a value.
     row = Annotation(path=Path("a.wav"), written="a.wav", label="coal", gain=10.0, unit="V", channels=(2,), invert=True)
-    rows = (row, replace(row, path=Path("b.wav"), unit="mV"), replace(row, gain=None, reference=True))
+    rows = (row, replace(row, path=Path("b.wav"), unit="mV"))
     reading = ReadingOptions(unit="g", sensitivity=("10 mV/g", "a.wav:2=9 mV/g"), gain=("2",))
     words = prediction_by(Path("m.npz"), StoredModel.load(model), Manifest(source="x", annotations=rows), reading)
     assert words == "cgid predict FILE --channel 2 --invert --sensitivity '10 mV/g' --gain 10 --model m.npz"

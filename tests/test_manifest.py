@@ -32,19 +32,18 @@ def written(folder: Path, content: str, name: str = "m.csv", encoding: str = "ut
 def test_rows_of_a_table_say_everything(tmp_path: Path) -> None:
     text = (
         "# our second support\n"
-        "Path;label;Start_s;end_s;group;channel;gain;sensor;reference;rate_hz;unit;variable\n"
-        "a.wav;coal;0.5;1.25;monday;1+left;6 dB;one;no;8000;g;x\n"
+        "Path;label;Start_s;end_s;group;channel;gain;rate_hz;unit;variable\n"
+        "a.wav;coal;0.5;1.25;monday;1+left;6 dB;8000;g;x\n"
         "\n"
-        "ref.wav;;;;;2;10;one;yes;;;\n"
+        "b.wav;gangue;;;;2;10;;;\n"
     )
-    coal, run = read_manifest(written(tmp_path, text, encoding="utf-8-sig")).annotations
+    coal, gangue = read_manifest(written(tmp_path, text, encoding="utf-8-sig")).annotations
     assert coal.path == tmp_path / "a.wav"
     assert (coal.label, coal.group, coal.start, coal.end) == ("coal", "monday", 0.5, 1.25)
     assert coal.channels == ("1", "left")
     assert coal.gain == pytest.approx(10 ** (6 / 20), rel=1e-12)
-    assert (coal.sensor, coal.reference, coal.sampling_rate, coal.unit, coal.variable) == ("one", False, 8000, "g", "x")
-    assert run.reference
-    assert (run.gain, run.channels, run.label) == (10.0, ("2",), "")
+    assert (coal.sampling_rate, coal.unit, coal.variable) == (8000, "g", "x")
+    assert (gangue.gain, gangue.channels, gangue.label) == (10.0, ("2",), "gangue")
 
 
 def test_recordings_are_their_own_groups_and_last_to_their_ends(tmp_path: Path) -> None:
@@ -150,12 +149,8 @@ MISTAKES = {
     "rate zero": ("path,label,rate_Hz\na,b,0\n", "rate must be above 0"),
     "unknown unit": ("path,label,unit\na,b,stone\n", "unit must be a known one"),
     "channel twice": ("path,label,channel\na,b,1+1\n", "channel must be a name or a number"),
-    "reference neither yes nor no": ("path,label,reference\na,b,maybe\n", "reference must be yes or no"),
-    "reference without a sensor": ("path,label,reference\na,,yes\n", "must name its sensor"),
-    "reference with a label": ("path,label,sensor,reference\na,b,s,yes\n", "have no label"),
+    "reference runs": ("path,label,Reference\na,,yes\n", "column reference must be left out"),
     "invert neither yes nor no": ("path,label,invert\na,b,maybe\n", "invert must be yes or no"),
-    "sensor without a reference": ("path,label,sensor\na,b,left\n", "sensor left must have a reference run"),
-    "one sensor unsaid": ("path,label,sensor,reference\nr,,s,yes\na,b,s,no\nc,d,,no\n", "must have a sensor"),
     "near a column beside own ones": ("path,lable,weather\na,b,rain\n", "got 'lable'; did you mean 'label'?"),
     "recording in two groups": ("path,label,start_s,end_s,group\na,b,0,1,x\na,c,1,2,y\n", "must be in one group"),
     "rate of one row": ("path,label,start_s,end_s,rate_Hz\na,b,0,1,8e3\na,c,1,2,\n", "one rate, got 8000.0 and none"),
@@ -238,7 +233,7 @@ def times(text: str, folder: Path) -> list[tuple[str, float, float]]:
 
 
 def test_rows_without_a_label_are_counted_and_left_out(tmp_path: Path) -> None:
-    manifest = read_manifest(written(tmp_path, "path,label,reference\na,,\nb,coal,no\nc,,no\nd,gangue,\n"))
+    manifest = read_manifest(written(tmp_path, "path,label\na,\nb,coal\nc,\nd,gangue\n"))
     assert [one.written for one in manifest.annotations] == ["b", "d"]
     assert manifest.n_unlabelled == 2
     assert joined([manifest, manifest_of_others(tmp_path)]).n_unlabelled == 2

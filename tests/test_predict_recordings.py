@@ -12,7 +12,7 @@ import pytest
 from scipy.io import wavfile
 
 from cgid.cli.main import run
-from cgid.errors import BadData, InvalidValue
+from cgid.errors import BadData
 from cgid.identification.detection.windows import measure_windows
 from cgid.identification.model.model import StoredModel
 from cgid.identification.prediction import Answer, PredictionSettings, identify, identify_recording
@@ -143,8 +143,8 @@ def test_windows_are_answered_by_their_vote(n_channels: int) -> None:
 def test_windows_of_silence_are_unknown_and_have_no_vote() -> None:
     model, samples = window_model(hop_time=0.1), noises()[:1]
     samples[:, 1600:3200] = 0.0
-    step, _ = identify_blocks([samples], 8000.0, model, ("1",), PredictionSettings(vote_time=0.2))
-    other, _ = identify_blocks(
+    (step,) = identify_blocks([samples], 8000.0, model, ("1",), PredictionSettings(vote_time=0.2))
+    (other,) = identify_blocks(
         [np.delete(samples, np.s_[1600:3200], 1)], 8000.0, model, ("1",), PredictionSettings(vote_time=0.2)
     )
     assert [a.label for a in step.answers[2:4]] == ["unknown"] * 2
@@ -162,37 +162,6 @@ def test_a_model_of_two_channels_asks_for_two() -> None:
 def test_votes_that_overlap_count_less() -> None:
     assert independence(window_model(), PredictionSettings(vote_time=0.0)) == pytest.approx(0.5)
     assert independence(window_model(), PredictionSettings(vote_time=0.5)) == pytest.approx(0.1)
-
-
-def test_sensors_are_made_up_for_and_their_drift_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    run_of = np.random.default_rng(8).normal(0, 0.1, (200, 802))
-    duller = run_of[:, 2:] + run_of[:, 1:-1] + run_of[:, :-2]
-    model = window_model(hop_time=0.1, references={"left": run_of[:, 2:], "right": duller})
-    white = np.random.default_rng(9).normal(0, 0.1, (1, 8000))
-    plain, _ = identify_blocks([white], 8000.0, model, ("1",), PredictionSettings(vote_time=0.0))
-    *heard, last = identify_blocks([white], 8000.0, model, ("1",), PredictionSettings(vote_time=0.0, sensors=("left",)))
-    windows = white.reshape(10, 1, 800)
-    table = measure_windows(windows, 8000.0, model.features, model.equalisation("left"))
-    expected = model.novelty(table)
-    assert [a.novelty for a in heard[0].answers] == pytest.approx(expected, rel=1e-9)
-    assert [a.novelty for a in plain.answers] != pytest.approx(expected, rel=0.05)
-    assert last.warnings == ()
-    *_, last = identify_blocks([white], 8000.0, model, ("1",), PredictionSettings(sensors=("right",)), "x.wav")
-    (warning,) = last.warnings
-    assert "x.wav: sensor right must be within 3 dB of its reference run, it is " in warning
-    with pytest.raises(InvalidValue, match="sensor must be one of 'left', 'right', got 'top'"):
-        list(identify_blocks([white], 8000.0, model, ("1",), PredictionSettings(sensors=("top",))))
-    with pytest.raises(InvalidValue, match=r"sensor must be one, got 2 \(.*\); leave some out"):
-        list(identify_blocks([white], 8000.0, model, ("1",), PredictionSettings(sensors=("left", "right"))))
-
-    (tmp_path / "m.npz").write_bytes(model.to_bytes())
-    wavfile.write(tmp_path / "n.wav", 8000, white[0].astype(np.float32))
-    arguments = ["predict", str(tmp_path / "n.wav"), "--model", str(tmp_path / "m.npz"), "--json"]
-    assert run(arguments) == 0
-    assert "give --sensor NAME if this is one of left, right" in capsys.readouterr().err
-    assert run([*arguments, "--sensor", "right"]) == 0
-    (said,) = of_kind(lines_of(capsys), "warning")
-    assert "sensor right" in said["message"]
 
 
 # -- shares and turns -------------------------------------------------------------------------------------

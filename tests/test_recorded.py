@@ -1,4 +1,4 @@
-"""Training on recordings: windows, groups that are left out as a whole, references, mixed training, the command."""
+"""Training on recordings: windows, groups that are left out as a whole, mixed training, the command."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from benchmarks.identification.low_rates import FORCES, MODES, simulated
 from cgid.cli.main import run
 from cgid.errors import BadData, CgidError, InvalidValue
 from cgid.identification.detection.silence import Silence, silence_of
-from cgid.identification.detection.windows import WINDOW_TIME, measure_windows, windows_of
+from cgid.identification.detection.windows import WINDOW_TIME
 from cgid.identification.model.model import StoredModel
 from cgid.identification.prediction.fraction import unproven
 from cgid.identification.prediction.vote import RunningVote
@@ -587,7 +587,6 @@ def test_model_of_windows_survives_its_file(model: StoredModel, recorded: Rows, 
         ({"hop_time": 1e-9}, "hop_time must be between 0.01 of a window and 10 s"),
         ({"window_time": 1e9}, "window_time must be at most 10 s"),
         ({"n_channels": 2}, "must have shape"),
-        ({"sensors": ("a",)}, "reference.spectra must be present"),
     ],
 )
 def test_windows_that_cannot_be_are_refused(change: dict[str, Any], says: str, model: StoredModel) -> None:
@@ -678,51 +677,6 @@ def test_few_recordings_are_as_sure_as_they_are_right(real_data: Path, tmp_path:
         assert float(cells[5]) <= 0.08
         assert float(cells[6]) >= float(cells[7]) - 0.01
         assert cells[-1] == "5 of 5"
-
-
-# -- reference runs ---------------------------------------------------------------------------------------
-
-
-def test_reference_runs_make_up_for_another_sensor(tmp_path: Path) -> None:
-    """What a second sensor with another response hears is measured as by the mean of both."""
-    dull = filters.butter(2, 400, fs=RATE, output="sos")
-    ways = {"bright": lambda x: x, "dull": lambda x: 2 * filters.sosfilt(dull, x)}
-    rows, flows = [], {label: flow(label, 21, 3.0) for label in ("coal", "gangue")}
-    run_of_both = np.random.default_rng(22).normal(size=(1, 6 * RATE))
-    for sensor, heard in ways.items():
-        np.save(tmp_path / f"{sensor}_run.npy", heard(run_of_both))
-        rows.append(f"{sensor}_run.npy,,{RATE},g,{sensor},yes\n")
-        for label, samples in flows.items():
-            np.save(tmp_path / f"{sensor}_{label}.npy", heard(samples))
-            rows.append(f"{sensor}_{label}.npy,{label},{RATE},g,{sensor},no\n")
-    head = "path,label,rate_Hz,unit,sensor,reference\n"
-    (tmp_path / "m.csv").write_text(head + "".join(rows))
-    bands = tuple(f"window_mel_{centre:.0f}_hz" for centre in MEL_BANDS.centres[2:12])
-    cured = record(read_manifest(tmp_path / "m.csv"), bands)
-    plain = [row.replace("bright,no", ",").replace("dull,no", ",") for row in rows if "yes" not in row]
-    (tmp_path / "plain.csv").write_text(head + "".join(plain))
-    left = record(read_manifest(tmp_path / "plain.csv"), bands)
-    assert sorted(cured.references) == ["bright", "dull"]
-
-    def apart(table: Rows) -> float:
-        """Return by how many dB the sensors differ over the same flows, in the mean over bands."""
-        own = np.array([table.sources[piece].startswith("bright") for piece in table.source])
-        return 10 * float(np.abs(table.features[own].mean(axis=0) - table.features[~own].mean(axis=0)).mean())
-
-    assert apart(left) > 3
-    assert apart(cured) < 0.15 * apart(left)
-    model = train_on_groups(cured, features=bands).model
-    (tmp_path / "m.npz").write_bytes(model.to_bytes())
-    loaded = StoredModel.load(tmp_path / "m.npz")
-    (equalisation,) = loaded.equalisation("dull")
-    own = cured.source == cured.sources.index("dull_coal.npy")
-    (frames,) = [w for _, w in windows_of([np.load(tmp_path / "dull_coal.npy")], RATE, 0.1, 0.05)]
-    np.testing.assert_array_equal(measure_windows(frames, RATE, bands, [equalisation]), cured.features[own])
-    with pytest.raises(InvalidValue, match="sensor must be one of 'bright', 'dull'"):
-        loaded.equalisation("deaf")
-    for harm in (loaded.arrays["reference.spectra"] * 100, loaded.arrays["reference.spectra"][:, :, 1:]):
-        with pytest.raises((BadData, InvalidValue)):
-            replace(loaded, arrays={**loaded.arrays, "reference.spectra": harm})
 
 
 # -- mixed training ---------------------------------------------------------------------------------------

@@ -12,7 +12,6 @@ from cgid import Impact, Signal, Sphere, extract, fft_filter
 from cgid._lib import validation
 from cgid.errors import InvalidValue
 from cgid.identification.detection import ImpactDetector
-from cgid.identification.model.reference import MeanSpectrum
 from cgid.measure.overview import OverviewStream
 from cgid.physics import RIGID, STEEL, Elastic, HuntCrossley, Material, ThinPlate
 from cgid.recordings import open_recording
@@ -55,7 +54,6 @@ ONE_NUMBER: dict[str, Callable[[Any], object]] = {
     "posterior": lambda rate: posterior(PULSE, rate, PRIOR, noise=1.0),
     "ImpactDetector": lambda rate: ImpactDetector(rate, kind="pulse"),
     "OverviewStream": OverviewStream,
-    "MeanSpectrum": MeanSpectrum,
     "open_recording": lambda rate: open_recording("none.npy", sampling_rate=rate),
 }
 

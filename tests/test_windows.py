@@ -78,6 +78,17 @@ def test_white_noise_is_flat():
     assert found["window_even_deviation_6000_hz"] > found["window_mel_deviation_12385_hz"]
 
 
+def test_a_gain_moves_levels_only(rustle):
+    once, louder = (measure(gain * rustle[:1].astype(float)) for gain in (1.0, 2.0))
+    for name in NAMES:
+        if name == "window_peak":
+            assert louder[name] == pytest.approx(2 * once[name])
+        elif name.startswith(("window_level", "window_mel", "window_even")) and "deviation" not in name:
+            assert louder[name] == pytest.approx(once[name] + np.log10(4.0), abs=1e-9), name
+        else:
+            assert louder[name] == pytest.approx(once[name], rel=1e-9, abs=1e-9), name
+
+
 def test_flatness_is_that_of_the_mean_spectrum(rustle):
     batch = WindowBatch(rustle, RATE)
     for row, flatness in zip(batch.spectrum.energy, batch.spectrum.flatness, strict=True):

@@ -116,17 +116,11 @@ def warn_of_model(
     settings: PredictionSettings,
     channels: Sequence[str] = (),
 ) -> None:
-    """Warn if a model was not trained for the sampling rate [Hz] of a signal, or needs its sensor or its channels."""
+    """Warn if a model was not trained for the sampling rate [Hz] of a signal, or needs its channels."""
     if beams := untold_beams(model, channels, settings.same_beam):
         warn(
             f"{source}: the model was trained with channels of one beam together; give {shlex.join(beams)}, or the "
             "channels that this recording has on one beam"
-        )
-    if model.sensors and not settings.sensors:
-        known = ", ".join(model.sensors)
-        warn(
-            f"{source}: the model corrects the responses of known sensors only; give --sensor NAME if this is one of "
-            f"{known}"
         )
     if model.beam is not None and not model.beam.beam.region.any():
         warn(

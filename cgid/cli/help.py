@@ -67,6 +67,7 @@ WITHDRAWN = {
     "--impactor": _PULSES,
     "--masses": _PULSES,
     "--drop-height": "leave it out, no model needs a drop height",
+    "--sensor": "leave it out, no model has reference runs of sensors; train on recordings of each sensor",
 }
 #: Heading -> the commands below it.
 _COMMANDS = {

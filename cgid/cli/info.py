@@ -191,8 +191,7 @@ def _manifest(file: str) -> dict[str, Any]:
         laws = [word for source in sources() for word in ("--set", f"laws={source}")]
         return {**about, "scene_sha256": scene.sha256, "next": shlex.join(["cgid", "check", file, *laws])}
     if is_toml:
-        listed = [one for one in read_manifest(file).annotations if not one.reference]
-        rows = [(str(one.path), one.label) for one in listed]
+        rows = [(str(one.path), one.label) for one in read_manifest(file).annotations]
     else:
         rows = (labels_in(Path(file)) if file.lower().endswith(".csv") and is_manifest(file) else None) or []
     if not rows:

@@ -153,7 +153,6 @@ def _opened(
     file: str, folder: Path, reading: ReadingOptions, beam: str, base: StoredModel | None, rates: set[float]
 ) -> LabelledRecording:
     """Return an open recording, to be measured for a new model and for the one that is corrected."""
-    from cgid.identification.model.reference import equalisations_of
     from cgid.identification.training.manifest import annotation_of
     from cgid.identification.training.recordings import Cutting, default_names, opened
     from cgid.identification.training.recordings import Reading as Stated
@@ -168,12 +167,11 @@ def _opened(
     kind, slicing = kind_for(quantity_of(opened_file.unit)), Slicing(by="impact", dead_time=reading.dead_time)
     names = default_names(kind, sorted(rates), slicing)
     names += tuple(name for name in default_guards(names) if name not in names)
-    none = equalisations_of({})
-    cuttings = {NEW: Cutting(names, slicing, opened_file.unit, none)}
+    cuttings = {NEW: Cutting(names, slicing, opened_file.unit)}
     if base is not None:
         try:
             require_supported(choose(base.measured), opened_file.recording.sampling_rate, 1 << 20)
-            cuttings[BASE] = Cutting(base.measured, slicing, base.unit, none, model=base)
+            cuttings[BASE] = Cutting(base.measured, slicing, base.unit, model=base)
         except CgidError as error:
             warn(f"{file}: {error}; the model is not corrected")
     titled = {"rate": "rate_Hz"}

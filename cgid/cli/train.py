@@ -178,8 +178,8 @@ def train(
     Recordings are named by a manifest, by a folder that contains one, or by a folder with labels as subfolders:
     coal/a.wav, gangue/b.wav. A scene is a .toml file or the name of a shipped one; its signals are not written to disk.
 
-    A manifest is a .csv file with the columns path and label (and as needed start, end, group, channel, sensor,
-    reference, rate, unit, variable, format, sensitivity, gain, full_scale, invert, same_beam), or a .toml file with a
+    A manifest is a .csv file with the columns path and label (and as needed start, end, group, channel, rate,
+    unit, variable, format, sensitivity, gain, full_scale, invert, same_beam), or a .toml file with a
     [[recording]] for each file, which may list intervals = [{ start, end, label }]. cgid events writes one with a row
     for each impact, --template one with a row for each recording; fill in the labels. A group (a recording, a day, a
     support) is never on both sides of a split; each group in turn judges what was chosen and trained on the others.
@@ -274,7 +274,7 @@ def _manifest(item: str) -> Manifest:
     if not Path(item).is_dir():
         raise BadData(f"{item}: {unlabelled('a recording', item)}")
     manifest = _noted(folder_manifest(item))
-    counts = Counter(one.label for one in manifest.annotations if not one.reference)
+    counts = Counter(one.label for one in manifest.annotations)
     counted_labels = ", ".join(f"{label} {count}" for label, count in sorted(counts.items()))
     say(f"cgid: labels of {manifest.source}: {counted_labels}", err=True)
     return manifest

@@ -145,8 +145,6 @@ def _missing(model: StoredModel) -> Iterable[str]:
         yield "them, except those named beam_*: they need the beam of the model, and cgid itself."
     else:
         yield "them; what is fitted is fitted to the samples, not read off them."
-    if model.sensors:
-        yield "Nor the equalisation of the sensors: measure the features of equalised samples."
     if model.kind == "window":
         yield "Nor the vote of successive windows: cgid adds the logarithms of their probabilities."
 
@@ -168,7 +166,7 @@ def _bands(model: StoredModel) -> dict[str, NDArray[Any]] | None:
     relative = {f"relative_level_{name}_hz": edges for name, edges in octaves.items()}
     early = {f"early_level_{low}_{high}_hz": (low, high) for low, high in EARLY_BANDS}
     edges, names = levels | relative | early, model.measured
-    if model.n_channels > 1 or model.sensors or not edges.keys() >= set(names):
+    if model.n_channels > 1 or not edges.keys() >= set(names):
         return None
     return {
         "band_edges": np.array([edges[name] for name in names], np.float64),

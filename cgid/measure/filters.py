@@ -1,4 +1,4 @@
-"""Filters: the FFT low-pass of a sensor, its impulse response, and the equalisation of one sensor to another.
+"""Filters: the FFT low-pass of a sensor, and its impulse response.
 
 The FFT filter has zero phase and brick-wall (taper 0) or tapered edges. A low-pass changes a clean damped-Hertz pulse
 of duration T as follows (measured in `tests/test_filters.py`):
@@ -16,17 +16,14 @@ edge at 2/T costs 22 % of the peak, one at 4/T about 1 %.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cgid._lib import validation
 from cgid._lib.validation import Floats, require_rate
 from cgid.errors import InvalidValue
-from cgid.measure.spectra import MEL_BANDS, mel, padded_length
 
-__all__ = ["Equalisation", "fft_filter", "filter_gain"]
+__all__ = ["fft_filter", "filter_gain"]
 
 #: Rows transformed at once: their spectra fit in the processor's cache.
 _ROWS = 32
@@ -36,10 +33,6 @@ SENSOR_TAPER = 0.5
 _MIN_EDGE = 2.0**-14
 #: Extent of an impulse response: periods of its edge, and smallest value over its largest.
 _RESPONSE_PERIODS, _RESPONSE_FLOOR = 64, 1e-5
-#: Largest gain of an equalisation [dB]: it cannot restore what a sensor does not record.
-MAX_GAIN = 40.0
-#: Time in which the response of an equalisation decays [s]; its narrowest band is 70 Hz wide.
-_TAIL = 30e-3
 
 
 def fft_filter(
@@ -148,66 +141,3 @@ def low_pass_response(sampling_rate: float, edge: float) -> Floats:
     # Ringing below 1e-5 of the largest value is cut off.
     significant = np.flatnonzero(np.abs(response) > _RESPONSE_FLOOR * response[0])
     return np.asarray(response[: significant[-1] + 1])
-
-
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class Equalisation:
-    """A gain [dB] for each mel band that makes the signals of one sensor like those of another.
-
-    Between the centres of the mel bands the gain is linear in mel, beyond them it is constant. The filter has minimum
-    phase: it is causal and removes the resonance of a sensor's mount in time, too. Raise `InvalidValue` unless `gains`
-    (n_bands,) is one finite number per band, within 40 dB of 0.
-
-    Parameters
-    ----------
-    gains : array_like, (n_bands,) [dB]
-        One for each mel band.
-    """
-
-    gains: Floats
-
-    def __post_init__(self) -> None:
-        gains = validation.real("gains", self.gains, "dB")
-        if gains.shape != (len(MEL_BANDS),):
-            raise InvalidValue(f"gains must be one number for each of {len(MEL_BANDS)} bands, got shape {gains.shape}")
-        if np.abs(gains).max() > MAX_GAIN:
-            raise InvalidValue(
-                f"gains must be within {MAX_GAIN:g} dB of none, got {gains[np.argmax(np.abs(gains))]:g} dB: check "
-                "the sensor, its cable and its reference run"
-            )
-        object.__setattr__(self, "gains", gains)
-
-    @classmethod
-    def between(cls, measured: ArrayLike, target: ArrayLike) -> Equalisation:
-        """Return the equalisation of a sensor (`measured`) to another one (`target`).
-
-        Both are mean spectra of reference runs, log10 of the mean square per band, (n_bands,).
-
-        >>> n_bands = len(MEL_BANDS)
-        >>> quiet, loud = np.full(n_bands, -2.0), np.full(n_bands, -1.4)
-        >>> samples = np.sin(np.arange(400.0))[None]
-        >>> float((Equalisation.between(quiet, loud).apply(samples, 1e4).std() / samples.std()).round(4))
-        1.9953
-        """
-        return cls(gains=10.0 * (validation.real("meant", target) - validation.real("heard", measured)))
-
-    def gain(self, frequency: Floats) -> Floats:
-        """Return the gain [dB] at frequencies [Hz]."""
-        return np.asarray(np.interp(mel(frequency), mel(MEL_BANDS.centres), self.gains))
-
-    def apply(self, samples: NDArray[np.floating], sampling_rate: float) -> Floats:
-        """Return rows of samples (n_rows, n_samples) as the other sensor would record them; means are kept."""
-        n_samples = samples.shape[1]
-        length = padded_length(n_samples + round(_TAIL * sampling_rate))
-        mean = samples.mean(axis=1, keepdims=True, dtype=np.float64)
-        spectrum = np.fft.rfft(samples - mean, n=length, axis=1)
-        spectrum *= self._response(length, sampling_rate)
-        return np.asarray(np.fft.irfft(spectrum, n=length, axis=1)[:, :n_samples] + mean)
-
-    def _response(self, length: int, sampling_rate: float) -> NDArray[np.complex128]:
-        """Return the minimum-phase gain at the bins of a transform, by the cepstrum (Oppenheim & Schafer)."""
-        level = self.gain(np.asarray(np.fft.rfftfreq(length, 1 / sampling_rate), np.float64)) * (np.log(10.0) / 20.0)
-        cepstrum = np.fft.irfft(level, n=length)
-        cepstrum[1 : length // 2] *= 2.0
-        cepstrum[length // 2 + 1 :] = 0.0
-        return np.asarray(np.exp(np.fft.rfft(cepstrum)))

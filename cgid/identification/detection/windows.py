@@ -15,7 +15,6 @@ from cgid._lib import validation
 from cgid._lib.validation import Floats
 from cgid.errors import InvalidValue
 from cgid.measure.features.extraction import extract_array
-from cgid.measure.filters import Equalisation
 from cgid.measure.frames import MINIMUM_FRAME
 
 #: Default length of a window [s].
@@ -72,22 +71,15 @@ def windows_of(
         waiting, start, n_waiting = [samples[:, gone:].copy()], start + gone, n_waiting - gone
 
 
-def measure_windows(
-    windows: NDArray[np.floating],
-    sampling_rate: float,
-    names: tuple[str, ...],
-    equalisation: Sequence[Equalisation] | None = None,
-) -> Floats:
+def measure_windows(windows: NDArray[np.floating], sampling_rate: float, names: tuple[str, ...]) -> Floats:
     """Return features (n_windows, n_channels * n_features), channel by channel; nan where not measurable."""
     is_complete = complete_windows(windows)
     if not is_complete.all():
         table = np.full((len(windows), windows.shape[1] * len(names)), np.nan)
         if is_complete.any():
-            table[is_complete] = measure_windows(windows[is_complete], sampling_rate, names, equalisation)
+            table[is_complete] = measure_windows(windows[is_complete], sampling_rate, names)
         return table
-    equalisations = [None] * windows.shape[1] if equalisation is None else equalisation
-    channels = zip(np.moveaxis(windows, 1, 0), equalisations, strict=True)
-    parts = [extract_array(rows, sampling_rate, names, invalid="nan", equalisation=one) for rows, one in channels]
+    parts = [extract_array(rows, sampling_rate, names, invalid="nan") for rows in np.moveaxis(windows, 1, 0)]
     return np.concatenate(parts, axis=1)
 
 

@@ -53,11 +53,9 @@ from cgid.identification.model.model_file import (
     stored_fields,
     with_floats,
 )
-from cgid.identification.model.reference import equalisations_of
 from cgid.identification.model.world import World, trait_names
 from cgid.measure.features.extraction import FEATURES, UnknownFeature, base_of, in_units, kind_of, powers_of
 from cgid.measure.features.table import Kind
-from cgid.measure.filters import Equalisation
 from cgid.measure.modal.beam import Beam
 from cgid.signals import Batch, Signal
 from cgid.units import quantity_of
@@ -250,8 +248,6 @@ class StoredModel(Model):
         Length and hop of the windows [s]; 0 unless it is a model of windows.
     n_channels : int
         Channels per answer; the features are measured on each of them.
-    sensors : tuple of str
-        Sensors with reference spectra in the model.
     estimator : object, optional
         The fitted classifier of scikit-learn if no family has its scores; such a model has no file.
     """
@@ -264,7 +260,6 @@ class StoredModel(Model):
     window_time: float = 0.0
     hop_time: float = 0.0
     n_channels: int = 1
-    sensors: tuple[str, ...] = ()
     estimator: Any = None
 
     def __post_init__(self) -> None:
@@ -376,11 +371,6 @@ class StoredModel(Model):
     def vote_correlation(self) -> float:
         """Correlation of successive windows in a vote: 0 none, 1 complete or unknown."""
         return float(self.training.get(VOTE_CORRELATION, 1.0))
-
-    @property
-    def references(self) -> dict[str, Floats]:
-        """Reference spectra of each sensor, (n_channels, n_bands)."""
-        return dict(zip(self.sensors, self.arrays["reference.spectra"], strict=True)) if self.sensors else {}
 
     @cached_property
     def conformal(self) -> Conformal | None:
@@ -599,29 +589,6 @@ class StoredModel(Model):
             )
         return self.conformal.prediction_set(probabilities, coverage, class_conditional=class_conditional)
 
-    def equalisation(self, sensor: str) -> tuple[Equalisation, ...]:
-        """Return the equalisation of each channel of a sensor to the mean response of the training.
-
-        Parameters
-        ----------
-        sensor : str
-            One of `sensors`.
-
-        Returns
-        -------
-        tuple of Equalisation
-            One for each channel.
-
-        Raises
-        ------
-        InvalidValue
-            The model has no reference spectra of the sensor.
-        """
-        if not self.sensors:
-            raise InvalidValue("sensor must be left out, this model was trained without reference runs")
-        validation.choice("sensor", sensor, self.sensors)
-        return tuple(equalisations_of(self.references)[sensor])
-
     def covers(self, sampling_rate: float) -> bool:
         """Return whether a sampling rate [Hz] is in the range of the training, within 1 %.
 
@@ -683,7 +650,6 @@ class StoredModel(Model):
         conformal: Conformal | None = None,
         contrast: Contrast | None = None,
         beam: Beam | None = None,
-        references: Mapping[str, Floats] | None = None,
         **fields: Any,
     ) -> StoredModel:
         """Return the model of a fitted classifier.
@@ -697,8 +663,6 @@ class StoredModel(Model):
         conformal : Conformal, optional
         contrast : Contrast, optional
         beam : Beam, optional
-        references : dict of ndarray, each (n_channels, n_bands), optional
-            Reference spectra of the sensors.
         **fields
             Other attributes of the model: at least features, unit, sampling_rates and training.
         """
@@ -719,8 +683,6 @@ class StoredModel(Model):
             arrays |= contrast.arrays
         if beam is not None:
             arrays |= beam.arrays
-        if references:
-            arrays["reference.spectra"] = np.stack(list(references.values()))
         # C order, as in the file: the last digit of a product may depend on the order.
         arrays = {name: np.ascontiguousarray(array) for name, array in arrays.items()}
         return cls(
@@ -731,7 +693,6 @@ class StoredModel(Model):
             arrays=arrays,
             guards=tuple(guards),
             guard_limits=tuple(guards.values()),
-            sensors=tuple(references or ()),
             estimator=None if found else estimator,
             **fields,
         )

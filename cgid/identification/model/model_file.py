@@ -33,11 +33,9 @@ from cgid.identification.model.families import (
     Network,
     Standardiser,
 )
-from cgid.identification.model.reference import equalisations_of
 from cgid.identification.model.world import World, trait_names
 from cgid.measure.features.extraction import any_through_beam, require_known
 from cgid.measure.modal.beam import Beam
-from cgid.measure.spectra import MEL_BANDS
 from cgid.units import quantity_of
 
 if TYPE_CHECKING:
@@ -118,7 +116,10 @@ _DEEPEST = 32
 _MAX_NUMBER = 1e100
 _LISTS_OF_NUMBERS = ("guard_limits", "sampling_rates")
 #: Fields that must be empty: what a model of an earlier development version needed -> why it is withdrawn.
-WITHDRAWN = {"known": "a model that needs a drop height is withdrawn"}
+WITHDRAWN = {
+    "known": "a model that needs a drop height is withdrawn",
+    "sensors": "reference runs of sensors are withdrawn",
+}
 #: Other fields: the quantity follows from the unit, the others are checked on reading.
 _FURTHER_FIELDS = {"format", "schema_version", "quantity", "sha256", *WITHDRAWN}
 
@@ -220,8 +221,8 @@ def _is(value: Any, kind: type) -> bool:
 MAX_CHANNELS = 64
 #: Prefix of the arrays of the standardiser.
 STANDARDISER = "standardiser."
-MAX_LABELS, _MAX_SENSORS = 1000, 1000
-#: Maximum number of characters of a label or sensor name.
+MAX_LABELS = 1000
+#: Maximum number of characters of a label.
 _MAX_WORD_LENGTH = 100
 #: Arrays that remain integers.
 _INTEGERS = {"conformal.labels", *(f"family.{name}" for name in Boosting.INDICES)}
@@ -245,7 +246,6 @@ def check_names(model: StoredModel) -> None:
         ("labels", model.labels, 2),
         ("features", model.features, 1),
         ("features and guards", model.measured, 1),
-        ("sensors", model.sensors, 0),
     ):
         if len(values) < min_count or not all(map(_is_word, values)) or len(set(values)) != len(values):
             raise BadData(
@@ -253,9 +253,8 @@ def check_names(model: StoredModel) -> None:
             )
     for label in model.labels:
         validation.label("labels", label)
-    for name, values, max_count in (("labels", model.labels, MAX_LABELS), ("sensors", model.sensors, _MAX_SENSORS)):
-        if len(values) > max_count:
-            raise BadData(f"{name} must be at most {max_count}, got {len(values)}")
+    if len(model.labels) > MAX_LABELS:
+        raise BadData(f"labels must be at most {MAX_LABELS}, got {len(model.labels)}")
     for feature in model.measured:
         require_known(feature)
     quantity_of(model.unit)
@@ -275,8 +274,6 @@ def check_numbers(model: StoredModel) -> None:
         raise BadData("guard_limits must be one number for each guard")
     _check_windows(model)
     _check_arrays(model)
-    if model.sensors:
-        equalisations_of(model.references)  # checks their gains
 
 
 def check_training(model: StoredModel) -> None:
@@ -352,7 +349,7 @@ def _check_arrays(model: StoredModel) -> None:
             raise BadData(f"array {name} must have shape {possible[0]}")
     if ("conformal.scores" in arrays) != ("conformal.labels" in arrays):
         raise BadData("arrays conformal.scores and conformal.labels must both be present or absent")
-    known = shapes.keys() | {"conformal.scores", "conformal.labels", "reference.spectra"}
+    known = shapes.keys() | {"conformal.scores", "conformal.labels"}
     family = Fitted if model.estimator is not None else BY_NAME[model.family]
     known |= {f"family.{name}" for name in family.AXES} | {f"beam.{name}" for name in Beam.ARRAYS}
     known |= {Contrast.PREFIX + name for name in (*Standardiser.NAMES, *Network.AXES, *Linear.AXES, "limit")}
@@ -392,7 +389,7 @@ def require_times(window_time: float, hop_time: float) -> None:
 
 
 def _check_windows(model: StoredModel) -> None:
-    """Raise unless windows, channels and reference spectra are consistent."""
+    """Raise unless windows and channels are consistent."""
     if isinstance(model.n_channels, bool) or not 1 <= model.n_channels <= MAX_CHANNELS:
         raise BadData(f"n_channels must be between 1 and {MAX_CHANNELS}, got {model.n_channels}")
     if model.n_channels > 1 and model.guards:
@@ -401,9 +398,3 @@ def _check_windows(model: StoredModel) -> None:
         require_times(model.window_time, model.hop_time)
     elif model.window_time or model.hop_time:
         raise BadData(f"window_time and hop_time must be 0 for features of a {model.kind}")
-    spectra = model.arrays.get("reference.spectra")
-    if (spectra is not None) != bool(model.sensors):
-        raise BadData("array reference.spectra must be present if and only if sensors are named")
-    shape = len(model.sensors), model.n_channels, len(MEL_BANDS)
-    if spectra is not None and spectra.shape != shape:
-        raise BadData(f"array reference.spectra must have shape {shape}, got {spectra.shape}")

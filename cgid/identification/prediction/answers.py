@@ -20,7 +20,6 @@ from cgid.identification.model.model import Model, StoredModel, stored
 from cgid.identification.prediction.diagnosis import Cause, causes_of, with_frames
 from cgid.identification.prediction.settings import PredictionSettings
 from cgid.measure.features.extraction import as_rows, measured, require_measurable
-from cgid.measure.filters import Equalisation
 from cgid.measure.frames import DETECTION_LIMIT, MINIMUM_FRAME, Problem, ProblemKind, frames_of
 from cgid.recordings.chain import require_measured
 from cgid.signals import Signal, force_factor
@@ -261,7 +260,7 @@ def identify(signal: Signal, model: Model, settings: PredictionSettings | None =
         )
     events = find_impacts(signal, kind=model.kind, dead_time=settings.dead_time)
     if (shortest := min(len(event.samples) for event in events)) >= MINIMUM_FRAME:
-        require_measurable(model.measured, signal.sampling_rate, shortest, None, model.beam)
+        require_measurable(model.measured, signal.sampling_rate, shortest, model.beam)
     return measured_events(events, model, settings, (signal.channel,))[0]
 
 
@@ -281,27 +280,22 @@ def measured_events(
             f"channels must be {model.together}, one for each sensor of this model, in the order of its training; give "
             "a complete recording of them, or use a model of one sensor"
         )
-    sensors = settings.sensors_for(model, channels)
     answers: dict[int, Answer] = {}
     values = np.full((len(events), len(model.measured)), np.nan)
-    for sensor in dict.fromkeys(sensors):
-        of_sensor = [number for number, event in enumerate(events) if sensors[event.channel] == sensor]
-        for some, frames in frames_alike([events[number] for number in of_sensor]):
-            numbers = [of_sensor[number] for number in some]
-            event = events[numbers[0]]
-            part, values[numbers] = _identified(
-                frames,
-                event.sampling_rate,
-                model,
-                settings,
-                pre_trigger=event.pre_trigger,
-                detection_limit=event.detection_limit,
-                equalisation=None if sensor is None else model.equalisation(sensor)[0],
-                beam=beam,
-                # After a gap, a channel counts as a new one.
-                channel=np.array([events[k].since * len(channels) + events[k].channel for k in numbers]),
-            )
-            answers |= zip(numbers, part, strict=True)
+    for rows, frames in frames_alike(events):
+        event = events[rows[0]]
+        part, values[rows] = _identified(
+            frames,
+            event.sampling_rate,
+            model,
+            settings,
+            pre_trigger=event.pre_trigger,
+            detection_limit=event.detection_limit,
+            beam=beam,
+            # After a gap, a channel counts as a new one.
+            channel=np.array([events[k].since * len(channels) + events[k].channel for k in rows]),
+        )
+        answers |= zip(rows, part, strict=True)
     values[[bool(event.problem) for event in events]] = np.nan
     return [_placed(answers[number], event, channels) for number, event in enumerate(events)], values
 
@@ -326,7 +320,6 @@ def identify_frames(
     *,
     pre_trigger: int | None,
     detection_limit: float = DETECTION_LIMIT,
-    equalisation: Equalisation | None = None,
 ) -> list[Answer]:
     """Return one prediction for each frame of a single impact.
 
@@ -342,8 +335,6 @@ def identify_frames(
         Samples before onset, for baseline and noise; None to determine them from the pulse.
     detection_limit : float
         Minimum height of a pulse over the standard deviation of the noise.
-    equalisation : Equalisation, optional
-        Corrects the sensor's response.
 
     Returns
     -------
@@ -358,7 +349,7 @@ def identify_frames(
     model = stored(model)
     shape = np.shape(frames)
     if shape[-1] >= MINIMUM_FRAME:
-        require_measurable(model.measured, sampling_rate, shape[-1], equalisation, model.beam)
+        require_measurable(model.measured, sampling_rate, shape[-1], model.beam)
         rows = as_rows(frames, 1 if model.beam is None else model.beam.n_sensors, model.measured)
         frames = frames_of(rows, pre_trigger).reshape(shape)
     return _identified(
@@ -368,7 +359,6 @@ def identify_frames(
         settings or PredictionSettings(),
         pre_trigger=pre_trigger,
         detection_limit=detection_limit,
-        equalisation=equalisation,
     )[0]
 
 
@@ -380,7 +370,6 @@ def _identified(
     *,
     pre_trigger: int | None,
     detection_limit: float,
-    equalisation: Equalisation | None,
     beam: BeamStream | None = None,
     channel: NDArray[np.intp] | None = None,
 ) -> tuple[list[Answer], Floats]:
@@ -395,7 +384,6 @@ def _identified(
         model.measured + model.extras,
         pre_trigger=pre_trigger,
         detection_limit=detection_limit,
-        equalisation=equalisation,
         beam=beam or model.beam,
         channel=channel,
     )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from itertools import compress
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -97,8 +97,6 @@ class PredictionSettings:
         Mass of the accelerated impactor; turns an acceleration into a force.
     invert : bool
         Whether pulses point downwards.
-    sensors : tuple of str
-        Names of sensors in the model: one for all channels, or one for each.
     lines : bool, optional
         Whether tones of machines are taken out of accelerations that a model sees through a beam: from the start,
         never, or, without a statement, once two seconds have told that a machine runs.
@@ -147,7 +145,6 @@ class PredictionSettings:
     class_conditional: bool = False
     mass: float | None = None
     invert: bool = False
-    sensors: tuple[str, ...] = ()
     lines: bool | None = None
     dead_time: float | None = None
     vote_time: float | None = None
@@ -174,8 +171,6 @@ class PredictionSettings:
             validation.instance(name, getattr(self, name), bool, np.bool_)
         if self.lines is not None:
             validation.instance("lines", self.lines, bool, np.bool_)
-        if not (isinstance(self.sensors, tuple | list) and all(isinstance(one, str) for one in self.sensors)):
-            raise InvalidValue(f"sensors must be a tuple of names, as in ('left', 'right'), got {shown(self.sensors)}")
         object.__setattr__(self, "same_beam", require_groups(self.same_beam))
         for name, label in (("coal", "coal"), ("lumps", "gangue")):
             if getattr(self, name):
@@ -243,22 +238,6 @@ class PredictionSettings:
     def vote_over(self, model: StoredModel) -> float:
         """Return the time over which windows vote [s]."""
         return max(VOTE_TIME if self.vote_time is None else self.vote_time, model.window_time)
-
-    def sensors_for(self, model: StoredModel, channels: Sequence[str]) -> list[str | None]:
-        """Return the sensor of each channel, or of each group of channels that the model uses together.
-
-        Raises `InvalidValue` if the number of sensors does not match, or the model has no sensor of this name.
-        """
-        if not self.sensors:
-            return [None] * len(channels)
-        if len(self.sensors) not in (1, len(channels)):
-            rule = f"given once, or once for each of the {len(channels)} channels" if len(channels) > 1 else "one"
-            raise InvalidValue(
-                f"sensor must be {rule}, got {len(self.sensors)} ({', '.join(self.sensors)}); leave some out"
-            )
-        for sensor in self.sensors:
-            model.equalisation(sensor)
-        return [*self.sensors] * (len(channels) // len(self.sensors))
 
     # -- gangue fraction ---------------------------------------------------------------------------------
 

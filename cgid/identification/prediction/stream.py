@@ -20,16 +20,14 @@ from cgid._lib.validation import Floats
 from cgid.errors import BadData, CgidError, InvalidValue
 from cgid.identification.detection.detector import ImpactDetector
 from cgid.identification.detection.events import Event
-from cgid.identification.detection.windows import complete_windows, measure_windows, windows_of
+from cgid.identification.detection.windows import measure_windows, windows_of
 from cgid.identification.model.model import StoredModel
-from cgid.identification.model.reference import MeanSpectrum, drift
 from cgid.identification.prediction.answers import Answer, answers_from, factor_to, measured_events, unmeasured
 from cgid.identification.prediction.same_beam import SameBeam, Together, pooled, rows_of
 from cgid.identification.prediction.settings import PredictionSettings
 from cgid.identification.prediction.vote import RunningVote
 from cgid.measure.features.extraction import FEATURES, require_measurable
 from cgid.measure.features.table import MIN_BANDWIDTH, ImpactKind
-from cgid.measure.filters import Equalisation
 from cgid.recordings.soundness import FAR_BELOW
 from cgid.signals import channel_name
 
@@ -159,7 +157,7 @@ def _impacts(
         detector = ImpactDetector(
             sampling_rate, len(channels), kind=kind, dead_time=settings.dead_time, joint=joint, gaps=True
         )
-        require_measurable(model.measured, sampling_rate, detector.n_samples, None, model.beam)
+        require_measurable(model.measured, sampling_rate, detector.n_samples, model.beam)
         # A model of labelled recordings has learned with their tones.
         lines = None
         if settings.lines is not False and beam is not None:
@@ -264,21 +262,16 @@ def _windows(
     with _named(source):
         groups = rows_of(model, channels, settings.same_beam)
         names = answering_channels(model, channels, settings.same_beam)
-        # Each has its own votes and sensor.
+        # Each has its own votes.
         looks = channels if model.n_channels == 1 else names
         times = settings.vote_over(model), model.window_time, model.hop_time
         votes = [RunningVote.over(*times, model.vote_correlation) for _ in looks]
-        sensors = settings.sensors_for(model, looks)
-        equalisations = [None if sensor is None else model.equalisation(sensor) for sensor in sensors]
-        drifts, seen = Drifts(model, sensors, sampling_rate), False
+        seen = False
         for first, windows in windows_of(blocks, sampling_rate, model.window_time, model.hop_time):
             parts = [windows] if model.n_channels > 1 else [windows[:, [row]] for row in range(len(looks))]
             predicted = [
-                _predicted(part, sampling_rate, model, settings, vote, equalisation)
-                for part, vote, equalisation in zip(parts, votes, equalisations, strict=True)
+                _predicted(part, sampling_rate, model, settings, vote) for part, vote in zip(parts, votes, strict=True)
             ]
-            for number, part in enumerate(parts):
-                drifts.see(number, part)
             length, seen = windows.shape[2], True
             if settings.same_beam:
                 predicted = [
@@ -297,7 +290,6 @@ def _windows(
                 0.0,
                 (f"{source}: a recording must contain a window of {model.window_time:g} s, it is shorter",),
             )
-        yield Step([], 0.0, warnings=tuple(f"{source}: {warning}" for warning in drifts.warnings()))
 
 
 class Strategy(NamedTuple):
@@ -320,45 +312,13 @@ def _predicted(
     model: StoredModel,
     settings: PredictionSettings,
     vote: RunningVote,
-    equalisation: Sequence[Equalisation] | None,
 ) -> list[Answer]:
     """Return one prediction for each window (n_windows, n_channels, n_samples); unmeasurable windows have no vote."""
     n_windows, n_channels, _ = windows.shape
-    table = measure_windows(windows, sampling_rate, model.measured, equalisation).reshape(n_windows, n_channels, -1)
+    table = measure_windows(windows, sampling_rate, model.measured).reshape(n_windows, n_channels, -1)
     inputs = table[:, :, : len(model.features)].reshape(n_windows, -1)
     guards = table[:, :, len(model.features) :].max(axis=1)
     sound = np.asarray(np.isfinite(table).all(axis=(1, 2)))
     answers = answers_from(inputs[sound], guards[sound], model, settings, sampling_rate, vote.feed)
     silent = unmeasured("the window cannot be measured: it is silent, constant or lacks samples")
     return [next(answers) if known else silent for known in sound.tolist()]
-
-
-class Drifts:
-    """Drift of known sensors from their reference runs, from the mean spectra of their channels."""
-
-    def __init__(self, model: StoredModel, sensors: Sequence[str | None], sampling_rate: float) -> None:
-        self._model, self._sensors = model, sensors
-        # Overlapping windows are not independent, and would make the spectrum seem more certain than it is.
-        self._every = max(math.ceil(model.window_time / model.hop_time - 1e-9), 1) if model.hop_time else 1
-        self._seen = [0] * len(sensors)
-        self._spectra = [[MeanSpectrum(sampling_rate) for _ in range(model.n_channels)] if s else [] for s in sensors]
-
-    def see(self, number: int, windows: NDArray[np.floating]) -> None:
-        """Take the next windows (n_windows, n_channels, n_samples) of one sensor."""
-        disjoint = windows[-self._seen[number] % self._every :: self._every]
-        disjoint = disjoint[complete_windows(disjoint)]
-        self._seen[number] += len(windows)
-        for channel, spectrum in enumerate(self._spectra[number]):
-            spectrum.feed(disjoint[:, channel])
-
-    def warnings(self) -> tuple[str, ...]:
-        """Return a line for each sensor that has drifted too far."""
-        lines: list[str] = []
-        for sensor, spectra in zip(self._sensors, self._spectra, strict=True):
-            if sensor is None:
-                continue
-            reference_spectrum = self._model.arrays["reference.spectra"][self._model.sensors.index(sensor)]
-            for spectrum, reference in zip(spectra, reference_spectrum, strict=True):
-                if spectrum.n_windows and (warning := drift(spectrum, reference).warning(sensor)):
-                    lines.append(warning)
-        return tuple(dict.fromkeys(lines))

@@ -32,7 +32,7 @@ from cgid.units import quantity_of
 
 #: The columns of a row.
 COLUMNS = (
-    *("path", "label", "start", "end", "group", "channel", "gain", "sensor", "reference", "rate", "unit"),
+    *("path", "label", "start", "end", "group", "channel", "gain", "rate", "unit"),
     *("variable", "format", "sensitivity", "full_scale", "invert", "same_beam", "chosen"),
 )
 #: Name of a column -> its title in a CSV file, where they differ.
@@ -43,7 +43,7 @@ INFORMATIVE = ("time_s", "peak", "peak_unit", "flags", "content", "note", "by")
 _NUMBERS = ("start", "end", "gain", "rate", "sensitivity", "full_scale")
 #: Names of manifests in a folder.
 _NAMES = ("manifest.csv", "events.csv", "manifest.toml")
-#: Maximum number of characters of a label, group or sensor.
+#: Maximum number of characters of a label or group.
 _MAX_WORD_LENGTH = 100
 #: Largest size [bytes] and number of keys of a manifest.
 MAX_FILE_SIZE, _MAX_KEYS = 16 << 20, 1_000_000
@@ -52,7 +52,7 @@ _HEAD = 1 << 14
 #: A row of numbers and times, in any way that recordings are read.
 _NUMBERS_ONLY = re.compile(r"(?=.*\d)(?:[\d\s.,;:+/\"'-]|[ed][+-]?\d|[ap]m|[tz]|nan|inf)+", re.IGNORECASE)
 #: Keys that may apply to all recordings of a TOML manifest.
-_SHARED = tuple(name for name in COLUMNS if name not in ("path", "label", "start", "end", "reference"))
+_SHARED = tuple(name for name in COLUMNS if name not in ("path", "label", "start", "end"))
 #: Columns for a complete recording, and the attributes of annotations for them.
 _OF_RECORDINGS = {
     **{name: name for name in ("sensitivity", "full_scale", "unit", "variable", "format", "invert", "same_beam")},
@@ -72,7 +72,7 @@ class Annotation:
 
     path: Path
     written: str  # path as in the manifest
-    label: str = ""  # empty for a reference run
+    label: str = ""
     group: str = ""  # unit that splits keep together, such as a day or a support; default: the recording
     start: float = 0.0  # `start`, `end`: [s]; `end` is infinite for the end of the recording
     end: float = math.inf
@@ -80,8 +80,6 @@ class Annotation:
     gain: float | None = None  # divisor of the samples of the interval, None if not stated
     # gain that differs between the channels, or is that of a charge amplifier; for the complete recording
     recording_gain: tuple[str, ...] | None = None
-    sensor: str = ""  # sensor whose reference run equalises the response; empty for none
-    reference: bool = False  # whether this is the reference run of the sensor
     invert: bool = False  # whether the samples are inverted, because impacts must point upwards
     # `sampling_rate`, `unit`, `variable`, `format`, `sensitivity`, `full_scale`: for files without them, see
     # `cgid.recordings.open_recording`
@@ -111,17 +109,12 @@ def annotation_of(row: Mapping[str, Any], folder: Path, labels: tuple[str, ...] 
     path = row.get("path")
     if not isinstance(path, str) or not path or "\0" in path:
         raise InvalidValue(f"path must be the name of a file, got {shown(path)}")
-    reference = _truth("reference", row.get("reference", False))
-    sensor, label = _word("sensor", row.get("sensor", "")), _word("label", row.get("label", ""))
-    if reference:
-        if label or not sensor:
-            raise InvalidValue("a reference run must name its sensor and have no label")
-    elif not label:
+    label = _word("label", row.get("label", ""))
+    if not label:
         raise InvalidValue("every recording or interval must have a label; add it, or remove the row")
-    else:
-        validation.label("label", label)
-        if labels is not None and label not in labels:
-            validation.choice("label", label, tuple(labels))
+    validation.label("label", label)
+    if labels is not None and label not in labels:
+        validation.choice("label", label, tuple(labels))
     start, end = _number("start", row.get("start", 0.0), " in s"), _number("end", row.get("end", math.inf), " in s")
     if not 0 <= start < end:
         raise InvalidValue(f"start and end must rise from 0 s, got {start:g} and {end:g} s")
@@ -142,8 +135,6 @@ def annotation_of(row: Mapping[str, Any], folder: Path, labels: tuple[str, ...] 
         channels=_channels(row.get("channel")),
         gain=one_gain.value if one_gain is not None and is_factor else None,
         recording_gain=None if is_factor else gain,
-        sensor=sensor,
-        reference=reference,
         invert=_truth("invert", row.get("invert", False)),
         sampling_rate=None if rate is None else _positive("rate", rate, "Hz"),
         unit=unit,
@@ -212,16 +203,11 @@ def _channels(value: Any) -> tuple[int | str, ...] | None:
 def contradictions(annotations: Sequence[Annotation]) -> list[str]:
     """Return the contradictions between annotations, one line each."""
     mistakes = []
-    referenced = {one.sensor for one in annotations if one.reference}
-    for sensor in sorted({one.sensor for one in annotations if one.sensor} - referenced):
-        mistakes.append(f"sensor {sensor} must have a reference run (reference = yes), there is none; add it")
-    if referenced and not all(one.sensor for one in annotations):
-        mistakes.append("every recording must have a sensor if one has a reference run; add it to the others")
     by_file: dict[Path, list[Annotation]] = {}
     for one in annotations:
         by_file.setdefault(one.path, []).append(one)
     for path, of_file in by_file.items():
-        groups = sorted({one.group for one in of_file if not one.reference})
+        groups = sorted({one.group for one in of_file})
         if len(groups) > 1:
             got = " and ".join(groups[:2])
             mistakes.append(
@@ -239,7 +225,7 @@ def contradictions(annotations: Sequence[Annotation]) -> list[str]:
                         "the same in all its rows"
                     )
             if before.channels == after.channels and after.start < before.end:
-                what = f"{before.label or 'a reference run'} and {after.label or 'a reference run'}"
+                what = f"{before.label} and {after.label}"
                 mistakes.append(f"{path}: intervals must not overlap, {what} do at {after.start:g} s")
     return mistakes
 
@@ -256,7 +242,7 @@ def _value_text(value: Any) -> str:
 
 @dataclass(frozen=True, kw_only=True)
 class Manifest:
-    """The annotations of a manifest, including reference runs, in the order of the file; `source` is its name."""
+    """The annotations of a manifest, in the order of the file; `source` is its name."""
 
     source: str
     annotations: tuple[Annotation, ...] = ()
@@ -265,19 +251,16 @@ class Manifest:
     @property
     def labels(self) -> tuple[str, ...]:
         """The distinct labels, sorted."""
-        return tuple(sorted({one.label for one in self.annotations if not one.reference}))
+        return tuple(sorted({one.label for one in self.annotations}))
 
     @property
     def n_intervals(self) -> int | None:
         """Number of labelled intervals, such as one for each impact; None if a row is a complete recording."""
-        labelled = [one for one in self.annotations if not one.reference]
-        return len(labelled) if all(one.end < math.inf for one in labelled) else None
+        return len(self.annotations) if all(one.end < math.inf for one in self.annotations) else None
 
     def sample(self, n: int) -> Manifest:
-        """Return a manifest with at most `n` of the labelled rows, evenly spread, and all reference runs."""
-        labelled = [one for one in self.annotations if not one.reference]
-        step = -(-len(labelled) // n)
-        return replace(self, annotations=(*labelled[::step], *(one for one in self.annotations if one.reference)))
+        """Return a manifest with at most `n` of the rows, evenly spread."""
+        return replace(self, annotations=self.annotations[:: -(-len(self.annotations) // n)])
 
 
 def is_manifest(path: str | Path) -> bool:
@@ -333,7 +316,7 @@ def read_manifest(path: str | Path, text: str | None = None) -> Manifest:
 
 
 def _in_one_spelling(source: str, annotations: Sequence[Annotation]) -> tuple[Annotation, ...]:
-    used = validation.one_spelling(source, [one.label for one in annotations if not one.reference])
+    used = validation.one_spelling(source, [one.label for one in annotations])
     return tuple(replace(one, label=used[one.label]) if one.label in used else one for one in annotations)
 
 
@@ -369,6 +352,8 @@ def _csv_rows(path: Path, text: str | None = None) -> tuple[list[Row], tuple[str
         if not any(cells):
             continue
         if not names:
+            if "reference" in (cell.lower() for cell in cells):
+                raise BadData(f"{path}: column reference must be left out with its rows, reference runs are withdrawn")
             names = [by_title.get(cell.lower(), "") for cell in cells]
             allowed = tuple(_TITLES.get(name, name) for name in COLUMNS)
             titles = [

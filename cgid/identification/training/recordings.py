@@ -29,13 +29,11 @@ from cgid.identification.detection.windows import (
     WINDOW_TIME,
     Grid,
     NoisyCopies,
-    complete_windows,
     measure_windows,
     windows_of,
 )
 from cgid.identification.inversion.through_beam import ThroughBeam
 from cgid.identification.model.model import StoredModel
-from cgid.identification.model.reference import Equalisations, MeanSpectrum, equalisations_of
 from cgid.identification.prediction.same_beam import (
     RockAssigner,
     agreeing,
@@ -144,12 +142,10 @@ class AnnotatedFile:
         return units[self.unit] / units[unit] / (annotation.gain or 1.0)
 
 
-def open_all(
-    manifest: Manifest, reading: Reading, failures: list[CgidError], *, references: bool = False
-) -> list[AnnotatedFile]:
-    """Open the labelled recordings of a manifest, or its reference runs; all of one quantity and number of channels."""
+def open_all(manifest: Manifest, reading: Reading, failures: list[CgidError]) -> list[AnnotatedFile]:
+    """Open the recordings of a manifest; all of one quantity and number of channels."""
     files: list[AnnotatedFile] = []
-    for rows in _by_channels([one for one in manifest.annotations if one.reference == references]):
+    for rows in _by_channels(manifest.annotations):
         try:
             file = opened(rows, reading)
             first = (files or [file])[0]
@@ -157,7 +153,7 @@ def open_all(
             files.append(file)
         except CgidError as error:
             reading.note(error, failures)
-    if not files and not references:
+    if not files:
         raise BadData(
             f"{manifest.source}: at least one recording must be readable, there is none"
             + "".join(f"; {error}" for error in failures[:1])
@@ -299,31 +295,6 @@ def _require_single(files: Sequence[AnnotatedFile], reading: Reading) -> None:
             )
 
 
-def reference_spectra(files: Sequence[AnnotatedFile], labelled: AnnotatedFile, window_time: float) -> dict[str, Floats]:
-    """Return the mean spectrum of each sensor, (n_channels, n_bands), over the windows of all its reference runs."""
-    spectra: dict[str, list[MeanSpectrum]] = {}
-    for file in files:
-        source, n_channels = file.recording.source, len(labelled.recording.channels)
-        if quantity_of(file.unit) != quantity_of(labelled.unit) or len(file.recording.channels) != n_channels:
-            raise BadData(
-                f"{source}: a reference run must match the recordings, {quantity_of(labelled.unit)} in {n_channels} "
-                f"channels, got {quantity_of(file.unit)} in {len(file.recording.channels)}; record it in the same way"
-            )
-        rate = file.recording.sampling_rate
-        for annotation, blocks in annotated_blocks(file, labelled.unit):
-            spectra_of_sensor = spectra.setdefault(annotation.sensor, [MeanSpectrum(rate) for _ in range(n_channels)])
-            if spectra_of_sensor[0].sampling_rate != rate:
-                raise BadData(f"{source}: the reference runs of a sensor must have one sampling rate; remove one")
-            for _, windows in windows_of(blocks, rate, window_time, window_time):
-                is_complete = complete_windows(windows)
-                for channel, spectrum in enumerate(spectra_of_sensor):
-                    spectrum.feed(windows[is_complete, channel])
-    return {
-        sensor: np.stack([spectrum.levels for spectrum in spectra_of_sensor])
-        for sensor, spectra_of_sensor in spectra.items()
-    }
-
-
 # -- rows -------------------------------------------------------------------------------------------------
 
 
@@ -361,10 +332,8 @@ def record(
     names = _names(features, files, slicing, level_free)
     if model is None:
         names += tuple(name for name in default_guards(names) if name not in names)
-    runs = open_all(manifest, replace(reading, strict=True), failures, references=True)
-    references = reference_spectra(runs, files[0], slicing.window_time)
     unit = files[0].unit if model is None else model.unit
-    cutting = Cutting(names, slicing, unit, equalisations_of(references), augment, model)
+    cutting = Cutting(names, slicing, unit, augment, model)
     measured: list[tuple[AnnotatedFile, list[AnnotatedRows]]] = []
     for file in files:
         try:
@@ -380,9 +349,7 @@ def record(
     for failure in failures[n_reported:]:
         reading.failed(failure)
     rows = rows_of(measured, cutting)
-    return replace(
-        rows, references=references, failures=tuple(failures), notes=notes, warnings=(*warnings, *rows.warnings)
-    )
+    return replace(rows, failures=tuple(failures), notes=notes, warnings=(*warnings, *rows.warnings))
 
 
 def _require_quantity(file: AnnotatedFile, model: StoredModel) -> None:
@@ -480,7 +447,7 @@ def labelled(rows: Rows, manifest: Manifest) -> Rows:
     if rows.slicing is None or rows.slicing.by != "impact":
         raise InvalidValue("rows must be impacts of recordings, got others; measure them with record(..., by impact)")
     place = {key: number for number, key in enumerate(rows.files)}
-    annotations = [one for one in manifest.annotations if not one.reference]
+    annotations = manifest.annotations
     owner = np.full(len(rows.labels), -1)
     by_file: dict[int, list[int]] = {}
     for number, one in enumerate(annotations):
@@ -595,7 +562,6 @@ class Cutting:
     names: tuple[str, ...]
     slicing: Slicing
     unit: str
-    equalisations: Equalisations
     augment: bool = False
     model: StoredModel | None = None
 
@@ -639,16 +605,15 @@ def _windows(file: AnnotatedFile, cutting: Cutting) -> Iterator[AnnotatedRows]:
     """Yield annotation, times and features of the windows completely inside annotated intervals."""
     rate, slicing = file.recording.sampling_rate, cutting.slicing
     for annotation, blocks in annotated_blocks(file, cutting.unit):
-        equalisation = cutting.equalisations.get(annotation.sensor)
         copies = NoisyCopies((int(file.digest[:8], 16), round(annotation.start * rate)))
         for first, windows in windows_of(blocks, rate, slicing.window_time, slicing.hop_time):
             times = annotation.start + first / rate
-            features = measure_windows(windows, rate, cutting.names, equalisation)
+            features = measure_windows(windows, rate, cutting.names)
             yield AnnotatedRows(annotation, times, features, np.full(len(times), np.inf))
             for some in range(0, len(times) if cutting.augment else 0, _COPIED):
                 # Measured together: a call takes some milliseconds however few its windows are.
                 snr, noisy = map(np.concatenate, zip(*copies.of(windows[some : some + _COPIED]), strict=True))
-                features = measure_windows(noisy, rate, cutting.names, equalisation)
+                features = measure_windows(noisy, rate, cutting.names)
                 n_copies = len(snr) // len(times[some : some + _COPIED])
                 yield AnnotatedRows(annotation, np.repeat(times[some : some + _COPIED], n_copies), features, snr)
 
@@ -741,7 +706,6 @@ def _measured_events(
                 pre_trigger=some[0].pre_trigger,
                 invalid="nan",
                 detection_limit=some[0].detection_limit,
-                equalisation=cutting.equalisations[annotation.sensor][channel] if annotation.sensor else None,
                 beam=cutting.beam(file, channel),
             )
             features[[bool(event.problem) for event in some]] = np.nan

@@ -127,8 +127,6 @@ class Rows:
     snr : ndarray, (n_rows,) [dB]
         Power of a window over that of the noise added to a copy of it; infinite for a row as recorded. Empty without
         copies.
-    references : mapping of str to ndarray, (n_channels, n_bands)
-        Reference spectra of the sensors.
     beam : Beam or None
         The beam of the features.
     left_out : int
@@ -160,7 +158,6 @@ class Rows:
     same_beam: tuple[str, ...] = ()
     chosen: NDArray[np.str_] = field(default_factory=lambda: np.empty(0, np.str_))
     snr: Floats = field(default_factory=lambda: np.empty(0))
-    references: Mapping[str, Floats] = field(default_factory=dict)
     beam: Beam | None = None
     left_out: int = 0
     failures: tuple[CgidError, ...] = ()
@@ -395,7 +392,7 @@ def _measured(settings: tuple[tuple[str, ...], Beam | None], batch: Batch) -> tu
         inversion = None if beam is None else through(beam)
         before, rate = batch.pre_trigger or None, batch.sampling_rate
         frames = frames_of(as_rows(batch.signals, 1 if inversion is None else inversion.n_sensors, names), before)
-        require_measurable(names, rate, frames.shape[1], None, inversion)
+        require_measurable(names, rate, frames.shape[1], inversion)
         features, problems = measured(frames, rate, names, pre_trigger=before, beam=inversion)
     complete = np.asarray(np.isfinite(features).all(axis=1))
     rows = Rows(

@@ -19,7 +19,7 @@ from cgid._lib.terminal import counted
 Row = tuple[str, Mapping[str, Any]]
 #: What a stretch takes from the rows in it where its own cell is empty.
 _INHERITED = (
-    *("group", "channel", "gain", "sensor", "rate", "unit", "variable", "format", "sensitivity", "full_scale"),
+    *("group", "channel", "gain", "rate", "unit", "variable", "format", "sensitivity", "full_scale"),
     *("invert", "same_beam"),
 )
 
@@ -37,21 +37,12 @@ def span_of(row: Mapping[str, Any]) -> tuple[float, float] | None:
     return (start, end) if 0 <= start < end else None
 
 
-def is_reference(row: Mapping[str, Any]) -> bool:
-    """Return whether a row may be a reference run."""
-    return str(row.get("reference") or "no").lower() not in ("no", "false", "0")
-
-
 def resolved(source: str, rows: Sequence[Row]) -> tuple[list[Row], list[Row]]:
     """Return the labelled rows, none in another, and those without a label; a `UserWarning` names mixed stretches.
 
     What remains of a stretch around other rows has its whole span as "stretch".
     """
-    spans = {
-        number: span
-        for number, (_, row) in enumerate(rows)
-        if not is_reference(row) and (span := span_of(row)) is not None
-    }
+    spans = {number: span for number, (_, row) in enumerate(rows) if (span := span_of(row)) is not None}
     alike: dict[tuple[str, str], list[int]] = {}  # a stretch without a channel is of all channels of its recording
     for number in spans:
         row = rows[number][1]
@@ -69,7 +60,7 @@ def resolved(source: str, rows: Sequence[Row]) -> tuple[list[Row], list[Row]]:
     for number, (where, row) in enumerate(rows):
         if number in pieces:
             kept += pieces[number]
-        elif row.get("label") or is_reference(row):
+        elif row.get("label"):
             kept.append((where, row))
         elif number not in covered:
             without.append((where, row))

@@ -436,7 +436,6 @@ def _trained(
         window_time=0.0 if slicing is None else slicing.window_time,
         hop_time=0.0 if slicing is None else slicing.hop_time,
         n_channels=rows.n_channels,
-        references=rows.references,
         training={
             **record,
             "quantity": quantity_of(rows.unit),

@@ -20,7 +20,6 @@ from cgid.measure.features.pulses import FAINT, PULSE_FEATURES, PulseBatch
 from cgid.measure.features.table import Feature, FeatureTable, ImpactKind, Kind
 from cgid.measure.features.vibration import VIBRATION_FEATURES, BeamInversion, VibrationBatch
 from cgid.measure.features.windows import WINDOW_FEATURES, WindowBatch
-from cgid.measure.filters import Equalisation
 from cgid.measure.frames import DETECTION_LIMIT, Problem, ProblemKind, frames_of
 from cgid.signals import Batch, Signal, require_stated
 from cgid.units import KNOWN_UNITS, meaning_of
@@ -297,7 +296,6 @@ def extract_array(
     remove_baseline: bool = True,
     invalid: Literal["raise", "nan"] = "raise",
     detection_limit: float = DETECTION_LIMIT,
-    equalisation: Equalisation | None = None,
     beam: BeamInversion | None = None,
 ) -> Floats:
     """Return features as a plain array (n_signals, n_features), without pandas; otherwise as `extract`."""
@@ -308,7 +306,7 @@ def extract_array(
     frames, rate = frames_of(as_rows(samples, each, names), pre_trigger), require_rate(sampling_rate)
     validation.choice("invalid", invalid, ("raise", "nan"))
     detection_limit = validation.number("detection_limit", detection_limit, rule=validation.not_negative)
-    require_measurable(names, rate, frames.shape[1], equalisation, beam)
+    require_measurable(names, rate, frames.shape[1], beam)
     values, problems = measured(
         frames,
         rate,
@@ -316,7 +314,6 @@ def extract_array(
         pre_trigger=pre_trigger,
         remove_baseline=remove_baseline,
         detection_limit=detection_limit,
-        equalisation=equalisation,
         beam=beam,
     )
     if problems and invalid == "raise":
@@ -332,14 +329,11 @@ def require_measurable(
     names: Iterable[str],
     sampling_rate: float,
     n_samples: int,
-    equalisation: Equalisation | None,
     beam: BeamInversion | None,
 ) -> None:
-    """Raise `InvalidValue` unless features can be measured at a rate [Hz] on frames, equalised and through a beam."""
+    """Raise `InvalidValue` unless features can be measured at a rate [Hz] on frames and through a beam."""
     names = tuple(names)
     require_supported(names, sampling_rate, n_samples)
-    if equalisation is not None and kind_of(names) == "pulse":
-        raise InvalidValue("equalisation must be of vibrations or windows, got features of pulses: leave it out")
     through = next((name for name in names if FEATURES[name].beam), None)
     if through is not None and beam is None:
         raise InvalidValue(
@@ -356,7 +350,6 @@ def measured(
     pre_trigger: int | None = None,
     remove_baseline: bool = True,
     detection_limit: float = DETECTION_LIMIT,
-    equalisation: Equalisation | None = None,
     beam: BeamInversion | None = None,
     channel: NDArray[np.intp] | None = None,
 ) -> tuple[Floats, dict[int, Problem]]:
@@ -372,8 +365,6 @@ def measured(
     how = (sampling_rate, features, pre_trigger, remove_baseline, detection_limit, beam)
     for first in range(0, len(values), n_rows):
         part = frames[first * each : (first + n_rows) * each]
-        if equalisation is not None:
-            part = equalisation.apply(part, sampling_rate)
         batches = _batches(part, *how)
         faulty = _of_all(_problems(batches, features), each)
         sound = np.delete(np.arange(len(part) // each), np.fromiter(faulty, np.intp))

@@ -208,11 +208,6 @@ class WindowBatch:
         return _over_frames(self._mel_levels)
 
     @cached_property
-    def mel_power(self) -> Floats:
-        """Mean square in each of `MEL_BANDS`, averaged over the frames [unit^2], (n_windows, n_bands)."""
-        return MEL_BANDS.within(0.5 * self.sampling_rate).sums(self.spectrum.energy, self.spectrum.spacing)
-
-    @cached_property
     def even(self) -> tuple[Floats, Floats]:
         """Mean and standard deviation of log10 of `EVEN_BANDS` over the frames, (n_windows, n_bands)."""
         return _over_frames(self._log_levels(EVEN_BANDS))
