@@ -718,6 +718,6 @@ def factor_of(unit: str, source: str) -> tuple[str, float]:
         cure = "choose with --channel, and name the channel of the force with --hammer"
         raise BadData(
             f"{source}: the response must be an acceleration, velocity or displacement, got {quantity} [{unit}]; "
-            + ("give --full-scale, such as '500 g'" if quantity == "level" else cure)
+            + ("give --set full_scale='500 g'" if quantity == "level" else cure)
         )
     return quantity, UNITS[quantity][unit]

@@ -24,6 +24,7 @@ from cgid.cli.options import (
 )
 from cgid.cli.output import print_json, progress_bar, say, warn, warn_of_one_place
 from cgid.cli.reading import ReadingOptions, reading_options
+from cgid.cli.site import keys
 from cgid.errors import BadData, InvalidValue
 from cgid.units import UNITS, quantity_of
 
@@ -56,34 +57,10 @@ def _modes_beside(path: Path) -> list[Path]:
     help="Write this scene (.toml), and its modes next to it.",
 )
 @click.option(
-    "--start-error",
-    default="1 %",
-    show_default=True,
-    help="Set the standard deviation of the scene's natural frequencies; that of damping is 10 times as large.",
-)
-@click.option(
-    "--drift",
-    default="0.3 %",
-    show_default=True,
-    help="Set the same for a scene calibrated before: possible changes since then.",
-)
-@click.option(
-    "--participation-error",
-    default="0 %",
-    show_default=True,
-    help="Set the uncertainty of the modes' participations; with 0 they are not learned.",
-)
-@click.option(
     "--dimension-error",
     default="0 %",
     show_default=True,
     help="Set the uncertainty of all or some dimensions, as in 'thickness=3 %, ribs.depth=2 %'; these are fitted.",
-)
-@click.option(
-    "--exact",
-    default="",
-    metavar="PART,...",
-    help="Take these as the scene states them: sensor (its location), filter, mounting.",
 )
 @click.option(
     "--sensor",
@@ -93,13 +70,13 @@ def _modes_beside(path: Path) -> list[Path]:
     help="Calibrate sensors at these points [m] of the scene's beam together: the channels, in this order. It "
     "takes the place of --same-beam.",
 )
-@click.option("--impacts", type=int, default=300, show_default=True, help="Use at most this many impacts.")
 @click.option(
     "--plot", "picture", type=OUTPUT, help="Plot the modes before and after, with standard deviations, as PNG."
 )
 @overwrite_option
 @json_option
-@reading_options("index")
+@reading_options()
+@keys(start_error="1 %", drift="0.3 %", participation_error="0 %", exact="", impacts=300)
 def calibrate(
     recordings: tuple[str, ...],
     scene_name: str,
@@ -244,7 +221,7 @@ def _found(recording: Any, scene: Scene, reading: ReadingOptions, n_sensors: int
         raise BadData(
             f"{recording.source}: the recording must be of {scene.sensor.quantity} like scene {scene.name}, got "
             f"{quantity} [{unit}]; choose another channel, or give "
-            + ("--full-scale '500 g'" if quantity == "level" else "--unit")
+            + ("--set full_scale='500 g'" if quantity == "level" else "--unit")
         )
     check_scene(scene, recording.sampling_rate)
     factor = UNITS[quantity][unit]

@@ -15,7 +15,7 @@ from cgid._lib.terminal import counted
 from cgid.cli.help import Command
 from cgid.cli.options import OUTPUT, PATH, overwrite_option, require_no_input_written
 from cgid.cli.output import FileErrors, say, say_error, warn
-from cgid.cli.reading import ReadingOptions, reading_options
+from cgid.cli.reading import CHAIN, ReadingOptions, reading_options
 from cgid.errors import CgidError, InvalidValue, MissingOption
 from cgid.units import quantity_of
 
@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     help="Fill in the labels of this label track of Audacity; if it does not exist, write one to label there.",
 )
 @overwrite_option
-@reading_options("same_beam")
+@reading_options(*CHAIN, "same_beam")
 def events(
     files: tuple[str, ...],
     output: str,
@@ -128,8 +128,8 @@ def require_trainable(files: Sequence[str], reading: ReadingOptions, beams: bool
             continue
         if unit_of(recording) == "FS" and reading.unit is None:
             raise MissingOption(
-                f"{recording.source}: the file does not state full scale [FS]; give --full-scale '50 g', "
-                "or --full-scale '10 V' and the --sensitivity of the sensor, or the unit of the numbers with --unit"
+                f"{recording.source}: the file does not state full scale [FS]; give --set full_scale='50 g', "
+                "or --set full_scale='10 V' and the sensitivity of the sensor, or the unit of the numbers with --unit"
             )
         first = first or recording
         rates.add(recording.sampling_rate)

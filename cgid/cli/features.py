@@ -35,7 +35,7 @@ _MAX_REPORTED = 3
 @click.option("--features", "names", help="Measure only these features or banks, separated by commas.")
 @click.option("--keep-baseline", is_flag=True, help="Keep the baseline instead of subtracting it.")
 @output_options
-@reading_options("index")
+@reading_options()
 @json_option
 def features(
     files: tuple[str, ...],

@@ -14,13 +14,14 @@ from cgid.cli.options import (
     OUTPUT,
     SCENE,
     given_flags,
+    jobs_option,
     json_option,
     overwrite_option,
     require_one_executor,
     seed_option,
-    worker_options,
 )
 from cgid.cli.output import print_json, progress_bar, say, warn
+from cgid.cli.site import keys
 from cgid.errors import InvalidValue
 
 #: Options for tables and their outputs; and the options for the columns, with the table that they need.
@@ -53,28 +54,8 @@ _OF_DATASETS = (*_OF_RECORDINGS, "shard_signals", "compression", "jobs", "schedu
     help="Make this many signals, by default 10000; of a stream, recordings, by default 1.",
 )
 @seed_option
-@worker_options
-@click.option(
-    "--dtype",
-    type=click.Choice(["float32", "float64"]),
-    default="float32",
-    show_default=True,
-    help="Store the samples in this type.",
-)
-@click.option(
-    "--shard-signals",
-    type=int,
-    default=4096,
-    show_default=True,
-    help="Put this many signals into each shard of a folder.",
-)
-@click.option(
-    "--compression",
-    type=click.Choice(["none", "gzip", "zstd", "blosc2"]),
-    default="none",
-    show_default=True,
-    help="Compress the signals; every program reads gzip, zstd and blosc2 need the extra compression.",
-)
+@jobs_option
+@keys(dtype="float32", shard_signals=4096, compression="none", scheduler=None)
 @overwrite_option
 @click.option("--resume", is_flag=True, help="Continue an unfinished run, to the same bytes.")
 @click.option("--features-only", is_flag=True, help="Write a table of features instead of signals.")

@@ -17,55 +17,46 @@ from cgid.recordings.site import KEYS
 _OTHERS, _PLANT = "Other", "Plant outputs"
 #: Heading -> the options below it; "command --option" if a command uses the name differently.
 _OPTIONS = {
-    "Task": "--labels --sample --list --explain --features-only --closed-form-only --parameters-only --scene "
-    "--template",
-    "Reading the recording": "--rate --unit --sensitivity --gain --full-scale --channel --channels --same-beam "
-    "--sample-format --variable --format --index --invert --keep-baseline --lines --dead-time --give-up --from --to "
-    "--events --kind",
-    "Model": "--model --mass --sensor --family --by --hop --level-free --features --class-weights",
-    "Decision": "--miss-cost --coverage --class-conditional --vote",
-    "Gangue fraction": "--window --gangue --dilution-cost --cost-late --cost-early --hold --coal-until --cycle-pause "
-    "--cycle-by --labelled --trained-seam --blind-after",
-    "Signals": "--signals --seed --laws --dtype --quantities --shuffle-labels --test-share --calibration-share",
-    "Calibration": "--start-error --drift --participation-error --dimension-error --exact --impacts",
-    "Tap test": "--hammer --modes --band --max-order --contact --taps --window-tau",
-    "Output": "--output --summary --save --port --audacity --mirror --report --plot --plots --uff --overwrite --resume "
-    "--compression --shard-signals --json --clock --strict",
+    "Task": "--labels --sample --list --explain --features-only --parameters-only --scene --template",
+    "Reading the recording": "--rate --unit --sensitivity --full-scale --channel --channels --same-beam "
+    "--sample-format --from --to --events",
+    "Answers": "--model --coal-until --labelled",
+    "Model": "--family --by --window --sensor --features",
+    "Signals": "--signals --seed --quantities",
+    "Calibration": "--dimension-error",
+    "Tap test": "--hammer --modes --band --taps",
+    "Output": "--output --summary --fractions --port --audacity --mirror --report --plot --plots --uff --write-site "
+    "--overwrite --resume --json",
     _PLANT: "--mqtt --modbus --prometheus --live --on-shut --on-open --on-blind",
-    "Speed": "--jobs --scheduler",
-    _OTHERS: "--help --version",
+    "Speed": "--jobs",
+    _OTHERS: "--site --set --help-all --help --version",
 }
 _EXCEPTIONS = {
-    "train --window": "Model",
     "train --from": "Task",
     "generate --features": "Signals",
     "features --features": "Task",
-    "check --seed": "Task",
-    "check --laws": "Task",
-    "verify --laws": "Task",
     "export-model --to": "Task",
 }
 #: Unit in the help of an option -> what its number is called.
-_UNITS = {"Hz": "HZ", "s": "SECONDS", "ms": "MS", "kg": "KG", "m": "METRES"}
+_UNITS = {"Hz": "HZ", "s": "SECONDS"}
 #: What the texts of options are called; other numbers are NUMBER or N.
 _TEXTS = {
     "--unit": "UNIT",
     "--features": "NAMES",
     "--quantities": "NAMES",
     "--labels": "NAMES",
-    "--scheduler": "ADDRESS",
     "--sample-format": "FORMAT",
-    "--start-error": "ERROR",
-    "--drift": "ERROR",
-    "--participation-error": "ERROR",
     "--dimension-error": "ERROR",
-    "--class-weights": "WEIGHTS",
 }
 _PULSES = "use cgid features FILE --features fitted_peak,fitted_width,fitted_restitution for the pulse of each impact"
 #: Option that no command has any more -> what to use instead.
 WITHDRAWN = {
     "--impactor": _PULSES,
     "--masses": _PULSES,
+    "--strict": "the exit code tells that a file failed, and its line says why",
+    "--kind": "motion and sound are vibrations, everything else is a pulse, by --unit",
+    "--save": "the page saves the model beside the table of labels",
+    "--no-lines": "give --set lines=false, or lines in [model] of a site file",
     "--drop-height": "leave it out, no model needs a drop height",
     "--sensor": "leave it out, no model has reference runs of sensors; train on recordings of each sensor",
 }

@@ -215,11 +215,11 @@ class Hints(Diagnosis):
         if channels.keys() - turned and self.model.together == 1:
             names = [name for name in channels if name in turned]
             options = _without(options, ("--channel",)) + [word for name in names for word in ("--channel", name)]
-        words, again = ["--set", "invert=true"], []
-        pairs = list(pairwise([*options, ""]))
-        if tuple(words) in pairs:
-            at = pairs.index(tuple(words))
-            options, words = [*options[:at], *options[at + 2 :]], again
+        turn = ("--set", "invert=true")
+        places = [at for at, pair in enumerate(pairwise(options)) if pair == turn]
+        words = [] if places else [*turn]
+        for at in places:
+            options = [*options[:at], *options[at + 2 :]]
         return (shlex.join(["cgid", "predict", self._source, *options, *words]),)
 
     def _as_acceleration(self) -> tuple[str, ...]:

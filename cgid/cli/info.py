@@ -13,9 +13,9 @@ import numpy as np
 from cgid import shipped
 from cgid._lib.terminal import counted
 from cgid.cli.help import Command
-from cgid.cli.options import PATH, json_option
+from cgid.cli.options import OUTPUT, PATH, json_option
 from cgid.cli.output import FileErrors, print_json, say, warn
-from cgid.cli.reading import ReadingOptions, reading_options, warn_of_volts
+from cgid.cli.reading import CHAIN, ReadingOptions, reading_options, warn_of_volts
 from cgid.cli.table import written_table
 from cgid.errors import BadData, CgidError
 from cgid.signals import channel_name
@@ -36,9 +36,10 @@ _LOCAL_HEAD, _HEADER = 30, b"header.npy"
     cls=Command, short_help="Describe a dataset, a model or a recording.", example="cgid info datasets/sample.csv"
 )
 @click.argument("file", type=PATH)
-@reading_options("same_beam")
+@reading_options(*CHAIN)
+@click.option("--write-site", type=OUTPUT, metavar="FILE.toml", help="Write a site file of what the recording states.")
 @json_option
-def info(file: str, as_json: bool, reading: ReadingOptions) -> int:
+def info(file: str, write_site: str | None, as_json: bool, reading: ReadingOptions) -> int:
     """Describe FILE: a dataset, table, model, manifest, scene or recording, or each recording of a folder.
 
     Shipped models and scenes have names, such as default or caving.
@@ -49,6 +50,13 @@ def info(file: str, as_json: bool, reading: ReadingOptions) -> int:
         for names, path_of in ((shipped.MODELS, shipped.model_path), (shipped.SCENES, shipped.scene_path)):
             file = str(path_of(file)) if file.partition("@")[0] in names else file
     files = recordings_of([file])
+    if write_site is not None:
+        from cgid._lib.files import check_new, write_whole
+        from cgid.recordings.site import site_text
+
+        path = check_new(Path(write_site), "a site file", (".toml",))
+        write_whole(path, site_text(reading.recording(files[0]), reading.stated).encode(), overwrite=False)
+        say(f"wrote {path}: fill in its names, then cgid predict {shlex.quote(files[0])} --site {path}", err=True)
     reading.require_files(files)
     errors = FileErrors(strict=len(files) == 1)
     for one in errors.each(files):
@@ -242,7 +250,7 @@ def _recording(file: str, as_json: bool, reading: ReadingOptions) -> dict[str, A
 _NOT_COUNTED = "not counted, since pulses and vibrations differ; give "
 
 
-def _channels(recording: Any, as_json: bool, beams: Groups) -> tuple[dict[str, Any], list[str]]:
+def _channels(recording: Any, as_json: bool, beams: tuple[tuple[str, ...], ...]) -> tuple[dict[str, Any], list[str]]:
     """Return the statistics of each channel, and warnings of clipped ones.
 
     A long recording has no median, which needs all samples, but a mean.
@@ -292,9 +300,7 @@ def _channels(recording: Any, as_json: bool, beams: Groups) -> tuple[dict[str, A
         if is_known[row] and not impacts[row] and INVERT_HINT in detector.why_silent():
             warn(f"{channel_name(recording.source, channel.name)}: no impact: {INVERT_HINT}")
         stated = (
-            "--full-scale, such as '500 g'"
-            if channel.quantity == "level"
-            else "--unit, such as --unit N or --unit m/s^2"
+            "--set full_scale='500 g'" if channel.quantity == "level" else "--unit, such as --unit N or --unit m/s^2"
         )
         middle = {"median": median[row]} if is_short else {"mean": total[row] / max(n_read[row], 1)}
         missing = n_samples - int(n_read[row])

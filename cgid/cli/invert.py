@@ -13,6 +13,7 @@ from cgid.cli.help import Command
 from cgid.cli.options import OUTPUT, PATH, SCENE, json_option, overwrite_option
 from cgid.cli.output import print_json, say, warn, warn_of_one_place
 from cgid.cli.reading import ReadingOptions, reading_options
+from cgid.cli.site import keys
 from cgid.cli.tap import read_with_hammer
 from cgid.errors import InvalidValue
 
@@ -46,12 +47,10 @@ _WRONG = 0.5
 @click.option(
     "--band", nargs=2, type=float, metavar="LOW HIGH", help="Use LOW to HIGH [Hz], instead of the range of all modes."
 )
-@click.option(
-    "--contact", type=float, default=6.0, show_default=True, help="Look for contacts of at most this time [ms]."
-)
 @overwrite_option
 @json_option
-@reading_options("index")
+@reading_options()
+@keys(longest_contact=6.0)
 def invert(
     recording: str,
     tables: tuple[str, ...],
@@ -59,12 +58,12 @@ def invert(
     output: str | None,
     hammer: str | None,
     band: tuple[float, float] | None,
-    contact: float,
+    longest_contact: float,
     overwrite: bool,
     as_json: bool,
     reading: ReadingOptions,
 ) -> None:
-    """Recover the contact force of each impact in a RECORDING of a beam's motion, or a dataset's signal (--index).
+    """Recover the contact force of each impact in a RECORDING of a beam's motion, or a signal of a dataset (index).
 
     A table of cgid tap holds the modes of one place: only impacts there can be inverted. On the beam of a scene, which
     has a drawing or shapes of a roving hammer, the place of each impact is looked for as cgid predict does, and the
@@ -88,7 +87,7 @@ def invert(
         left_out.append(why)
         warn(why)
 
-    options: dict[str, Any] = {"quantity": quantity, "band": band or None, "contact": contact * 1e-3}
+    options: dict[str, Any] = {"quantity": quantity, "band": band or None, "contact": longest_contact * 1e-3}
     for one in forces_in(spans, rate, modes, source=recording, told=told, **options):
         rows.append(_row(one))
         if path is not None:
@@ -97,9 +96,7 @@ def invert(
         if row["clipped"]:
             warn(f"impact at {row['time']:.4g} s: the response is clipped, its force is wrong; use a larger range")
         if row["peak"] <= 0:
-            warn(
-                f"impact at {row['time']:.4g} s: the force pulls; is the signal inverted (--set invert=true), or elsewhere?"
-            )
+            warn(f"impact at {row['time']:.4g} s: the force pulls; is it inverted (--set invert=true), or elsewhere?")
     if left_out:
         warn(f"{recording}: {len(left_out)} of {len(rows) + len(left_out)} impacts left out, for these reasons")
     left = sorted(row["unexplained"] for row in rows)[len(rows) // 2]
@@ -140,7 +137,7 @@ def _frame_of(path: str, hammer: str | None, reading: ReadingOptions) -> tuple[I
     if hammer is not None:
         raise InvalidValue(f"{path}: --hammer must be left out, a dataset has no channel of a hammer")
     if reading.wants_complete_dataset(path):
-        raise InvalidValue(f"{path}: --index must choose one signal of this dataset, from 0; give it")
+        raise InvalidValue(f"{path}: index must choose one signal of this dataset, from 0; give --set index=0")
     (signal,) = reading.signals(path)
     quantity, factor = factor_of(str(signal.unit), path)
     return [(0, factor * np.atleast_2d(signal.samples), None, True)], signal.sampling_rate, quantity

@@ -16,7 +16,7 @@ from cgid.cli.events import cells_of, require_trainable
 from cgid.cli.help import Command
 from cgid.cli.options import MODEL, OUTPUT, PATH, require_no_input_written
 from cgid.cli.output import say, warn
-from cgid.cli.reading import ReadingOptions, beam_words, given_options, reading_options
+from cgid.cli.reading import CHAIN, ReadingOptions, beam_words, given_options, reading_options
 from cgid.errors import CannotCreate, CgidError, InvalidValue
 from cgid.units import quantity_of
 
@@ -45,15 +45,13 @@ _PORT = 8062
 )
 @click.option("--model", type=MODEL, help="Correct this model; by default the shipped one for the recordings.")
 @click.option("--labels", default="coal,gangue", show_default=True, help="Offer these labels, separated by commas.")
-@click.option("--save", "saved_as", type=OUTPUT, metavar="FILE.npz", help="Name of the model that the page saves.")
 @click.option("--port", type=click.IntRange(1, 65535), help="Serve the page on this port of this machine.")
-@reading_options("same_beam")
+@reading_options(*CHAIN, "same_beam")
 def label(
     files: tuple[str, ...],
     written: str,
     model: str | None,
     labels: str,
-    saved_as: str | None,
     port: int | None,
     reading: ReadingOptions,
 ) -> int:
@@ -71,9 +69,7 @@ def label(
     from cgid.pages.server import Address
 
     path = check_new(Path(written), "a table of impacts", (".csv",), overwrite=True)
-    model_path = path.with_suffix(".npz") if saved_as is None else Path(saved_as)
-    if saved_as is not None:
-        check_new(model_path, "a model", (".npz",), overwrite=False)
+    model_path = path.with_suffix(".npz")
     names = [validation.label("--labels", name.strip()) for name in labels.split(",")]
     every = recordings_of(files)
     if "-" in every:

@@ -12,6 +12,7 @@ import click
 from click.shell_completion import CompletionItem
 
 from cgid._lib import validation
+from cgid.cli.site import the_site
 from cgid.errors import CannotCreate, CgidError, InvalidValue
 from cgid.shipped import MODELS, SCENES
 from cgid.units import number_and_unit, parse
@@ -139,7 +140,8 @@ def given_flags(context: click.Context) -> dict[str, str]:
     """Return the options on the command line: parameter -> flag."""
     options = {option.name or "": max(option.opts, key=len) for option in context.command.params}
     line = click.core.ParameterSource.COMMANDLINE
-    return {name: flag for name, flag in options.items() if context.get_parameter_source(name) is line}
+    found = {name: flag for name, flag in options.items() if context.get_parameter_source(name) is line}
+    return found | {name: f"--set {name}" for name in the_site().given if name in context.params}
 
 
 def refuse(context: click.Context, flags: str, reason: str) -> None:
@@ -153,7 +155,7 @@ def refuse(context: click.Context, flags: str, reason: str) -> None:
 def require_one_executor(context: click.Context) -> None:
     """Raise a usage error if both worker processes and a cluster are given."""
     if "jobs" in given_flags(context) and context.params["scheduler"] is not None:
-        raise click.UsageError("--jobs is for this machine, --scheduler for a cluster; give one of them", context)
+        raise click.UsageError("--jobs is for this machine, scheduler for a cluster; give one of them", context)
 
 
 def options_of(*options: Callable[[Any], Any]) -> Callable[[F], F]:
@@ -193,14 +195,7 @@ seed_option = click.option(
     show_default=True,
     help="Choose the random numbers; the same seed gives the same signals and splits.",
 )
-#: Options for worker processes and clusters; `require_one_executor` refuses both at once.
-worker_options = options_of(
-    click.option("--jobs", type=int, default=1, show_default=True, help="Use this many worker processes."),
-    click.option(
-        "--scheduler",
-        help="Use the workers of a dask cluster with this address, such as tcp://192.168.0.7:8786.",
-    ),
-)
+jobs_option = click.option("--jobs", type=int, default=1, show_default=True, help="Use this many worker processes.")
 
 
 def point_of(text: str) -> tuple[float, float]:

@@ -11,8 +11,8 @@ import click
 from cgid._lib import validation
 from cgid._lib.terminal import counted
 from cgid.cli.help import Command
-from cgid.cli.options import OUTPUT, PATH, json_option, overwrite_option
-from cgid.cli.output import print_json, say, warn
+from cgid.cli.options import OUTPUT, PATH, overwrite_option
+from cgid.cli.output import say, warn
 from cgid.cli.reading import ReadingOptions, reading_options, warn_of_volts
 from cgid.errors import InvalidValue
 
@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from cgid.identification.detection import Event
-    from cgid.measure.features.table import ImpactKind
     from cgid.plots.recording import Mark
     from cgid.recordings import Channel, RecordingFile
 
@@ -40,31 +39,23 @@ if TYPE_CHECKING:
     help="Write this picture, ending in .png, .svg or .pdf.",
 )
 @click.option("--events/--no-events", default=True, show_default=True, help="Mark the detected impacts.")
-@click.option(
-    "--kind",
-    type=click.Choice(["pulse", "vibration"]),
-    help="Set the type of impacts; by default motion and sound are vibrations, everything else pulses.",
-)
 @click.option("--from", "begin", type=float, default=0.0, metavar="SECONDS", help="Plot only after this time.")
 @click.option("--to", "end", type=float, metavar="SECONDS", help="Plot only before this time.")
 @overwrite_option
-@json_option
-@reading_options("index", "same_beam")
+@reading_options()
 def plot(
     file: str,
     output: str,
     events: bool,
-    kind: ImpactKind | None,
     begin: float,
     end: float | None,
     overwrite: bool,
-    as_json: bool,
     reading: ReadingOptions,
 ) -> None:
     """Plot the recording FILE: waveform, spectrogram and spectrum of each channel, and detected impacts.
 
     The recording may be of any length, since it is read block by block. Impacts are detected separately in each
-    channel, as in cgid predict, and counted once for the channels of one beam (--same-beam).
+    channel, as in cgid predict, and counted once for the channels of one beam of a site.
     """
     from cgid._lib.files import write_whole
     from cgid.identification.detection.detector import INVERT_HINT
@@ -86,7 +77,7 @@ def plot(
             "drawn; choose with --channel"
         )
     stream = OverviewStream(recording.sampling_rate, len(channels), recording.source)
-    finder = _Finder(recording.sampling_rate, channels, kind, gap, begin) if events else None
+    finder = _Finder(recording.sampling_rate, channels, gap, begin) if events else None
     for block in _between(recording, begin, end):
         drawn = block[: len(channels)]
         stream.feed(drawn)
@@ -105,29 +96,16 @@ def plot(
         overview, channels, title=Path(recording.source).name, facts=facts, marks=marks, begin=begin
     )
     write_whole(path, picture(figure, path.suffix.lower()), overwrite=overwrite)
-    if as_json:
-        print_json(
-            {
-                "source": recording.source,
-                "picture": str(path),
-                "channels": [channel.name for channel in channels],
-                "from_s": begin,
-                "duration_s": overview.duration,
-                "impacts": count,
-                "warnings": list(recording.warnings),
-            }
-        )
     say(f"wrote {path}", err=True)
 
 
 class _Finder:
-    """Find the impacts of each channel as pulses or vibrations, by its quantity if `kind` is None."""
+    """Find the impacts of each channel as pulses or vibrations, by its quantity."""
 
     def __init__(
         self,
         sampling_rate: float,
         channels: Sequence[Channel],
-        kind: ImpactKind | None,
         dead_time: float | None,
         begin: float,
     ) -> None:
@@ -138,7 +116,7 @@ class _Finder:
         self._detectors = [
             (
                 channel.name,
-                ImpactDetector(sampling_rate, 1, kind=kind or kind_for(channel.quantity), dead_time=dead_time),
+                ImpactDetector(sampling_rate, 1, kind=kind_for(channel.quantity), dead_time=dead_time),
             )
             for channel in channels
         ]

@@ -19,7 +19,7 @@ from cgid.cli.answering import Models, model_option, settings_of, settings_with_
 from cgid.cli.help import Command
 from cgid.cli.options import OUTPUT, PATH, json_option
 from cgid.cli.output import FileErrors, progress_bar, say
-from cgid.cli.reading import ReadingOptions, given_options, reading_options
+from cgid.cli.reading import CHAIN, ReadingOptions, given_options, reading_options
 from cgid.cli.table import TableOutput, output_options
 from cgid.cli.watching import coal_option, labelled_option
 from cgid.errors import BadData, CgidError, InvalidValue
@@ -252,7 +252,7 @@ class _Tally:
 @click.argument("files", type=PATH, nargs=-1, metavar="FILE...")
 @click.option("--sample", is_flag=True, help="Use the bundled sample recording.")
 @model_option
-@reading_options("index", "same_beam")
+@reading_options(*CHAIN, "same_beam")
 @coal_option
 @labelled_option
 @click.option("--fractions", is_flag=True, help="Print the gangue fraction twice a window, and each SHUT and OPEN.")

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from cgid._lib.validation import whole
 from cgid.cli.options import bundle, given_flags
 from cgid.cli.output import say_error, warn
 from cgid.cli.site import site_words, the_site
@@ -46,7 +47,6 @@ class ReadingOptions:
     sampling_rate: float | None = None
     unit: str | None = None
     channel: tuple[str, ...] = ()
-    index: int | None = None
     sensitivity: tuple[str, ...] = ()
     full_scale: tuple[str, ...] = ()
     same_beam: tuple[str, ...] = ()
@@ -77,6 +77,19 @@ class ReadingOptions:
     def common(self) -> dict[str, Any]:
         """Settings for any file, as arguments of `open_recording` and of manifests."""
         return {"sampling_rate": self.sampling_rate, "unit": self.unit, "site": self.site, **self.chain}
+
+    @property
+    def stated(self) -> dict[str, Any]:
+        """What the line states of the recorder, as keys of a site file; of several values the one for all."""
+        keys = {"rate": self.sampling_rate, "unit": self.unit, **self.chain}
+        alone = {key: value[0] if isinstance(value, tuple) else value for key, value in keys.items() if value}
+        return {**self.site.values["recorder"], **alone}
+
+    @property
+    def index(self) -> int | None:
+        """Number of the only signal of a dataset to read, None for all."""
+        index = self.site.get("index")
+        return None if index is None else whole("index", index, 0)
 
     @property
     def dead_time(self) -> float | None:
@@ -124,7 +137,7 @@ class ReadingOptions:
         from cgid.recordings import open_recording
 
         if self.index is not None:
-            raise InvalidValue(f"{path}: --index picks a signal of a dataset (HDF5), this is a recording; leave it out")
+            raise InvalidValue(f"{path}: index picks a signal of a dataset (HDF5), this is a recording; leave it out")
         return open_recording(path, channel=self.channel or None, **{**self.common, **self.chain_of(path)})
 
     def signals(self, path: str, faults: list[BadData] | None = None) -> list[Signal]:
@@ -164,7 +177,6 @@ READING: dict[str, Callable[[Any], Any]] = {
     ),
     "unit": click.option("--unit", help="Unit of the samples, if a file lacks it: N, g, m/s^2, V; or 1=N,2=m/s^2."),
     "channel": click.option("--channel", multiple=True, help="Read only this channel: its name or number; repeatable."),
-    "index": click.option("--index", type=click.IntRange(min=0), help="Read only this signal of a dataset, from 0."),
     "sensitivity": click.option(
         "--sensitivity", multiple=True, metavar="[NAME=]VALUE", help="Of a sensor in volts: '10.2 mV/g', 2='2.3 mV/N'."
     ),
@@ -175,8 +187,9 @@ READING: dict[str, Callable[[Any], Any]] = {
         "--same-beam", multiple=True, metavar="CHANNELS", help="One answer a rock for channels of one beam: 1+2."
     ),
 }
-#: What people state of a recording, at every command that reads one.
-_USUAL = ("sampling_rate", "unit", "channel", "sensitivity", "full_scale")
+#: What people state of a recording, at every command that reads one, and where they read many of a recorder.
+_USUAL = ("sampling_rate", "unit", "channel")
+CHAIN = ("sensitivity", "full_scale")
 
 
 def reading_options_for(*names: str) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
@@ -189,7 +202,6 @@ def reading_options(*more: str) -> Callable[[Callable[..., Any]], Callable[..., 
     return reading_options_for(*_USUAL, *more)
 
 
-CHAIN = ("sensitivity", "full_scale")
 #: Options of outputs, which suggested commands omit.
 _OUTPUT = ("as_json", "report", "output", "overwrite", "sample")
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import os
 import tomllib
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
+from functools import wraps
 from typing import Any
 
 import click
@@ -115,12 +116,37 @@ def section_of(key: str) -> str | None:
     return next((name for name, keys in KEYS.items() if key in keys), None)
 
 
+#: Sections of a site file that each command uses; [scene], too.
+_SECTIONS = {
+    "predict": "recorder model decision",
+    "monitor": "recorder model decision outputs",
+    **dict.fromkeys(("events", "label", "features", "info", "plot", "verify"), "recorder"),
+    "train": "recorder training calibration datasets",
+    "generate": "datasets",
+    **dict.fromkeys(("tap", "invert", "calibrate"), "recorder calibration"),
+}
+
+
 def sections_of(command: click.Command) -> Iterable[str]:
-    """Return the sections of a site file that a command uses, by its parameters."""
-    names = {one.name for one in command.params}
-    needs = {"recorder": "unit", "model": "model_path", "decision": "coal_until", "outputs": "mqtt"}
-    found = [section for section, name in needs.items() if name in names]
-    return [*found, "scene"]
+    """Return the sections of a site file that a command uses."""
+    return [*_SECTIONS.get(command.name or "", "").split(), "scene"]
+
+
+def keys(**defaults: Any) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+    """Return a decorator that gives a command the values of keys of its site, by the names of their fields."""
+
+    def add(command: Callable[..., Any]) -> Callable[..., Any]:
+        @wraps(command)
+        def with_keys(*arguments: Any, **values: Any) -> Any:
+            site, section = the_site(), [about for one in KEYS.values() for about in one.items()]
+            names = {name: next((key for key, about in section if about.field == name), name) for name in defaults}
+            found = {name: site.get(names[name], default) for name, default in defaults.items()}
+            click.get_current_context().params.update(found)
+            return command(*arguments, **found, **values)
+
+        return with_keys
+
+    return add
 
 
 def site_words() -> list[str]:

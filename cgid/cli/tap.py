@@ -16,6 +16,7 @@ from cgid.cli.help import Command
 from cgid.cli.options import OUTPUT, PATH, SCENE, json_option, overwrite_option, point_of, share_of
 from cgid.cli.output import print_json, progress_bar, say, warn
 from cgid.cli.reading import ReadingOptions, reading_options
+from cgid.cli.site import keys
 from cgid.errors import BadData, InvalidValue
 from cgid.units import UNITS, quantity_of
 
@@ -44,20 +45,6 @@ _COARSE = 0.3
     "--band", nargs=2, type=float, metavar="LOW HIGH", help="Keep natural frequencies between LOW and HIGH [Hz]."
 )
 @click.option(
-    "--max-order",
-    type=int,
-    default=24,
-    show_default=True,
-    help="Fit at most this many modes in each of the narrow bands.",
-)
-@click.option(
-    "--contact",
-    type=float,
-    default=2.0,
-    show_default=True,
-    help="Set the contact time of a hammer that is not recorded [ms].",
-)
-@click.option(
     "--taps",
     "table",
     type=PATH,
@@ -65,14 +52,7 @@ _COARSE = 0.3
     "are the place of each tap.",
 )
 @click.option("--sensor", metavar="X,Y", help="Set the place of the sensor of a roving hammer [m].")
-@click.option("--window-tau", type=float, metavar="MS", help="Undo an exponential window of this time constant [ms].")
 @click.option("--scene", "scene_name", type=SCENE, help="Write the modes of this scene's beam, corrected by the taps.")
-@click.option(
-    "--start-error",
-    default="1 %",
-    show_default=True,
-    help="Set the uncertainty of the scene's natural frequencies (one standard deviation).",
-)
 @click.option(
     "--plot", "picture", type=OUTPUT, help="Plot the poles of all orders of the model, and the response, as PNG."
 )
@@ -80,6 +60,7 @@ _COARSE = 0.3
 @overwrite_option
 @json_option
 @reading_options()
+@keys(max_order=24, contact=2.0, window_tau=None, start_error="1 %")
 def tap(
     recording: str,
     output: str,
@@ -219,7 +200,7 @@ def read_with_hammer(
             is_level = quantity_of(unit) == "level"
             raise BadData(
                 f"{path}: --hammer must be one channel of force, got {quantity_of(unit)} [{unit}]; "
-                + (f"give its --full-scale, such as '{hammer}=5 kN'" if is_level else "correct it")
+                + (f"give --set channels.{hammer}.full_scale='5 kN'" if is_level else "correct it")
             )
         pull = UNITS["force"][unit]
     channels: Any = reading.channel or None

@@ -22,6 +22,7 @@ from cgid.cli.options import (
     SCENE,
     OutputName,
     given_flags,
+    jobs_option,
     json_option,
     overwrite_option,
     point_of,
@@ -29,10 +30,10 @@ from cgid.cli.options import (
     require_one_executor,
     seed_option,
     share_of,
-    worker_options,
 )
 from cgid.cli.output import accuracy_text, print_json, progress_bar, say, warn, warn_of_one_place
 from cgid.cli.reading import ReadingOptions, reading_options
+from cgid.cli.site import keys
 from cgid.errors import BadData, InvalidValue
 
 if TYPE_CHECKING:
@@ -98,28 +99,12 @@ class ClassifierName(click.types.StringParamType):
     'model file can hold, such as "sklearn.ensemble.RandomForestClassifier(n_estimators=300)".',
 )
 @click.option("--features", "names", help="Use only these features, separated by commas.")
-@click.option("--class-weights", help="Weight the rows of each label: balanced, or such as coal=1,gangue=3.")
-@click.option(
-    "--test-share", type=float, default=0.25, show_default=True, help="Set the fraction of the specimens for the test."
-)
-@click.option(
-    "--calibration-share",
-    type=float,
-    default=0.1,
-    show_default=True,
-    help="Set the fraction of the specimens to calibrate the prediction sets.",
-)
 @click.option(
     "--sensor",
     "sensors",
     multiple=True,
     metavar="X,Y",
     help="Use sensors at these points [m] of a scene's beam together: the recording's channels, in this order.",
-)
-@click.option(
-    "--start-error",
-    metavar="SHARE",
-    help="Set the standard deviation of an uncalibrated scene's natural frequencies; damping has 10 times as much.",
 )
 @click.option(
     "-n",
@@ -145,13 +130,11 @@ class ClassifierName(click.types.StringParamType):
 @click.option(
     "--window", "window_time", type=float, default=0.1, show_default=True, help="Set the length of a window [s]."
 )
-@click.option(
-    "--hop", "hop_time", type=float, help="Set the time from one window to the next [s], by default half a window."
-)
 @click.option("--level-free", is_flag=True, help="Use only features independent of the gain of a sensor.")
 @reading_options("same_beam")
 @seed_option
-@worker_options
+@jobs_option
+@keys(class_weights=None, test_share=0.25, calibration_share=0.1, hop_time=None, start_error=None, scheduler=None)
 @click.option(
     "--shuffle-labels",
     is_flag=True,

@@ -84,7 +84,7 @@ class PlantOutputs:
         decision = next((kind for kind in self._commands if kind != "blind"), None)
         if decision is not None and threshold is None:
             raise InvalidValue(
-                f"--on-{decision} needs a model with gangue among its labels; name the labels of gangue with --set gangue=LABEL"
+                f"--on-{decision} needs a model with gangue among its labels; name that of gangue by --set gangue=LABEL"
             )
         self.plant.begin(threshold=threshold, **stream)
 

@@ -307,7 +307,7 @@ class Chain:
             if gain is not None and gain.is_of_charge:
                 raise MissingOption(
                     f"{name}: a gain of {gain.text} gives a charge, the sensitivity of the sensor is missing; give it "
-                    "as in --sensitivity '3.1 pC/g'"
+                    "as in --set sensitivity='3.1 pC/g'"
                 )
             return _bounded(link, name)
         factor, origin = link.factor * UNITS[str(quantity)][link.unit] / sensitivity.value, [link.origin]
@@ -332,7 +332,7 @@ def _full_scale(scale: FullScale, stated: str | None, contents: Blocks, index: i
     unit = scale.unit or stated
     if unit is None:
         raise MissingOption(
-            f"{name}: the unit of full scale must be known, got {scale.text}; give it as in --full-scale '10 V'"
+            f"{name}: the unit of full scale must be known, got {scale.text}; give it as in --set full_scale='10 V'"
         )
     if stated is not None and quantity_of(stated) != quantity_of(unit):
         raise InvalidValue(
@@ -367,7 +367,7 @@ def _require_full_scale(unit: str | None, contents: Blocks, index: int, source: 
     example = {"acceleration": "500 g", "voltage": "10 V"}.get(quantity_of(unit), f"500 {unit}")
     raise MissingOption(
         f"{channel_name(source, contents.label(index))}: the samples are integers, and the unit ({unit}) does not "
-        f"state how many {unit} full scale is; give it as in --full-scale '{example}{bits}'"
+        f"state how many {unit} full scale is; give it as in --set full_scale='{example}{bits}'"
     )
 
 
@@ -406,8 +406,8 @@ def _gain_of_file(text: str, needed: bool, name: str) -> Gain | None:
     if gain is not None and gain.is_of_charge == needed and (needed or gain.value == 1.0):
         return gain if needed else None
     raise MissingOption(
-        f"{name}: the file states a gain ({text[:40]}) and not whether the samples contain it; give --set gain=VALUE to have it "
-        "divided out, or --set gain=1 if that is done"
+        f"{name}: the file states a gain ({text[:40]}) and not whether the samples contain it; give --set gain=VALUE "
+        "to have it divided out, or --set gain=1 if that is done"
     )
 
 
@@ -426,7 +426,7 @@ def _agreed(given: Sensitivity | None, stated: str | None, name: str) -> Sensiti
         raise InvalidValue(
             f"{name}: sensitivity must agree with the file to 0.1 %, got {given.text} where it states {parsed.text}; "
             "leave "
-            "out --sensitivity or correct it"
+            "out the sensitivity, or correct it"
         )
     return given
 
@@ -440,7 +440,7 @@ def _not_electrical(name: str, unit: str | None, what: str) -> InvalidValue | Mi
     if unit == "FS":
         return MissingOption(
             f"{name}: the file does not state how many volts full scale is, and a {what} is for volts; give it as in "
-            "--full-scale '10 V'"
+            "--set full_scale='10 V'"
         )
     return InvalidValue(
         f"{name}: a {what} is for samples in volts or coulombs, they are in {unit} ({quantity_of(unit)}); leave out "
@@ -481,5 +481,5 @@ def require_measured(unit: str | None, name: str) -> None:
     example = "'10.2 mV/g', or '2.3 mV/N' of a force" if quantity == "voltage" else "'3.1 pC/g', or '4 pC/N' of a force"
     raise MissingOption(
         f"{name}: the samples are a {quantity} [{unit}], the sensitivity of the sensor is missing; give it as in "
-        f"--sensitivity {example}"
+        f"--set sensitivity={example}"
     )

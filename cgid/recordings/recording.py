@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from cgid.recordings.site import Site
 
 #: Advice for a dataset given instead of a recording.
-DATASET_HINT = "read it with cgid.store, or pick one of its signals with --index"
+DATASET_HINT = "read it with cgid.store, or pick one of its signals with --set index=0"
 
 #: Default length of a block [samples].
 BLOCK_LENGTH = 1 << 16

@@ -15,7 +15,7 @@ from cgid.shipped import MODELS
 from cgid.units import number_and_unit, parse
 
 if TYPE_CHECKING:
-    from cgid.recordings.recording import Blocks
+    from cgid.recordings.recording import Blocks, RecordingFile
 
 #: Largest site file [bytes]: 4,096 channels with every key have 1 MB.
 _MAX_SIZE = 4 << 20
@@ -57,6 +57,7 @@ KEYS: dict[str, dict[str, Key]] = {
         "variable": Key("text", "Array, table or group to read where files contain several."),
         "channel": Key("texts", "Channels to read: their numbers or names."),
         "dead_time": Key("number", "Ring-down time of an impact [ms], by default 2 for pulses and 5 for vibrations."),
+        "index": Key("whole", "Signal of a dataset to read, from 0, instead of all."),
         "channels": Key("whole", "Number of channels of a raw stream.", "n_channels"),
         "sample_format": Key("text", "Numbers of a raw stream: u8, s16le, s24le, s32le, f32le, ...; be: big-endian."),
     },
@@ -99,7 +100,30 @@ KEYS: dict[str, dict[str, Key]] = {
         "on_blind": Key("text", "Command when a support is blind, or the stream stops without its end."),
         "clock": Key("flag", "Give each JSON object the time when it was printed, as wall_time (UTC)."),
     },
-    "scene": {"laws": Key("paths", "Modules with contact laws of your own, as for cgid check.")},
+    "scene": {"laws": Key("paths", "Modules with contact laws of your own: names, or files.")},
+    "datasets": {
+        "dtype": Key("text", "Type of stored samples: float32, float64."),
+        "shard_signals": Key("whole", "Signals in each shard of a folder, by default 4096."),
+        "compression": Key("text", "Compression of signals: none, gzip; zstd and blosc2 need the extra compression."),
+        "scheduler": Key("text", "Address of a dask cluster whose workers are used, such as tcp://192.168.0.7:8786."),
+    },
+    "training": {
+        "class_weights": Key("text", "Weights of the rows of each label: balanced, or coal=1,gangue=3."),
+        "test_share": Key("number", "Fraction of the specimens for the test, by default 0.25."),
+        "calibration_share": Key("number", "Fraction of the specimens for the prediction sets, by default 0.1."),
+        "hop": Key("time", "Time from one window to the next [s], by default half a window.", "hop_time"),
+    },
+    "calibration": {
+        "start_error": Key("share", "Deviation of a scene's natural frequencies, by default 1 %; of damping 10 times."),
+        "drift": Key("share", "The same for a scene calibrated before, by default 0.3 %."),
+        "participation_error": Key("share", "Deviation of participations; by default 0 %: they are not learned."),
+        "exact": Key("text", "Parts that are as the scene states them: sensor, filter, mounting, divided by commas."),
+        "impacts": Key("whole", "Most impacts to calibrate with, by default 300."),
+        "max_order": Key("whole", "Most modes in each narrow band of a tap test, by default 24."),
+        "contact": Key("number", "Contact time of a hammer that is not recorded [ms], by default 2."),
+        "window_tau": Key("number", "Time constant of an exponential window that is undone [ms]."),
+        "longest_contact": Key("number", "Longest contact that cgid invert looks for [ms], by default 6."),
+    },
 }
 #: Keys that Python's settings have, by section.
 _SETTINGS = ("model", "decision")
@@ -206,7 +230,7 @@ class Site:
     def applied(self, contents: Blocks, chain: Chain, source: str) -> tuple[Blocks, Chain]:
         """Return the contents of a recording with the names of the site, and the chain where `chain` says nothing."""
         recorder = self.values["recorder"]
-        rows = {key: contents.selected(key, source, f"[channels] of {self.path}")[0] for key in self.channels}
+        rows = {key: contents.selected(key, source, self._of_channels)[0] for key in self.channels}
         if len(set(rows.values())) < len(rows):
             raise InvalidValue(
                 f"{self.path}: [channels] must have one table for each channel, two are of one; join them"
@@ -234,6 +258,10 @@ class Site:
                 )
                 found.setdefault(values["beam"], []).append(contents.label(row))
         return tuple(tuple(labels) for labels in found.values() if len(labels) > 1)
+
+    @property
+    def _of_channels(self) -> str:
+        return f"[channels] of {self.path}" if self.path else "--set channels"
 
     # -- reading the file ---------------------------------------------------------------------------------
 
@@ -272,6 +300,10 @@ class Site:
                     return float(found[0]) if found and not found[1] else parse(value, "time")
                 except ValueError as error:
                     raise InvalidValue(f"{name} must be a time such as 30 or '2 min', got {shown(value)}") from error
+            case "share":
+                if is_number or isinstance(value, str):
+                    return str(value)
+                raise InvalidValue(f"{name} must be a share such as '1 %' or 0.01, got {shown(value)}")
             case "costs":
                 return _costs(value, name)
             case "texts" | "paths":
@@ -355,6 +387,34 @@ def _costs(value: Any, name: str) -> dict[str, float]:
         return {str(label): float(cost) for label, cost in given.items()}
     except (TypeError, ValueError):
         raise InvalidValue(f"{name} must be LABEL=COST such as gangue=3, got {shown(value)}") from None
+
+
+def site_text(recording: RecordingFile, stated: Mapping[str, Any]) -> str:
+    """Return a site file for recordings like this one, with what the user states of it and a comment a line."""
+    known = {"rate": f"{recording.sampling_rate:.12g}", "unit": recording.channels[0].unit or "V"}
+    lines = [
+        f"# Site file for recordings such as {Path(recording.source).name}. What a # precedes is not used.",
+        "# All keys: cgid predict --help-all",
+        "",
+        "[recorder]",
+    ]
+    for key in ("rate", "unit", "sensitivity", "full_scale"):
+        value = stated.get(key, {"sensitivity": "10.2 mV/g", "full_scale": "10 V"}.get(key, known.get(key)))
+        text = value if key == "rate" else f'"{value}"'
+        lines.append(f"{'' if key in stated else '# '}{key} = {text}  # {KEYS['recorder'][key].help}")
+    for number, channel in enumerate(recording.channels, 1):
+        lines += ["", f"[channels.{number}]", f'name = "{_plain(channel.name, number)}"  # {CHANNEL_KEYS["name"].help}']
+        lines.append(f'# sensitivity = "10.2 mV/g"  # {_EACH["sensitivity"].help}')
+        lines.append(f'# beam = "A"  # {CHANNEL_KEYS["beam"].help}')
+    lines += ["", "[model]", f'# model = "mine.npz"  # {KEYS["model"]["model"].help}', "", "[decision]"]
+    lines.append(f'# coal_until = "30s"  # {KEYS["decision"]["coal_until"].help}')
+    return "\n".join([*lines, ""])
+
+
+def _plain(name: str, number: int) -> str:
+    """Return a name that a site file takes."""
+    text = "".join(sign for sign in name if sign.isprintable() and sign not in f'{_DIVIDERS}"\\')[:_LONGEST_NAME]
+    return text.strip() or f"channel {number}"
 
 
 def _all_keys() -> list[str]:

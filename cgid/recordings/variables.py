@@ -271,8 +271,8 @@ def contents_of(
     n_samples = min(one.n_samples for one in selected)
     if len(selected) > 1 and any(one.n_channels > 1 or (one.n_samples != n_samples and not is_cut) for one in selected):
         raise BadData(
-            f"{source}: channels must be of one length, got {_listed(selected)}; pick those of one by --set variable=NAME, "
-            "which may be a pattern such as 'run1/*'"
+            f"{source}: channels must be of one length, got {_listed(selected)}; pick those of one by --set "
+            "variable=NAME, which may be a pattern such as 'run1/*'"
         )
     for one in selected:
         _require_readable(one, source)
@@ -382,8 +382,8 @@ def _select(variables: Sequence[Variable], source: str, variable: str | None, gr
         is_one = group_is_one and len({one.group for one in signals}) == 1
         if len(signals) > 1 and not is_one:
             raise BadData(
-                f"{source}: the file contains several arrays, {_listed(signals)}; choose one by --set variable=NAME, or "
-                "several of one length by a pattern such as 'ch*'"
+                f"{source}: the file contains several arrays, {_listed(signals)}; choose one by --set variable=NAME, "
+                "or several of one length by a pattern such as 'ch*'"
             )
         return signals or list(variables[:1])
     pattern = variable

@@ -45,7 +45,7 @@ _HINT = "save it again as plain arrays"
 _MAX_PART = 1 << 24
 _CUT_OFF = (
     "the HDF5 file is cut off or damaged",
-    "copy it again, or if it is a dataset, read it with cgid.store or --index",
+    "copy it again, or if it is a dataset, read it with cgid.store or --set index=0",
 )
 
 

@@ -185,7 +185,7 @@ def factor_to(model: Measurand, unit: str | None, name: str, mass: float | None 
     if unit is None:
         raise MissingOption(
             f"{name}: the unit must be known, neither header nor option states it; give --unit, such as "
-            f"{_unit_options(model)}, and for integers --full-scale, too, such as --full-scale '500 g'; in Python "
+            f"{_unit_options(model)}, and for integers full scale, too, such as --set full_scale='500 g'; in Python "
             f'Signal(..., unit="{model.unit}")'
         )
     quantity, factor = quantity_of(unit), 1.0
@@ -203,8 +203,8 @@ def factor_to(model: Measurand, unit: str | None, name: str, mass: float | None 
         elif quantity == "level":
             example = "'500 g'" if model.quantity == "acceleration" else "'2 kN', or '500 g' of an accelerometer"
             hint = (
-                f"state full scale, as in --full-scale {example}, or with --full-scale '10 V' "
-                f"and the --sensitivity of the sensor; floats may be in a unit as they are: {_unit_options(model)}"
+                f"state full scale, as in --set full_scale={example}, or with --set full_scale='10 V' "
+                f"and the sensitivity of the sensor; floats may be in a unit as they are: {_unit_options(model)}"
             )
         # Of sound without a full scale, as of volts without a sensitivity, only an option is missing.
         raise (MissingOption if quantity == "level" else BadData)(

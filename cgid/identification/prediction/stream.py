@@ -59,8 +59,8 @@ _UNSTEADY = (
     "--set lines=false"
 )
 _TONES = (
-    "tones of a machine are taken out, the strongest at {:.0f} Hz; --set lines=false keeps them, as where no machine runs and "
-    "the beam rings long"
+    "tones of a machine are taken out, the strongest at {:.0f} Hz; --set lines=false keeps them, as where no machine "
+    "runs and the beam rings long"
 )
 
 

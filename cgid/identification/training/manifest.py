@@ -33,7 +33,7 @@ from cgid.units import quantity_of
 #: The columns of a row.
 COLUMNS = (
     *("path", "label", "start", "end", "group", "channel", "gain", "rate", "unit"),
-    *("variable", "format", "sensitivity", "full_scale", "invert", "same_beam", "chosen"),
+    *("variable", "format", "sensitivity", "full_scale", "invert", "same_beam", "site", "chosen"),
 )
 #: Name of a column -> its title in a CSV file, where they differ.
 _TITLES = {"start": "start_s", "end": "end_s", "rate": "rate_Hz"}
@@ -55,7 +55,10 @@ _NUMBERS_ONLY = re.compile(r"(?=.*\d)(?:[\d\s.,;:+/\"'-]|[ed][+-]?\d|[ap]m|[tz]|
 _SHARED = tuple(name for name in COLUMNS if name not in ("path", "label", "start", "end"))
 #: Columns for a complete recording, and the attributes of annotations for them.
 _OF_RECORDINGS = {
-    **{name: name for name in ("sensitivity", "full_scale", "unit", "variable", "format", "invert", "same_beam")},
+    **{
+        name: name
+        for name in ("sensitivity", "full_scale", "unit", "variable", "format", "invert", "same_beam", "site")
+    },
     "gain": "recording_gain",
     "rate": "sampling_rate",
 }
@@ -89,6 +92,7 @@ class Annotation:
     format: str | None = None
     sensitivity: tuple[str, ...] | None = None
     full_scale: tuple[str, ...] | None = None
+    site: str = ""  # site file by which the recording is read
     same_beam: tuple[str, ...] = ()  # groups of channels of one beam, such as 1+2, whose impacts are one row
     chosen: str = ""  # how the row came to be labelled, "random" if it was drawn at random
     stretch: tuple[float, float] | None = None  # the whole of which this row remains, around rows in it [s]
@@ -142,6 +146,7 @@ def annotation_of(row: Mapping[str, Any], folder: Path, labels: tuple[str, ...] 
         format=None if format_name is None else _word("format", format_name),
         sensitivity=sensitivity,
         full_scale=full_scale,
+        site="" if row.get("site") is None else str(folder / _word("site", row["site"])),
         same_beam=tuple("+".join(group) for group in require_groups(_of_channels(row.get("same_beam")) or ())),
         chosen=_word("chosen", row.get("chosen", "")),
         stretch=row.get("stretch"),

@@ -58,6 +58,7 @@ from cgid.measure.features.table import LEAST_SAMPLES, LOW_WINDOW_TIME, MIN_BAND
 from cgid.recordings import MAX_STREAM, RecordingFile, open_recording
 from cgid.recordings.chain import Statement, require_measured
 from cgid.recordings.recording import clear_errors
+from cgid.recordings.site import Site
 from cgid.signals import channel_name
 from cgid.units import UNITS, quantity_of
 
@@ -80,7 +81,7 @@ class Reading:
     sensitivity: Statement | None = None
     gain: Statement | None = None
     full_scale: Statement | None = None
-    format: str | None = None
+    site: Site | None = None
     failed: Callable[[CgidError], object] = lambda error: None
 
     def note(self, error: CgidError, failures: list[CgidError]) -> None:
@@ -217,6 +218,9 @@ def opened(annotations: tuple[Annotation, ...], reading: Reading, *, hashed: boo
     first = annotations[0]
     with clear_errors(str(first.path)):  # a manifest may name anything, even a pipe, which would be copied
         require_regular(first.path, "a recording of a manifest", MAX_STREAM)
+    site = reading.site or Site()
+    if first.site and not site.path:  # that of the line wins
+        site = Site(first.site, site.given)
     recording = open_recording(
         first.path,
         sampling_rate=first.sampling_rate or reading.sampling_rate,
@@ -227,12 +231,13 @@ def opened(annotations: tuple[Annotation, ...], reading: Reading, *, hashed: boo
         # The gain of an annotation applies only to its interval.
         gain=first.recording_gain or (None if any(one.gain is not None for one in annotations) else reading.gain),
         full_scale=first.full_scale or reading.full_scale,
-        format=first.format or reading.format,
+        format=first.format,
+        site=site,
     )
     unit = unit_of(recording)
     digest = digest_of(first.path) if hashed else ""
     named = recording.named(require_groups(first.same_beam or reading.same_beam), "same_beam", all_read=False)
-    groups = grouped([channel.name for channel in recording.channels], named)
+    groups = grouped([channel.name for channel in recording.channels], named or recording.beams)
     file = AnnotatedFile(annotations=annotations, recording=recording, unit=unit, digest=digest, groups=groups)
     file.require_inside(recording.n_samples)
     return file
