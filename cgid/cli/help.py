@@ -21,7 +21,7 @@ _OPTIONS = {
     "--sample-format --variable --format --index --invert --keep-baseline --lines --dead-time --give-up --from --to "
     "--events --kind",
     "Model": "--model --mass --sensor --family --by --hop --level-free --features --class-weights",
-    "Decision": "--miss-cost --coverage --class-conditional --vote",
+    "Decision": "--miss-cost --coverage --vote",
     "Gangue fraction": "--window --gangue --dilution-cost --cost-late --cost-early --hold --coal-until --cycle-pause "
     "--cycle-by --labelled --trained-seam --blind-after",
     "Signals": "--signals --seed --laws --dtype --quantities --shuffle-labels --test-share --calibration-share",
@@ -65,6 +65,7 @@ WITHDRAWN = {
     "--impactor": _PULSES,
     "--masses": _PULSES,
     "--drop-height": "leave it out, no model needs a drop height",
+    "--class-conditional": "use --coverage, which holds for the mixture of the training",
     "--sensor": "leave it out, no model has reference runs of sensors; train on recordings of each sensor",
 }
 #: Heading -> the commands below it.

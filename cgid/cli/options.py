@@ -481,9 +481,6 @@ answering_options = _options(
         help="Reject impacts whose prediction set at this coverage (0.9) is not a single label.",
     ),
     click.option(
-        "--class-conditional", is_flag=True, help="Guarantee the coverage for each label, not only for their mixture."
-    ),
-    click.option(
         "--vote",
         "vote_time",
         type=float,
