@@ -24,7 +24,7 @@ _OPTIONS = {
     "Decision": "--miss-cost --coverage --vote",
     "Gangue fraction": "--window --gangue --dilution-cost --cost-late --cost-early --hold --coal-until --cycle-pause "
     "--cycle-by --labelled --trained-seam --blind-after",
-    "Signals": "--signals --seed --laws --dtype --quantities --shuffle-labels --test-share --calibration-share",
+    "Signals": "--signals --seed --laws --dtype --quantities --test-share --calibration-share",
     "Calibration": "--start-error --drift --participation-error --dimension-error --exact --impacts",
     "Tap test": "--hammer --modes --band --max-order --contact --taps --window-tau",
     "Output": "--output --summary --save --port --audacity --mirror --report --plot --plots --uff --overwrite --resume "
@@ -65,6 +65,7 @@ WITHDRAWN = {
     "--impactor": _PULSES,
     "--masses": _PULSES,
     "--drop-height": "leave it out, no model needs a drop height",
+    "--shuffle-labels": "shuffle the column label of a copy of the manifest instead",
     "--class-conditional": "use --coverage, which holds for the mixture of the training",
     "--sensor": "leave it out, no model has reference runs of sensors; train on recordings of each sensor",
 }

@@ -56,7 +56,7 @@ _OF_RECORDINGS = (
 _OF_DATASETS = "--test-share --calibration-share --start-error --sensor"
 _OF_TRAINING = (
     "--features --family --class-weights --by --window --hop --level-free --test-share --calibration-share "
-    "--start-error --signals --shuffle-labels"
+    "--start-error --signals"
 )
 
 
@@ -163,11 +163,6 @@ class ClassifierName(click.types.StringParamType):
 @strict_option
 @seed_option
 @worker_options
-@click.option(
-    "--shuffle-labels",
-    is_flag=True,
-    help="Shuffle the labels as a check: the accuracy must then be that of guessing.",
-)
 @click.option("--plots", is_flag=True, help="Plot confusion matrix, reliability diagram and ROC curve (extra plot).")
 @overwrite_option
 @laws_option
@@ -309,7 +304,7 @@ def _requested_windows(context: click.Context, others: list[str], features: Any)
 
 
 #: Options for every training.
-_COMMON = ("features", "family", "class_weights", "seed", "shuffle_labels", "workers")
+_COMMON = ("features", "family", "class_weights", "seed", "workers")
 
 
 def _given(options: dict[str, Any], *names: str) -> dict[str, Any]:

@@ -121,7 +121,6 @@ def _blocks(model: StoredModel, pictures: tuple[str, ...]) -> Iterator[str]:
     """Yield the blocks of the template that apply to a model, in order."""
     recorded, metrics = model.training.get("recorded"), model.training["metrics"]
     shown = {
-        "shuffled": model.training["labels_shuffled"],
         "of specimens": recorded is None,
         "by impact": False,
         "by window": False,
