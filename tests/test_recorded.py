@@ -386,7 +386,7 @@ def test_one_recording_says_nothing_of_others_however_well_it_is_known(is_of_one
     group = np.arange(600) * len(names) // 600
     more = {"time": time, "source": group, "group": group, "sources": names, "groups": names}
     rows = replace(rows, unit="m/s^2", sampling_rates=(25_600.0, 25_600.0), digests=names, **more)
-    model = train_on_groups(rows, features=rows.names, level_free=True).model
+    model = train_on_groups(rows, features=rows.names).model
     assert model.training["metrics"]["accuracy"] > 0.9
     assert ("all from one recording" in unproven(model, ("gangue",))) is is_of_one
     assert bool(unproven(model, ("gangue",))) is is_of_one

@@ -20,7 +20,7 @@ _OPTIONS = {
     "Reading the recording": "--rate --unit --sensitivity --gain --full-scale --channel --channels --same-beam "
     "--sample-format --variable --format --index --invert --keep-baseline --lines --dead-time --give-up --from --to "
     "--events --kind",
-    "Model": "--model --mass --sensor --family --by --hop --level-free --features --class-weights",
+    "Model": "--model --mass --sensor --family --by --hop --features --class-weights",
     "Decision": "--miss-cost --coverage --vote",
     "Gangue fraction": "--window --gangue --dilution-cost --cost-late --cost-early --hold --coal-until --cycle-pause "
     "--cycle-by --labelled --trained-seam --blind-after",
@@ -65,6 +65,7 @@ WITHDRAWN = {
     "--impactor": _PULSES,
     "--masses": _PULSES,
     "--drop-height": "leave it out, no model needs a drop height",
+    "--level-free": "name features free of the gain by --features (relative_level_1000_hz,relative_level_1250_hz,...)",
     "--shuffle-labels": "shuffle the column label of a copy of the manifest instead",
     "--class-conditional": "use --coverage, which holds for the mixture of the training",
     "--sensor": "leave it out, no model has reference runs of sensors; train on recordings of each sensor",

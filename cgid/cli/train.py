@@ -50,13 +50,11 @@ if TYPE_CHECKING:
 
 #: Options for recordings only, for datasets and scenes only, and for training rather than correction.
 _OF_RECORDINGS = (
-    "--by --window --hop --level-free --rate --unit --channel --format --sensitivity --gain --full-scale --dead-time "
-    "--strict"
+    "--by --window --hop --rate --unit --channel --format --sensitivity --gain --full-scale --dead-time --strict"
 )
 _OF_DATASETS = "--test-share --calibration-share --start-error --sensor"
 _OF_TRAINING = (
-    "--features --family --class-weights --by --window --hop --level-free --test-share --calibration-share "
-    "--start-error --signals"
+    "--features --family --class-weights --by --window --hop --test-share --calibration-share --start-error --signals"
 )
 
 
@@ -157,7 +155,6 @@ class ClassifierName(click.types.StringParamType):
 @click.option(
     "--hop", "hop_time", type=float, help="Set the time from one window to the next [s], by default half a window."
 )
-@click.option("--level-free", is_flag=True, help="Use only features independent of the gain of a sensor.")
 @reading_options_for("sampling_rate", "unit", "channel", "format", "milliseconds", *CHAIN)
 @same_beam_option
 @strict_option
@@ -400,7 +397,6 @@ def _from_recordings(
             options["features"],
             slicing=slicing,
             reading=reading.of_manifest(strict=options["strict"], same_beam=options["same_beam"]),
-            level_free=options["level_free"],
             augment=True,
             progress=progress,
         )
@@ -409,7 +405,7 @@ def _from_recordings(
         say(f"cgid: {note}", err=True)
     for warning in rows.warnings:
         warn(warning)
-    given = _given(options, *_COMMON, "level_free")
+    given = _given(options, *_COMMON)
     n_folds = min(len(rows.groups), MAX_FOLDS) if len(rows.groups) > 1 else None
     with progress_bar(n_folds, "groups left out", "judging") as progress:
         training = train_on_groups(rows, synthetic=synthetic, progress=progress, **given)

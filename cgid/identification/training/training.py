@@ -257,7 +257,6 @@ def train_on_groups(
     *,
     features: Iterable[Named] | None = None,
     family: str | ClassifierMixin = "linear",
-    level_free: bool = False,
     synthetic: Rows | None = None,
     class_weights: Weights = None,
     seed: int = 0,
@@ -277,8 +276,6 @@ def train_on_groups(
     family : {"boosting", "logistic", "network", "linear"} or classifier
         A classifier of scikit-learn's kind may stand here, as in `cgid.ImpactClassifier`. Forests, linear scores and
         histogram boosting can be saved as a model file, any other is for this Python.
-    level_free : bool
-        Choose only among feature sets in which the gain of the sensor cancels.
     synthetic : Rows, optional
         Impacts of scenes or datasets, with the features and unit of the recorded ones. They are used only for training;
         their levels are shifted to those of the recordings.
@@ -310,7 +307,7 @@ def train_on_groups(
         manifest = folder_manifest(rows) if Path(rows).is_dir() else read_manifest(rows)
         features = None if features is None else choose(features)
         reading = recordings.Reading(strict=True)
-        rows = recordings.record(manifest, features, reading=reading, level_free=level_free, augment=True)
+        rows = recordings.record(manifest, features, reading=reading, augment=True)
     _refuse_others("rows", rows, Rows)
     if rows.slicing is None:
         raise InvalidValue(
@@ -330,10 +327,10 @@ def train_on_groups(
     _require_labels(rows, class_weights)
     record = {"seed": seed, "sources": [*rows.digests, *(() if synthetic is None else synthetic.digests)]}
     record |= {"one_recording": is_of_one, **({"same_beam": [*rows.same_beam]} if rows.same_beam else {})}
-    sets = {"asked for": names} if names else sets_for(rows.kind, rows.sampling_rates[0], level_free=level_free)
+    sets = {"asked for": names} if names else sets_for(rows.kind, rows.sampling_rates[0])
     candidates = candidates_for(sets, rows.names, family)
     training_set = TrainingSet(rows=rows, candidates=candidates, weights=class_weights, seed=seed)
-    return _left_out(training_set, synthetic, level_free, progress, workers, record)
+    return _left_out(training_set, synthetic, progress, workers, record)
 
 
 def _named_in(rows: Rows, features: Iterable[Named] | None) -> tuple[str, ...]:
@@ -588,7 +585,6 @@ def _guard_limits(guards: tuple[str, ...], values: Floats, widened: float) -> di
 def _left_out(
     training_set: TrainingSet,
     synthetic: Rows | None,
-    level_free: bool,
     progress: Callable[[int], object] | None,
     workers: Workers,
     record: Mapping[str, Any],
@@ -620,7 +616,6 @@ def _left_out(
         "candidates": _comparison(training_set.candidates, selection, judged.chosen),
         "failures": [str(error) for error in rows.failures],
         "warnings": [*rows.warnings, *warnings_of_few(recorded_rows)],
-        "level_free": level_free,
         **adaptation,
     }
     return _trained(
