@@ -548,7 +548,9 @@ _COMMANDS = r"""
 65 | predict good.csv --model enough.npz --coverage 0.99 | at most 0.98
 65 | predict good.csv --model uncalibrated.npz --coverage 0.9 | coverage
 65 | predict good.csv --coverage 0.9 --miss-cost coal=2 | costs and coverage
-65 | predict good.csv --class-conditional | --coverage
+2 | train m_group.csv --level-free -o new.npz | --level-free is withdrawn; name features
+2 | train m_group.csv --shuffle-labels -o new.npz | --shuffle-labels is withdrawn; shuffle
+2 | predict good.csv --class-conditional | --class-conditional is withdrawn; use --coverage
 65 | predict good.csv --channel 7 | 7
 65 | predict two.h5 --index 64 | index
 2 | predict two.h5 --index -1 | --index

@@ -43,7 +43,7 @@ from cgid.identification.prediction.prediction import read_model
 from cgid.identification.prediction.stream import identify_blocks
 from cgid.identification.training import train_on_specimens
 from cgid.identification.training.grouped import level_range
-from cgid.identification.training.rows import DEFAULT_VIBRATION_FEATURES, Rows
+from cgid.identification.training.rows import DEFAULT_VIBRATION_FEATURES, Rows, sets_for
 from cgid.measure.features.extraction import supported
 from cgid.measure.features.pulses import MAX_UNEXPLAINED
 from cgid.scene import Scene, load_scene, parse_scene, synthesise, varied
@@ -750,8 +750,10 @@ def test_a_wrong_scale_of_labelled_recordings_is_told(kind: str, of_labels: Call
 
 def test_a_model_free_of_levels_answers_alike_at_any_scale(of_labels: Callable[[str], Path]) -> None:
     folder = of_labels("window").parent
-    assert run(["train", str(folder / "labels.csv"), "--level-free", "-o", str(folder / "free.npz")]) == 0
     samples, rate, unit, _ = labelled_recording("window", 100)
+    names = supported(sets_for("window", rate)["mel bands, level-free"], rate, round(0.1 * rate))
+    train = ["train", str(folder / "labels.csv"), "--features", ",".join(names), "-o", str(folder / "free.npz")]
+    assert run(train) == 0
     own, scaled = (predict(factor * samples, rate, unit, model=folder / "free.npz") for factor in (1.0, 9.81))
     assert StoredModel.load(folder / "free.npz").level_range == {}
     np.testing.assert_allclose(own["p_coal"], scaled["p_coal"], atol=1e-9)

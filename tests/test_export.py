@@ -203,15 +203,13 @@ int main(void)
     double first;
     while (scanf("%lf", &first) == 1) {
         unsigned char held[CGID_N_LABELS];
-        int coverage, by_label;
+        int coverage;
         p[0] = first;
         p[1] = 1 - first;
         printf("%d", cgid_decide(p, costs));
-        for (by_label = 0; by_label < 2; by_label++) {
-            for (coverage = 0; coverage < CGID_N_COVERAGES; coverage++) {
-                int n = cgid_prediction_set(p, coverage, by_label, held);
-                printf(" %d %d %d", n, held[0], held[1]);
-            }
+        for (coverage = 0; coverage < CGID_N_COVERAGES; coverage++) {
+            int n = cgid_prediction_set(p, coverage, held);
+            printf(" %d %d %d", n, held[0], held[1]);
         }
         printf("\\n");
     }
@@ -234,15 +232,14 @@ def test_another_file_calls_it_and_decides_by_cost_and_coverage(tmp_path: Path) 
     assert ["coal" if k == 0 else "grès 7" for k in found[:, 0]] == model.decide(
         probabilities, {"coal": 1, "grès 7": 3}
     ).tolist()
-    sets = found[:, 1:].reshape(len(first), 2, len(COVERAGES), 3)
-    for by_label in (False, True):
-        for number, coverage in enumerate(COVERAGES):
-            try:
-                held = model.prediction_set(probabilities, coverage, class_conditional=by_label)
-            except InvalidValue:
-                held = np.ones_like(probabilities, bool)
-            np.testing.assert_array_equal(sets[:, int(by_label), number, 1:], held)
-            np.testing.assert_array_equal(sets[:, int(by_label), number, 0], held.sum(axis=1))
+    sets = found[:, 1:].reshape(len(first), len(COVERAGES), 3)
+    for number, coverage in enumerate(COVERAGES):
+        try:
+            held = model.prediction_set(probabilities, coverage)
+        except InvalidValue:
+            held = np.ones_like(probabilities, bool)
+        np.testing.assert_array_equal(sets[:, number, 1:], held)
+        np.testing.assert_array_equal(sets[:, number, 0], held.sum(axis=1))
     assert last == [1, 0, 0, 8 + 3 * 8]
 
 

@@ -23,7 +23,7 @@ from cgid.identification.training.rows import Rows, sets_for
 
 Floats = NDArray[np.float64]
 PARTS, NUMBERS, N_FURTHER = (1.0, 0.5, 0.0), (2, 3, 5, 10), 40
-NAMES = sets_for("vibration", 44_100.0, level_free=False)["third octaves, level-free"][:20]
+NAMES = sets_for("vibration", 44_100.0)["third octaves, level-free"][:20]
 CANDIDATE = Candidate(name="levels", features=NAMES, family="linear")
 
 

@@ -49,17 +49,14 @@ def judged(model: StoredModel, n: int) -> None:
     )
     rows = []
     for coverage in (0.8, 0.9, 0.95):
-        for each in (False, True):
-            held = model.prediction_set(p, coverage, class_conditional=each)
-            single = held.sum(axis=1) == 1
-            right = held[truth[:, None] == np.array(model.labels)]
-            answered = np.array(model.labels)[held[single].argmax(axis=1)] == truth[single]
-            shares = (right.mean(), *(right[truth == label].mean() for label in model.labels), single.mean())
-            figures = [f"{share:.4f}" for share in (*shares, answered.mean())]
-            rows.append((coverage, "each label" if each else "the mix", *figures))
+        held = model.prediction_set(p, coverage)
+        single = held.sum(axis=1) == 1
+        right = held[truth[:, None] == np.array(model.labels)]
+        answered = np.array(model.labels)[held[single].argmax(axis=1)] == truth[single]
+        shares = (right.mean(), *(right[truth == label].mean() for label in model.labels), single.mean())
+        rows.append((coverage, *(f"{share:.4f}" for share in (*shares, answered.mean()))))
     titles = (
         "asked",
-        "of",
         "covered",
         *(f"of {label}" for label in model.labels),
         "single label",

@@ -58,6 +58,9 @@ WITHDRAWN = {
     "--save": "the page saves the model beside the table of labels",
     "--no-lines": "give --set lines=false, or lines in [model] of a site file",
     "--drop-height": "leave it out, no model needs a drop height",
+    "--level-free": "name features free of the gain by --features (relative_level_1000_hz,relative_level_1250_hz,...)",
+    "--shuffle-labels": "shuffle the column label of a copy of the manifest instead",
+    "--class-conditional": "use --set coverage=0.9, which holds for the mixture of the training",
     "--sensor": "leave it out, no model has reference runs of sensors; train on recordings of each sensor",
 }
 #: Heading -> the commands below it.

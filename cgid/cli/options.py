@@ -12,7 +12,7 @@ import click
 from click.shell_completion import CompletionItem
 
 from cgid._lib import validation
-from cgid.cli.site import the_site
+from cgid.cli.site import field_of, the_site
 from cgid.errors import CannotCreate, CgidError, InvalidValue
 from cgid.shipped import MODELS, SCENES
 from cgid.units import number_and_unit, parse
@@ -141,14 +141,15 @@ def given_flags(context: click.Context) -> dict[str, str]:
     options = {option.name or "": max(option.opts, key=len) for option in context.command.params}
     line = click.core.ParameterSource.COMMANDLINE
     found = {name: flag for name, flag in options.items() if context.get_parameter_source(name) is line}
-    return found | {name: f"--set {name}" for name in the_site().given if name in context.params}
+    keys = {key: field_of(key) for key in the_site().given}
+    return found | {field: f"--set {key}" for key, field in keys.items() if field in context.params}
 
 
 def refuse(context: click.Context, flags: str, reason: str) -> None:
     """Raise `InvalidValue` for the first of these flags on the command line, instead of ignoring it."""
-    given = given_flags(context).values()
-    for flag in flags.split():
-        if flag in given:
+    refused = [flag.lstrip("-").replace("-", "_") for flag in flags.split()]
+    for flag in given_flags(context).values():
+        if flag.split()[-1].lstrip("-").replace("-", "_") in refused:
             raise InvalidValue(f"{flag} must be left out, {reason}")
 
 

@@ -116,6 +116,12 @@ def section_of(key: str) -> str | None:
     return next((name for name, keys in KEYS.items() if key in keys), None)
 
 
+def field_of(key: str) -> str:
+    """Return the name that the settings of Python have for a key."""
+    section = section_of(key)
+    return (KEYS[section][key].field if section else "") or key
+
+
 #: Sections of a site file that each command uses; [scene], too.
 _SECTIONS = {
     "predict": "recorder model decision",
@@ -138,8 +144,8 @@ def keys(**defaults: Any) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
     def add(command: Callable[..., Any]) -> Callable[..., Any]:
         @wraps(command)
         def with_keys(*arguments: Any, **values: Any) -> Any:
-            site, section = the_site(), [about for one in KEYS.values() for about in one.items()]
-            names = {name: next((key for key, about in section if about.field == name), name) for name in defaults}
+            site = the_site()
+            names = {field_of(key): key for one in KEYS.values() for key in one}
             found = {name: site.get(names[name], default) for name, default in defaults.items()}
             click.get_current_context().params.update(found)
             return command(*arguments, **found, **values)

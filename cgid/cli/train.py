@@ -44,11 +44,10 @@ if TYPE_CHECKING:
     from cgid.store import Dataset
 
 #: Options for recordings only, for datasets and scenes only, and for training rather than correction.
-_OF_RECORDINGS = "--by --window --hop --level-free --rate --unit --channel --sensitivity --full-scale"
+_OF_RECORDINGS = "--by --window --hop --rate --unit --channel --sensitivity --full-scale"
 _OF_DATASETS = "--test-share --calibration-share --start-error --sensor"
 _OF_TRAINING = (
-    "--features --family --class-weights --by --window --hop --level-free --test-share --calibration-share "
-    "--start-error --signals --shuffle-labels"
+    "--features --family --class-weights --by --window --hop --test-share --calibration-share --start-error --signals"
 )
 
 
@@ -130,16 +129,10 @@ class ClassifierName(click.types.StringParamType):
 @click.option(
     "--window", "window_time", type=float, default=0.1, show_default=True, help="Set the length of a window [s]."
 )
-@click.option("--level-free", is_flag=True, help="Use only features independent of the gain of a sensor.")
 @reading_options("same_beam")
 @seed_option
 @jobs_option
 @keys(class_weights=None, test_share=0.25, calibration_share=0.1, hop_time=None, start_error=None, scheduler=None)
-@click.option(
-    "--shuffle-labels",
-    is_flag=True,
-    help="Shuffle the labels as a check: the accuracy must then be that of guessing.",
-)
 @click.option("--plots", is_flag=True, help="Plot confusion matrix, reliability diagram and ROC curve (extra plot).")
 @overwrite_option
 @json_option
@@ -283,7 +276,7 @@ def _requested_windows(
 
 
 #: Options for every training.
-_COMMON = ("features", "family", "class_weights", "seed", "shuffle_labels", "workers")
+_COMMON = ("features", "family", "class_weights", "seed", "workers")
 
 
 def _given(options: dict[str, Any], *names: str) -> dict[str, Any]:
@@ -379,7 +372,6 @@ def _from_recordings(
             options["features"],
             slicing=slicing,
             reading=reading.of_manifest(),
-            level_free=options["level_free"],
             augment=True,
             progress=progress,
         )
@@ -388,7 +380,7 @@ def _from_recordings(
         say(f"cgid: {note}", err=True)
     for warning in rows.warnings:
         warn(warning)
-    given = _given(options, *_COMMON, "level_free")
+    given = _given(options, *_COMMON)
     n_folds = min(len(rows.groups), MAX_FOLDS) if len(rows.groups) > 1 else None
     with progress_bar(n_folds, "groups left out", "judging") as progress:
         training = train_on_groups(rows, synthetic=synthetic, progress=progress, **given)

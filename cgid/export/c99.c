@@ -46,9 +46,9 @@ int cgid_self_test(void);
 extern const double cgid_coverages[CGID_N_COVERAGES];
 
 /* Find the labels that cannot be ruled out, held[label] = 1, at the coverage of this number; return how many. For
-   impacts like those of the training, this share of the sets holds the truth: for the mix of labels of the training,
-   or with by_label = 1 for each label. Where too few impacts were left out for a limit, no label is ruled out. */
-int cgid_prediction_set(const cgid_real *probability, int coverage, int by_label, unsigned char *held);
+   impacts like those of the training, this share of the sets holds the truth, for the mix of labels of the training.
+   Where too few impacts were left out for a limit, no label is ruled out. */
+int cgid_prediction_set(const cgid_real *probability, int coverage, unsigned char *held);
 //: measure
 
 /* Measure one frame of a vibration: n_samples in the unit of the model, of which the first pre_trigger precede the
@@ -319,12 +319,11 @@ int cgid_self_test(void)
 }
 //: body of sets
 
-int cgid_prediction_set(const cgid_real *probability, int coverage, int by_label, unsigned char *held)
+int cgid_prediction_set(const cgid_real *probability, int coverage, unsigned char *held)
 {
-    const double *limit = set_limits + ((by_label ? CGID_N_COVERAGES : 0) + coverage) * CGID_N_LABELS;
     int k, n = 0;
     for (k = 0; k < CGID_N_LABELS; k++) {
-        held[k] = 1.0 - (double)probability[k] <= limit[k];
+        held[k] = 1.0 - (double)probability[k] <= set_limits[coverage];
         n += held[k];
     }
     return n;

@@ -225,15 +225,14 @@ def _arrays(model: StoredModel) -> dict[str, NDArray[Any]]:
 
 
 def _set_limits(model: StoredModel) -> Floats:
-    """Return the largest score of each label in a set, (2 n_coverages, n_labels); 1, all labels, without a limit."""
+    """Return the largest score in a set for each coverage, (n_coverages,); 1, all labels, without a limit."""
     limits = []
     assert model.conformal is not None
-    for by_label in (False, True):
-        for coverage in COVERAGES:
-            try:
-                limits.append(model.conformal.thresholds(coverage, class_conditional=by_label))
-            except InvalidValue:
-                limits.append(np.ones(len(model.labels)))
+    for coverage in COVERAGES:
+        try:
+            limits.append(model.conformal.threshold(coverage))
+        except InvalidValue:
+            limits.append(1.0)
     return np.array(limits)
 
 

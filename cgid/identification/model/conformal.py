@@ -43,28 +43,20 @@ class Conformal:
         order = np.lexsort((scores, truth))
         return cls(scores[order], truth[order].astype(np.int32), probabilities.shape[1])
 
-    def thresholds(self, coverage: float, *, class_conditional: bool = False) -> Floats:
-        """Return the largest score of each label in a set, (n_labels,)."""
+    def threshold(self, coverage: float) -> float:
+        """Return the largest score of a label in a set."""
         if not 0 < coverage < 1:
             raise InvalidValue(f"coverage must be between 0 and 1 (exclusive), got {coverage:g}")
-        if not class_conditional:
-            return np.full(self.n_labels, _threshold(self.scores, coverage))
-        return np.array([_threshold(self.scores[self.labels == k], coverage) for k in range(self.n_labels)])
+        n = len(self.scores)
+        # Round first: in binary 100 x 0.07 is slightly above 7, and must not become 8.
+        rank = math.ceil(round((n + 1) * coverage, 9))
+        if rank > n:
+            raise InvalidValue(
+                f"coverage must be at most {n / (n + 1):.4g} with {n} calibration impacts, got {coverage:g}; ask for "
+                "less, or train on more specimens"
+            )
+        return float(np.partition(self.scores, rank - 1)[rank - 1])
 
-    def prediction_set(
-        self, probabilities: Floats, coverage: float, *, class_conditional: bool = False
-    ) -> NDArray[np.bool_]:
+    def prediction_set(self, probabilities: Floats, coverage: float) -> NDArray[np.bool_]:
         """Return which labels belong to the set of each impact, (n_impacts, n_labels)."""
-        return np.asarray(1.0 - probabilities <= self.thresholds(coverage, class_conditional=class_conditional))
-
-
-def _threshold(scores: Floats, coverage: float) -> float:
-    n = len(scores)
-    # Round first: in binary 100 x 0.07 is slightly above 7, and must not become 8.
-    rank = math.ceil(round((n + 1) * coverage, 9))
-    if rank > n:
-        raise InvalidValue(
-            f"coverage must be at most {n / (n + 1):.4g} with {n} calibration impacts (of each label if conditional), "
-            f"got {coverage:g}; ask for less, or train on more specimens"
-        )
-    return float(np.partition(scores, rank - 1)[rank - 1])
+        return np.asarray(1.0 - probabilities <= self.threshold(coverage))

@@ -556,9 +556,7 @@ class StoredModel(Model):
         """Return the range of each input within this many standard deviations of the training, two (n_inputs,)."""
         return self._standardiser.at(-deviations), self._standardiser.at(deviations)
 
-    def prediction_set(
-        self, probabilities: Floats, coverage: float, *, class_conditional: bool = False
-    ) -> NDArray[np.bool_]:
+    def prediction_set(self, probabilities: Floats, coverage: float) -> NDArray[np.bool_]:
         """Return the labels that cannot be ruled out for each impact, bool (n_impacts, n_labels).
 
         For impacts like those of the training, a fraction `coverage` of the sets contains the true label, for any
@@ -569,9 +567,6 @@ class StoredModel(Model):
         probabilities : ndarray, (n_impacts, n_labels)
         coverage : float
             In (0, 1).
-        class_conditional : bool
-            Guarantee the coverage for each label separately, and so for any mixture; else for the mixture of the
-            training.
 
         Returns
         -------
@@ -587,7 +582,7 @@ class StoredModel(Model):
                 "coverage must be left out, this model has no calibration impacts; train on more specimens of each "
                 "label"
             )
-        return self.conformal.prediction_set(probabilities, coverage, class_conditional=class_conditional)
+        return self.conformal.prediction_set(probabilities, coverage)
 
     def covers(self, sampling_rate: float) -> bool:
         """Return whether a sampling rate [Hz] is in the range of the training, within 1 %.

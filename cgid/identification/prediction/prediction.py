@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 Groups = tuple[tuple[str, ...], ...]
 #: Fields of `PredictionSettings` that `predict` accepts: all except those of the gangue fraction.
 _SETTINGS = (
-    "costs", "coverage", "class_conditional", "mass", "invert", "lines", "dead_time",
+    "costs", "coverage", "mass", "invert", "lines", "dead_time",
     "vote_time", "same_beam",
 )  # fmt: skip
 

@@ -91,8 +91,6 @@ class PredictionSettings:
         Cost of missing each label, default 1: with coal 1 and gangue 3, coal must be three times as probable.
     coverage : float, optional
         Fraction of prediction sets that contain the truth; rejects sets without exactly one label; None: no rejection.
-    class_conditional : bool
-        Whether each label has this coverage, and so any mixture; else the mixture of the training.
     mass : float, optional [kg]
         Mass of the accelerated impactor; turns an acceleration into a force.
     invert : bool
@@ -142,7 +140,6 @@ class PredictionSettings:
 
     costs: Mapping[str, float] = field(default_factory=dict)
     coverage: float | None = None
-    class_conditional: bool = False
     mass: float | None = None
     invert: bool = False
     lines: bool | None = None
@@ -167,7 +164,7 @@ class PredictionSettings:
 
     def __post_init__(self) -> None:
         validation.instance("costs", self.costs, Mapping)
-        for name in ("class_conditional", "invert", "trained_seam"):
+        for name in ("invert", "trained_seam"):
             validation.instance(name, getattr(self, name), bool, np.bool_)
         if self.lines is not None:
             validation.instance("lines", self.lines, bool, np.bool_)
@@ -200,8 +197,6 @@ class PredictionSettings:
                 f"labelled gangue must begin after the {self.coal_until:g} s of coal alone, got {first:g} s; shorten "
                 "--coal-until, or leave the row out"
             )
-        if self.class_conditional and self.coverage is None:
-            raise InvalidValue("class_conditional must come with a coverage; give --set coverage=0.9")
 
     # -- decision -------------------------------------------------------------------------------------
 
@@ -213,7 +208,7 @@ class PredictionSettings:
         """Return the label and the prediction set of each row of probabilities."""
         if self.coverage is None:
             return model.decide(probabilities, self.costs).tolist(), [None] * len(probabilities)
-        prediction_sets = model.prediction_set(probabilities, self.coverage, class_conditional=self.class_conditional)
+        prediction_sets = model.prediction_set(probabilities, self.coverage)
         sets = [tuple(compress(model.labels, row)) for row in prediction_sets.tolist()]
         return [one[0] if len(one) == 1 else UNKNOWN for one in sets], [*sets]
 

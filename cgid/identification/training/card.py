@@ -121,7 +121,6 @@ def _blocks(model: StoredModel, pictures: tuple[str, ...]) -> Iterator[str]:
     """Yield the blocks of the template that apply to a model, in order."""
     recorded, metrics = model.training.get("recorded"), model.training["metrics"]
     shown = {
-        "shuffled": model.training["labels_shuffled"],
         "of specimens": recorded is None,
         "by impact": False,
         "by window": False,
@@ -254,15 +253,15 @@ def _sets(model: StoredModel) -> str:
     rows = (
         (
             f"{row['coverage']:g}",
-            "each label" if row["class_conditional"] else "the mix",
             f"{row['achieved']:.4f}",
             *(f"{row['achieved_of'][label]:.4f}" for label in model.labels),
             *(f"{row[name]:.4f}" for name in ("single", "several", "empty")),
             "-" if row["accuracy_of_single"] is None else f"{row['accuracy_of_single']:.4f}",
         )
         for row in model.training["metrics"]["prediction_sets"]
+        if not row.get("class_conditional")  # of an earlier development version: for each label by itself
     )
-    titles = ("coverage asked", "of", "achieved", *(f"of {plain(label)}" for label in model.labels))
+    titles = ("coverage asked", "achieved", *(f"of {plain(label)}" for label in model.labels))
     return _table((*titles, "single label", "several", "empty", "accuracy of single"), rows)
 
 

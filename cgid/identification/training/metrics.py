@@ -86,25 +86,23 @@ def evaluate_sets(
     """Return coverage, size and accuracy of prediction sets, one row per attainable coverage, for JSON."""
     truth = labels[:, None] == np.array(classes)[None]
     rows: list[dict[str, Any]] = []
-    for class_conditional in (False, True):
-        for coverage in coverages:
-            try:
-                sets = conformal.prediction_set(probabilities, coverage, class_conditional=class_conditional)
-            except InvalidValue:  # too few calibration impacts
-                continue
-            is_covered, size = (sets & truth).any(axis=1), sets.sum(axis=1)
-            rows.append(
-                {
-                    "coverage": coverage,
-                    "class_conditional": class_conditional,
-                    "achieved": float(is_covered.mean()),
-                    "achieved_of": {c: float(is_covered[truth[:, k]].mean()) for k, c in enumerate(classes)},
-                    "single": float((size == 1).mean()),
-                    "several": float((size > 1).mean()),
-                    "empty": float((size == 0).mean()),
-                    "accuracy_of_single": float(is_covered[size == 1].mean()) if (size == 1).any() else None,
-                }
-            )
+    for coverage in coverages:
+        try:
+            sets = conformal.prediction_set(probabilities, coverage)
+        except InvalidValue:  # too few calibration impacts
+            continue
+        is_covered, size = (sets & truth).any(axis=1), sets.sum(axis=1)
+        rows.append(
+            {
+                "coverage": coverage,
+                "achieved": float(is_covered.mean()),
+                "achieved_of": {c: float(is_covered[truth[:, k]].mean()) for k, c in enumerate(classes)},
+                "single": float((size == 1).mean()),
+                "several": float((size > 1).mean()),
+                "empty": float((size == 0).mean()),
+                "accuracy_of_single": float(is_covered[size == 1].mean()) if (size == 1).any() else None,
+            }
+        )
     return rows
 
 

@@ -309,7 +309,6 @@ def record(
     *,
     slicing: Slicing | None = None,
     reading: Reading | None = None,
-    level_free: bool = False,
     augment: bool = False,
     model: StoredModel | None = None,
     progress: Callable[[int], object] | None = None,
@@ -334,7 +333,7 @@ def record(
             f"{grouped_file.recording.source}: same_beam must be left out for windows, which use their channels "
             "together; or give --by impact"
         )
-    names = _names(features, files, slicing, level_free)
+    names = _names(features, files, slicing)
     if model is None:
         names += tuple(name for name in default_guards(names) if name not in names)
     unit = files[0].unit if model is None else model.unit
@@ -485,9 +484,7 @@ def _numbered(words: list[str]) -> tuple[tuple[str, ...], NDArray[np.intp]]:
     return tuple(numbers), np.array([numbers[word] for word in words], np.intp)
 
 
-def _names(
-    features: Sequence[str] | None, files: list[AnnotatedFile], slicing: Slicing, level_free: bool
-) -> tuple[str, ...]:
+def _names(features: Sequence[str] | None, files: list[AnnotatedFile], slicing: Slicing) -> tuple[str, ...]:
     """Return the features to measure: the given ones, or those of all sets that every recording supports."""
     rates = sorted({file.recording.sampling_rate for file in files})
     kind: Kind = "window" if slicing.by == "window" else kind_for(quantity_of(files[0].unit))
@@ -501,14 +498,12 @@ def _names(
             )
         require_supported(selected, rate, _length(kind_of(selected), rate, slicing))
         return selected
-    return default_names(kind, rates, slicing, level_free)
+    return default_names(kind, rates, slicing)
 
 
-def default_names(kind: Kind, rates: Sequence[float], slicing: Slicing, level_free: bool = False) -> tuple[str, ...]:
+def default_names(kind: Kind, rates: Sequence[float], slicing: Slicing) -> tuple[str, ...]:
     """Return the features of all sets that recordings of these rates [Hz], the lowest first, support."""
-    names_of_sets = names = union_of(sets_for(kind, rates[0], level_free=level_free))
-    if not names_of_sets:
-        raise InvalidValue(f"features of a {kind} must be named, there is no set of level-free ones; or allow all")
+    names_of_sets = names = union_of(sets_for(kind, rates[0]))
     for rate in rates:
         names = supported(names, rate, _length(kind, rate, slicing))
     if not names:

@@ -266,14 +266,14 @@ def _sets(kind: Kind) -> Sets:
     return {name: tuple(feature for feature in window_features if feature in some) for name, some in sets.items()}
 
 
-def sets_for(kind: Kind, sampling_rate: float, *, level_free: bool = False) -> Sets:
-    """Return the feature sets that a training on recordings chooses from, optionally only level-free ones."""
+def sets_for(kind: Kind, sampling_rate: float) -> Sets:
+    """Return the feature sets that a training on recordings chooses from."""
     sets = _sets(kind)
     if kind == "window":
         # At low rates [Hz], mel and even bands are too wide.
         is_low = sampling_rate <= 2 * MIN_BANDWIDTH
         sets = {name: names for name, names in sets.items() if name.startswith("third octaves") == is_low}
-    return {name: names for name, names in sets.items() if name.endswith("level-free")} if level_free else sets
+    return sets
 
 
 def union_of(sets: Sets) -> tuple[str, ...]:

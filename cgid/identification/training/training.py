@@ -175,7 +175,6 @@ def train_on_specimens(  # noqa: PLR0913
     beam: Beam | None = None,
     class_weights: Weights = None,
     seed: int = 0,
-    shuffle_labels: bool = False,
     progress: Callable[[int], object] | None = None,
     workers: Workers = SERIAL,
 ) -> Training:
@@ -213,8 +212,6 @@ def train_on_specimens(  # noqa: PLR0913
         Weights of the labels, as in `cgid.identification.training.ImpactClassifier`.
     seed : int
         Seed of splits and network.
-    shuffle_labels : bool
-        Shuffle the labels of specimens first, as a check: the accuracy must then be that of guessing.
     progress : callable, optional
         Called with the number of signals measured.
     workers : Workers
@@ -244,11 +241,10 @@ def train_on_specimens(  # noqa: PLR0913
         _refuse_others("data", batches, Iterable)
         rows, names, limiting = _measured(batches, features, guards, beam, progress, workers)
     rows = _in_one_spelling(rows)
-    rows = _shuffled(rows, seed) if shuffle_labels else rows
     _require_labels(rows, class_weights)
     names = names or tuple(name for name in rows.names if name not in limiting)
     parts = _split(rows, judged_on, test_share, calibration_share, seed)
-    record = _record(rows.digests, seed, shuffle_labels)
+    record = {"seed": seed, "sources": [*rows.digests]}
     record |= {"test_share": test_share, "calibration_share": calibration_share, "judged_on": judged_on}
     is_open = features is None and names == DEFAULT_FEATURES and not isinstance(data, Rows)
     open_sets = pulse_sets(len(rows.labels)) if is_open else (names,)
@@ -261,11 +257,9 @@ def train_on_groups(
     *,
     features: Iterable[Named] | None = None,
     family: str | ClassifierMixin = "linear",
-    level_free: bool = False,
     synthetic: Rows | None = None,
     class_weights: Weights = None,
     seed: int = 0,
-    shuffle_labels: bool = False,
     progress: Callable[[int], object] | None = None,
     workers: Workers = SERIAL,
 ) -> Training:
@@ -282,8 +276,6 @@ def train_on_groups(
     family : {"boosting", "logistic", "network", "linear"} or classifier
         A classifier of scikit-learn's kind may stand here, as in `cgid.ImpactClassifier`. Forests, linear scores and
         histogram boosting can be saved as a model file, any other is for this Python.
-    level_free : bool
-        Choose only among feature sets in which the gain of the sensor cancels.
     synthetic : Rows, optional
         Impacts of scenes or datasets, with the features and unit of the recorded ones. They are used only for training;
         their levels are shifted to those of the recordings.
@@ -291,9 +283,6 @@ def train_on_groups(
         Weights of the labels, as in `cgid.identification.training.ImpactClassifier`.
     seed : int
         Seed of folds and network.
-    shuffle_labels : bool
-        Shuffle the labels of recordings first, as a check: the accuracy must then be that of guessing. With few
-        recordings it is lower, because recordings of one material resemble each other.
     progress : callable, optional
         Called with 1 for each tested group.
     workers : Workers
@@ -318,7 +307,7 @@ def train_on_groups(
         manifest = folder_manifest(rows) if Path(rows).is_dir() else read_manifest(rows)
         features = None if features is None else choose(features)
         reading = recordings.Reading(strict=True)
-        rows = recordings.record(manifest, features, reading=reading, level_free=level_free, augment=True)
+        rows = recordings.record(manifest, features, reading=reading, augment=True)
     _refuse_others("rows", rows, Rows)
     if rows.slicing is None:
         raise InvalidValue(
@@ -335,14 +324,13 @@ def train_on_groups(
     rows = _in_one_spelling(rows)
     if synthetic is not None:
         synthetic = _in_one_spelling(synthetic, tuple(np.unique(rows.labels).tolist()))
-    rows = _shuffled(rows, seed) if shuffle_labels else rows
     _require_labels(rows, class_weights)
-    record = _record((*rows.digests, *(() if synthetic is None else synthetic.digests)), seed, shuffle_labels)
+    record = {"seed": seed, "sources": [*rows.digests, *(() if synthetic is None else synthetic.digests)]}
     record |= {"one_recording": is_of_one, **({"same_beam": [*rows.same_beam]} if rows.same_beam else {})}
-    sets = {"asked for": names} if names else sets_for(rows.kind, rows.sampling_rates[0], level_free=level_free)
+    sets = {"asked for": names} if names else sets_for(rows.kind, rows.sampling_rates[0])
     candidates = candidates_for(sets, rows.names, family)
     training_set = TrainingSet(rows=rows, candidates=candidates, weights=class_weights, seed=seed)
-    return _left_out(training_set, synthetic, level_free, progress, workers, record)
+    return _left_out(training_set, synthetic, progress, workers, record)
 
 
 def _named_in(rows: Rows, features: Iterable[Named] | None) -> tuple[str, ...]:
@@ -361,10 +349,6 @@ def _refuse_others(name: str, given: Any, kind: type) -> None:
             "trains cgid.ImpactClassifier().fit(table, labels), labelled recordings go to "
             "cgid.train_on_groups(path of their table)"
         )
-
-
-def _record(sources: Sequence[str], seed: int, shuffled: bool) -> dict[str, Any]:
-    return {"seed": seed, "labels_shuffled": shuffled, "sources": [*sources]}
 
 
 def pulse_sets(n_impacts: int) -> tuple[tuple[str, ...], ...]:
@@ -396,13 +380,6 @@ def _in_one_spelling(rows: Rows, labels: Sequence[str] = ()) -> Rows:
     found, number = np.unique(rows.labels, return_inverse=True)
     spelled = [validation.as_spelled(used.get(label, label), labels) for label in found.tolist()]
     return replace(rows, labels=np.array(spelled, np.str_)[number])
-
-
-def _shuffled(rows: Rows, seed: int) -> Rows:
-    """Return the rows with labels permuted among specimens or recordings, the units that splits keep together."""
-    unit = rows.group if rows.slicing is None else rows.source
-    _, first, unit_index = np.unique(unit, return_index=True, return_inverse=True)
-    return replace(rows, labels=np.random.default_rng(seed).permutation(rows.labels[first])[unit_index])
 
 
 def _require_labels(rows: Rows, class_weights: Weights) -> None:
@@ -608,7 +585,6 @@ def _guard_limits(guards: tuple[str, ...], values: Floats, widened: float) -> di
 def _left_out(
     training_set: TrainingSet,
     synthetic: Rows | None,
-    level_free: bool,
     progress: Callable[[int], object] | None,
     workers: Workers,
     record: Mapping[str, Any],
@@ -640,7 +616,6 @@ def _left_out(
         "candidates": _comparison(training_set.candidates, selection, judged.chosen),
         "failures": [str(error) for error in rows.failures],
         "warnings": [*rows.warnings, *warnings_of_few(recorded_rows)],
-        "level_free": level_free,
         **adaptation,
     }
     return _trained(
