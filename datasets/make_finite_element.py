@@ -1,6 +1,6 @@
 """Make finite_element.npz again: impacts of the reference scene, solved by finite elements in place of a law of impact.
 
-    python datasets/make_finite_element.py [--impacts 256] [--jobs N] [--output FILE]
+    python datasets/make_finite_element.py [--set impacts=256] [--jobs N] [--output FILE]
 
 Every impact is a rock that the scene draws (a seed that no shipped model was trained with): its material, its fall, its
 restitution. It is a sphere of a viscoelastic material (Kelvin and Voigt) on a block of steel; its retardation time is
@@ -207,7 +207,7 @@ def main() -> None:
     parser.add_argument("--output", type=Path, default=HERE / "finite_element.npz")
     arguments = parser.parse_args()
     try:
-        rocks = drawn_impacts(validation.count("--impacts", arguments.impacts))
+        rocks = drawn_impacts(validation.count("--set", f"impacts={arguments.impacts}"))
         rows = kept(arguments.output, rocks)
     except CgidError as error:
         parser.exit(error.exit_code, f"{error}\n")

@@ -504,8 +504,8 @@ _COMMANDS = r"""
 65 | predict acceleration.csv --model model.npz | acceleration
 65 | predict good.csv --model acceleration.npz | acceleration
 65 | predict two.h5 --model acceleration.npz | m/s^2
-65 | predict good.csv --mass 2 | mass
-65 | predict acceleration.csv --mass 0 | mass
+65 | predict good.csv --set mass=2 | mass
+65 | predict acceleration.csv --set mass=0 | mass
 66 | predict good.csv --model none.npz | none.npz
 2 | predict good.csv --model '' | '--model'
 2 | predict '' | 'FILE...'
@@ -523,12 +523,12 @@ _COMMANDS = r"""
 2 | predict good.csv --drop-height 1.5 | --drop-height is withdrawn; leave it out
 2 | train reference --drop-height -o new.npz | --drop-height is withdrawn; leave it out
 2 | predict good.csv --sensor left | --sensor is withdrawn; leave it out
-65 | predict good.csv --miss-cost granite=2 | granite
+65 | predict good.csv --set miss_cost=granite=2 | granite
 73 | predict good.csv -o rows.txt | rows.txt
 73 | predict good.csv -o good.csv | good.csv
 73 | features good.csv -o no/rows.csv | folder no must exist
 2 | features good.csv --json -o new.csv | --json
-2 | predict good.csv --miss-cost coal=much | LABEL=COST
+2 | predict good.csv --set miss_cost=coal=much | LABEL=COST
 65 | predict good.csv --model old.npz | schema_version
 65 | train reference -n 600 --features beam_peak_force -o new.npz | [tail_beam]
 65 | features longer.csv --features beam_peak_force | beam_peak_force must have a beam
@@ -544,36 +544,36 @@ _COMMANDS = r"""
 65 | train reference --sensor 0.5,0.45 -o new.npz | reference
 65 | train caving --sensor 0.5,0.45 -o new.npz | caving
 65 | predict slow.csv --model through.npz | at least 2000 Hz
-65 | predict good.csv --coverage 1 | coverage
-65 | predict good.csv --model enough.npz --coverage 0.99 | at most 0.98
-65 | predict good.csv --model uncalibrated.npz --coverage 0.9 | coverage
-65 | predict good.csv --coverage 0.9 --miss-cost coal=2 | costs and coverage
+65 | predict good.csv --set coverage=1 | coverage
+65 | predict good.csv --model enough.npz --set coverage=0.99 | at most 0.98
+65 | predict good.csv --model uncalibrated.npz --set coverage=0.9 | coverage
+65 | predict good.csv --set coverage=0.9 --set miss_cost=coal=2 | costs and coverage
 2 | train m_group.csv --level-free -o new.npz | --level-free is withdrawn; name features
 2 | train m_group.csv --shuffle-labels -o new.npz | --shuffle-labels is withdrawn; shuffle
-2 | predict good.csv --class-conditional | --class-conditional is withdrawn; use --coverage
+2 | predict good.csv --class-conditional | --class-conditional is withdrawn; use coverage
 65 | predict good.csv --channel 7 | 7
-65 | predict two.h5 --index 64 | index
-2 | predict two.h5 --index -1 | --index
-65 | predict good.csv --index 0 | --index
+65 | predict two.h5 --set index=64 | index
+2 | predict two.h5 --set index=-1 | index
+65 | predict good.csv --set index=0 | index
 65 | predict two.h5 --unit V | --unit
-65 | predict good.csv --dead-time -1 | --dead-time
+65 | predict good.csv --set dead_time=-1 | dead_time
 65 | predict whole.npy --rate 1e300 --unit N | --rate
 65 | features good.csv --features nose | nose
 65 | features good.csv --features window_level | good.csv
 65 | train one.h5 -o new.npz | at least 2 labels
-65 | train reference.toml -n 600 --calibration-share 0.9 -o new.npz | 0.9
-66 | train m_gone.csv --strict -o new.npz | gone.csv
-65 | train m_device.csv --strict -o new.npz | /dev/null
+65 | train reference.toml -n 600 --set calibration_share=0.9 -o new.npz | 0.9
+66 | train m_gone.csv -o new.npz | gone.csv
+65 | train m_device.csv -o new.npz | /dev/null
 65 | train m_label.toml -o new.npz | m_label.toml
 65 | train m_group.csv --by impact -o new.npz | at least 2 groups
 65 | train m_both.csv -o new.npz | good.csv
-65 | train m_group.csv --test-share 0.5 -o new.npz | --test-share
+65 | train m_group.csv --set test_share=0.5 -o new.npz | test_share
 65 | train m_empty.csv -o new.npz | m_empty.csv: some row must have a label, none of 2 has
-65 | train m_outside.csv --strict -o new.npz | twice.csv
+65 | train m_outside.csv -o new.npz | twice.csv
 65 | train m_overlap.csv -o new.npz | twice.csv
 65 | train m_group.csv --by window --window 0 -o new.npz | --window
-65 | train m_group.csv --by window --hop 1e-6 -o new.npz | --hop
-65 | train m_group.csv --class-weights coal:2 -o new.npz | --class-weights
+65 | train m_group.csv --by window --set hop=1e-6 -o new.npz | hop
+65 | train m_group.csv --set class_weights=coal:2 -o new.npz | class_weights
 65 | train m_group.csv --by impact --features window_level -o new.npz | features
 65 | train m_group.csv reference --by window -o new.npz | --by impact
 65 | train m_same.csv -o new.npz | at least 2 labels
@@ -596,7 +596,7 @@ _COMMANDS = r"""
 65 | train loose -o new.npz | a.csv
 65 | train void -o new.npz | void
 65 | train papers -o new.npz | papers
-65 | train junk --strict -o new.npz | junk/coal/a.wav
+65 | train junk -o new.npz | junk/coal/a.wav
 65 | train two_manifests -o new.npz | two_manifests
 2 | train m_same.csv | -o
 73 | train loose --template t.txt | t.txt
@@ -634,7 +634,10 @@ _COMMANDS = r"""
 73 | label good.csv -o l.xlsx | l.xlsx
 65 | label good.csv -o pair.csv | pair.csv
 65 | label good.csv --labels coal,<b> | --labels
-73 | label good.csv --save m.txt | m.txt
+2 | label good.csv --save m.txt | --save is withdrawn
+2 | predict good.csv --strict | --strict is withdrawn
+2 | plot good.csv -o new.png --kind pulse | --kind is withdrawn
+2 | predict good.csv --hold 5 | --set hold=VALUE
 66 | label good.csv --model gone.npz | gone.npz
 2 | label good.csv --port 0 | --port
 65 | label constant.csv motion.csv | motion.csv
@@ -670,15 +673,15 @@ _COMMANDS = r"""
 66 | generate no_table.toml -o new.h5 | gone.csv
 65 | check device.toml | /dev/null
 65 | check endless.toml | coupling
-65 | train reference -n 100 --start-error '1 %' -o new.npz | reference
-65 | train tail_beam -n 100 --start-error '90 %' -o new.npz | --start-error
+65 | train reference -n 100 --set start_error='1 %' -o new.npz | reference
+65 | train tail_beam -n 100 --set start_error='90 %' -o new.npz | start_error
 65 | calibrate few_blows.csv --scene reference -o new.toml | [tail_beam]
 65 | calibrate few_blows.csv --scene tail_beam -o new.toml | few_blows.csv
 65 | calibrate clipped_blows.csv --scene tail_beam -o new.toml | clipped
 65 | calibrate other_beam.csv --scene taps.toml -o new.toml --dimension-error '3 %' | dimension_error
 65 | calibrate few_blows.csv --scene tail_beam -o new.toml --dimension-error 'ribs.height = 3 %' | ribs.depth
 65 | calibrate few_blows.csv --scene tail_beam -o new.toml --dimension-error '20 %' | --dimension-error
-65 | calibrate few_blows.csv --scene tail_beam -o new.toml --exact sensor,filters | --exact
+65 | calibrate few_blows.csv --scene tail_beam -o new.toml --set exact=sensor,filters | exact
 65 | calibrate other_beam.csv --scene taps.toml -o new.toml | must explain the impacts
 65 | calibrate other_beam.csv --scene tail_beam --sensor 0.5,0.45 --sensor 1,1 -o new.toml | by --sensor X,Y
 65 | calibrate other_beam.csv --scene tail_beam --sensor 0.5,9 -o new.toml | sensor_point.y
@@ -687,8 +690,8 @@ _COMMANDS = r"""
 65 | calibrate other_beam.csv --scene fast.toml -o new.toml | sampling.sampling_rate
 65 | calibrate good.csv --scene tail_beam -o new.toml | acceleration
 65 | calibrate acceleration.csv --scene tail_beam -o new.toml | anti_alias
-65 | calibrate few_blows.csv --scene tail_beam -o new.toml --start-error near | --start-error
-65 | calibrate few_blows.csv --scene tail_beam -o new.toml --start-error '30 %' | --start-error
+65 | calibrate few_blows.csv --scene tail_beam -o new.toml --set start_error=near | start_error
+65 | calibrate few_blows.csv --scene tail_beam -o new.toml --set start_error='30 %' | start_error
 73 | calibrate few_blows.csv --scene tail_beam -o site.csv | site.csv
 73 | calibrate few_blows.csv --scene tail_beam -o modes.toml | modes.toml
 66 | calibrate gone.wav --scene tail_beam -o new.toml | gone.wav
@@ -708,23 +711,23 @@ _COMMANDS = r"""
 65 | tap two_taps.csv -o new.csv --band 900 100 | band
 65 | tap two_taps.csv -o new.csv --band 100 20000 | --band
 65 | tap two_taps.csv -o new.csv --band 6000 7000 | 6000
-65 | tap two_taps.csv -o new.csv --max-order 0 | --max-order
-65 | tap two_taps.csv -o new.csv --contact -1 | contact
+65 | tap two_taps.csv -o new.csv --set max_order=0 | max_order
+65 | tap two_taps.csv -o new.csv --set contact=-1 | contact
 65 | tap two_taps.csv -o new.csv --taps tap_times.csv | 7.5 s
 65 | tap two_taps.csv -o new.csv --taps tap_table.csv | tap_table.csv
 65 | tap two_taps.csv -o new.csv --taps places.csv | --hammer
 65 | tap two_taps.csv -o new.csv --sensor 0.1,0.1 | --taps
 65 | tap hammered.csv --hammer 2 -o new.csv --taps two_places.csv | --sensor
 65 | tap hammered.csv --hammer 2 -o new.csv --taps two_places.csv --sensor here | --sensor
-65 | tap hammered.csv --hammer 2 -o new.csv --taps two_places.csv --sensor 0.1,0.1 --window-tau 30 | --window-tau
+65 | tap hammered.csv --hammer 2 -o new.csv --taps two_places.csv --sensor 0.1,0.1 --set window_tau=30 | window_tau
 65 | tap hammered.csv --hammer 2 -o new.csv --taps two_places.csv --sensor 0.1,0.1 | 6 places
 65 | tap hammered.csv --hammer 2 -o new.csv --taps places.csv --sensor 0.1,0.1 | got 3 for 2 taps
 65 | tap hammered.csv --hammer 2 -o new.csv --taps late_places.csv --sensor 0.1,0.1 | 7.5 s
 65 | tap hammered.csv --hammer 2 -o new.csv --taps half_places.csv --sensor 0.1,0.1 | half_places.csv
 65 | tap hammered.csv --hammer 2 -o new.csv --taps nowhere.csv --sensor 0.1,0.1 | nowhere.csv, line 2
 65 | tap two_taps.csv -o new.csv --scene reference | reference
-65 | tap two_taps.csv -o new.csv --start-error 0 | --start-error
-65 | tap two_taps.csv -o new.csv --window-tau 0 | --window-tau
+65 | tap two_taps.csv -o new.csv --set start_error=0 | start_error
+65 | tap two_taps.csv -o new.csv --set window_tau=0 | window_tau
 65 | tap two_taps.csv -o new.csv --uff new.uff | --hammer
 73 | tap two_taps.csv -o new.csv --uff new.txt | .uff
 73 | tap two_taps.csv -o modes.csv | modes.csv
@@ -734,7 +737,7 @@ _COMMANDS = r"""
 65 | invert two_taps.csv --scene tail_beam --band 100 900 | --band
 65 | invert two_taps.csv --modes modes.csv --band 900 100 | band
 65 | invert two_taps.csv --modes modes.csv --band 6000 7000 | --band
-65 | invert two_taps.csv --modes modes.csv --contact 0 | contact
+65 | invert two_taps.csv --modes modes.csv --set contact=0 | contact
 65 | invert two_taps.csv --modes modes.csv --hammer 1 | --hammer
 65 | invert two_taps.csv --modes modes.csv --modes modes.csv | one table for each
 65 | invert two_taps.csv --modes tap_times.csv | tap_times.csv
@@ -752,8 +755,8 @@ _COMMANDS = r"""
 65 | train caving.toml --features decay_time -o new.npz | stream
 2 | generate reference --features peak_force -o new.h5 | --features-only
 2 | generate reference --quantities impulse -o new.h5 | --closed-form-only
-2 | generate reference --features-only --dtype float64 -o new.h5 | --dtype
-2 | generate reference --features-only --shard-signals 9 -o new.h5 | --shard-signals
+2 | generate reference --features-only --set dtype=float64 -o new.h5 | dtype
+2 | generate reference --features-only --set shard_signals=9 -o new.h5 | shard_signals
 2 | generate reference --features-only -o new | .h5
 2 | generate reference | -o
 65 | generate reference --features-only --features colour -o new.csv | 'colour'
@@ -765,41 +768,41 @@ _COMMANDS = r"""
 66 | train referense -o new.npz | did you mean 'reference'
 66 | check reference.tml | reference.tml
 66 | predict good.csv --model defualt | model
-65 | predict good.csv --cost-late -1 | --cost-late
-65 | monitor - --cost-early -0.5 | --cost-early
-65 | predict good.csv --cost-early nan | --cost-early
-65 | monitor - --cost-late inf | --cost-late
-65 | monitor - --cost-late 0 --cost-early 0 | cost_early
-65 | monitor - --hold -3 | --hold
-65 | predict good.csv --hold inf | --hold
+65 | predict good.csv --set cost_late=-1 | cost_late
+65 | monitor - --set cost_early=-0.5 | cost_early
+65 | predict good.csv --set cost_early=nan | cost_early
+65 | monitor - --set cost_late=inf | cost_late
+65 | monitor - --set cost_late=0 --set cost_early=0 | cost_early
+65 | monitor - --set hold=-3 | hold
+65 | predict good.csv --set hold=inf | hold
 65 | predict good.csv --coal-until 0 | --coal-until
 65 | monitor - --coal-until -5s | --coal-until
 2 | predict good.csv --coal-until soon | --coal-until
 2 | monitor - --coal-until 3kg | --coal-until
-65 | predict good.csv --cycle-pause 60 | --coal-until
-65 | monitor - --coal-until 30s --cycle-pause 0 | --cycle-pause
-2 | monitor - --cycle-by stdin | --coal-until
-2 | monitor - --coal-until 30s --cycle-by stdin | --cycle-by
-2 | monitor - --coal-until 30s --cycle-by mqtt | --mqtt
-2 | monitor - --coal-until 30s --cycle-by smoke | --cycle-by
-65 | predict good.csv --trained-seam --coal-until 3 | trained_seam
+65 | predict good.csv --set cycle_pause=60 | --coal-until
+65 | monitor - --coal-until 30s --set cycle_pause=0 | cycle_pause
+2 | monitor - --set cycle_by=stdin | --coal-until
+2 | monitor - --coal-until 30s --set cycle_by=stdin | cycle_by
+2 | monitor - --coal-until 30s --set cycle_by=mqtt | --mqtt
+2 | monitor - --coal-until 30s --set cycle_by=smoke | cycle_by
+65 | predict good.csv --set trained_seam=true --coal-until 3 | trained_seam
 65 | predict good.csv --labelled two_manifests/manifest.csv | labelled coal
 65 | predict good.csv --labelled good.csv | good.csv
 66 | monitor - --labelled none.csv | none.csv
-65 | monitor - --give-up 0 | --give-up
-65 | predict good.csv --give-up nan | --give-up
-65 | monitor - --dilution-cost 0 | --dilution-cost
-65 | monitor - --dilution-cost nan | --dilution-cost
-65 | predict good.csv --dilution-cost -2 | --dilution-cost
-65 | predict good.csv --gangue gange | did you mean 'gangue'
+65 | monitor - --set give_up=0 | give_up
+65 | predict good.csv --set give_up=nan | give_up
+65 | monitor - --set dilution_cost=0 | dilution_cost
+65 | monitor - --set dilution_cost=nan | dilution_cost
+65 | predict good.csv --set dilution_cost=-2 | dilution_cost
+65 | predict good.csv --set gangue=gange | did you mean 'gangue'
 2 | check | --list
 66 | verify nothing.h5 | nothing.h5
 2 | verify nothing.h5 --scene reference | --scene
-65 | verify two.h5 --laws exits.py | SystemExit
-65 | check reference.toml --laws exits.py | SystemExit
-65 | check reference.toml --laws lawless.py | must have a class
-65 | check reference.toml --laws lawless | give lawless.py
-65 | check reference.toml --laws no/law.py | no/law.py
+65 | verify two.h5 --set laws=exits.py | SystemExit
+65 | check reference.toml --set laws=exits.py | SystemExit
+65 | check reference.toml --set laws=lawless.py | must have a class
+65 | check reference.toml --set laws=lawless | give lawless.py
+65 | check reference.toml --set laws=no/law.py | no/law.py
 66 | export nothing.h5 -o new.h5 | nothing.h5
 65 | export reference.toml -o new.h5 | reference.toml
 73 | export two.h5 -o two.h5 --overwrite | two.h5
@@ -825,8 +828,8 @@ _COMMANDS = r"""
 65 | generate caving.toml -o two.h5 --resume | two.h5
 73 | generate reference.toml -o unfinished | unfinished
 73 | generate reference.toml -o . --overwrite | other files in it
-65 | generate reference.toml -o new --scheduler here | 'here'
-2 | generate reference.toml -o new --jobs 2 --scheduler tcp://127.0.0.1:1 | --jobs
+65 | generate reference.toml -o new --set scheduler=here | 'here'
+2 | generate reference.toml -o new --jobs 2 --set scheduler=tcp://127.0.0.1:1 | --jobs
 2 | foretell | foretell
 2 | predict | FILE
 """
@@ -848,7 +851,7 @@ def _commands() -> Iterator[Case]:
         _LAWS, ("pulls = True", "energy", "finite", "approach", "numbers", "differ", "Zero", "SystemExit", "TypeError"),
         strict=True,
     ):  # fmt: skip
-        yield Case(f"law {name}", ("check", f"{name}.toml", "--laws", f"{name}.py"), 65, (f"law {name}: ", word))
+        yield Case(f"law {name}", ("check", f"{name}.toml", "--set", f"laws={name}.py"), 65, (f"law {name}: ", word))
     for command in (("verify",), ("export", "-o", "new.h5"), ("train", "-o", "new.npz")):
         yield Case(f"{command[0]} a name too long", (command[0], "n" * 300, *command[1:]), 66, ("nnn",))
     yield Case(

@@ -260,7 +260,7 @@ def lines_of(
         how = ["stream.raw", "--rate", "200000", "--channels", "1", "--sample-format", "f32le", "--unit", "N"]
     how[0] = str(folder / how[0])
     model_file = str(folder / f"{model}.npz")
-    assert run([command, *how, "--json", "--window", "0.5", "--model", model_file, *options]) == 0
+    assert run([command, *how, "--json", "--set", "window=0.5", "--model", model_file, *options]) == 0
     out, err = capsys.readouterr()
     return [json.loads(line) for line in out.splitlines()], err
 
@@ -269,10 +269,16 @@ def lines_of(
 def test_records_say_what_the_fraction_rests_on(command: str, folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for options, expected in (
         ((), {"any_seam"}),
-        (("--trained-seam",), {"trained_seam"}),
+        (
+            (
+                "--set",
+                "trained_seam=true",
+            ),
+            {"trained_seam"},
+        ),
         (("--coal-until", "1s"), {"anchor_pending", "anchor"}),
         (("--coal-until", "10 ms"), {"anchor_too_few"}),
-        (("--coal-until", "1", "--cycle-pause", "1 min"), {"anchor_pending", "anchor"}),
+        (("--coal-until", "1", "--set", "cycle_pause=1 min"), {"anchor_pending", "anchor"}),
     ):
         lines, _ = lines_of(folder, capsys, command, *options)
         shares = [line for line in lines if line["kind"] == "share"]
@@ -309,8 +315,8 @@ def test_a_line_on_stdin_begins_another_cycle(folder: Path, tmp_path: Path) -> N
     raw = (folder / "stream.raw").read_bytes()
     half = round(1.6 * 200_000) * 4
     how = ["--rate", "200000", "--channels", "1", "--sample-format", "f32le", "--unit", "N"]
-    how += ["--json", "--window", "0.5"]
-    coal = ["--model", str(folder / "any.npz"), "--coal-until", "1", "--cycle-by", "stdin"]
+    how += ["--json", "--set", "window=0.5"]
+    coal = ["--model", str(folder / "any.npz"), "--coal-until", "1", "--set", "cycle_by=stdin"]
     pipes = dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.PIPE)
     command = [sys.executable, "-m", "cgid", "monitor", str(tmp_path / "pipe"), *how, *coal]
     with subprocess.Popen(command, text=True, **pipes) as process:
@@ -343,11 +349,11 @@ def test_cycles_without_a_pause_are_told_once(
 ) -> None:
     words = "no pause of 1 s came from 0 to 3 s, so this is one caving cycle"
     for command in ("predict", "monitor"):
-        assert lines_of(folder, capsys, command, "--coal-until", "1", "--cycle-pause", "1s")[1].count(words) == 1
+        assert lines_of(folder, capsys, command, "--coal-until", "1", "--set", "cycle_pause=1s")[1].count(words) == 1
         # A recording that is no longer than its coal and a pause may end with its first cycle.
-        assert "no pause" not in lines_of(folder, capsys, command, "--coal-until", "1", "--cycle-pause", "2s")[1]
+        assert "no pause" not in lines_of(folder, capsys, command, "--coal-until", "1", "--set", "cycle_pause=2s")[1]
     monkeypatch.setattr("cgid.cli.answer_rows._LONGEST_CYCLE", 1.2)
-    err = lines_of(folder, capsys, "monitor", "--coal-until", "1", "--cycle-pause", "1s")[1]
+    err = lines_of(folder, capsys, "monitor", "--coal-until", "1", "--set", "cycle_pause=1s")[1]
     (told,) = re.findall(r"no pause of 1 s came from 0 to (\S+) s", err)
     assert 1.2 <= float(told) < 2
 
@@ -462,7 +468,7 @@ def test_a_table_without_coal_of_the_recording_is_refused(
 
 
 def test_any_seam_is_said_once_in_words(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    given = [str(folder / "stream.npy"), "--rate", "200000", "--unit", "N", "--window", "0.5"]
+    given = [str(folder / "stream.npy"), "--rate", "200000", "--unit", "N", "--set", "window=0.5"]
     assert run(["predict", *given, "--model", str(folder / "any.npz")]) == 0
     err = capsys.readouterr().err
     assert err.count("--coal-until 30s") == 1
@@ -479,6 +485,6 @@ def test_a_model_of_single_blows_says_that_rocks_bounce(tmp_path: Path, capsys: 
     signal, _ = record(parse_scene(content), 5)
     np.save(tmp_path / "belt.npy", signal.samples)
     given = ["predict", str(tmp_path / "belt.npy"), "--rate", "25600", "--unit", "m/s^2"]
-    for options, count in ((["--model", str(tmp_path / "blows.npz")], 1), (["--trained-seam"], 0)):
+    for options, count in ((["--model", str(tmp_path / "blows.npz")], 1), (["--set", "trained_seam=true"], 0)):
         assert run([*given, *options]) == 0
         assert capsys.readouterr().err.count("the model learned from single blows; where rocks bounce") == count

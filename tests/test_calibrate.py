@@ -324,7 +324,7 @@ def test_a_model_of_modes_that_nobody_has_learned(known, tmp_path, capsys):
     assert (beam_modes(parse_scene(content)).deviation[0] == np.array([300, 350, 560, 905]) / 1e5).all()
     scene_file, model = tmp_path / "panel.toml", tmp_path / "model.npz"
     scene_file.write_text(toml(json.loads(known[0].text)))
-    told = ["train", str(scene_file), "-n", "128", "--start-error", "2 %", "-o", str(model), "--json"]
+    told = ["train", str(scene_file), "-n", "128", "--set", "start_error=2 %", "-o", str(model), "--json"]
     assert run(told) == 0
     capsys.readouterr()
     beam = load_model(model).beam.beam
@@ -332,7 +332,7 @@ def test_a_model_of_modes_that_nobody_has_learned(known, tmp_path, capsys):
     generate(known[1], tmp_path / "blows.h5", 8, seed=12)
     assert run(["predict", str(tmp_path / "blows.h5"), "--model", str(model), "--json"]) == 0
     generate(known[1], tmp_path / "data", 64, seed=12)
-    assert run(["train", str(tmp_path / "data"), "--start-error", "2 %", "-o", str(tmp_path / "other.npz")]) != 0
+    assert run(["train", str(tmp_path / "data"), "--set", "start_error=2 %", "-o", str(tmp_path / "other.npz")]) != 0
     assert "--start-error must be left out" in capsys.readouterr().err
 
 

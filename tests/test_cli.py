@@ -213,7 +213,7 @@ def test_check_warns_of_a_radius_without_its_unit(tmp_path: Path, capsys: pytest
     ("command", "flag"),
     [
         (("predict", "sample.csv", "--unit", "2=N"), "--unit"),
-        (("predict", "sample.csv", "--gain", "3=2"), "--gain"),
+        (("predict", "sample.csv", "--set", "channels.3.gain=2"), "--set channels"),
         (("calibrate", "sample_acceleration.csv", "--scene", "caving", "-ox.toml", "--drift=9"), "--drift"),
     ],
 )
@@ -244,7 +244,7 @@ def test_real_shock(real_data: Path, capsys: pytest.CaptureFixture[str]) -> None
         assert row["sampling_rate_hz"] == pytest.approx(49_993, abs=1)
     assert run(["predict", file, "--model", str(ROOT / "models" / "default.npz")]) == 65
     assert "--mass KG" in capsys.readouterr().err
-    assert run(["predict", file, "--mass", "1.5", "--json"]) == 0
+    assert run(["predict", file, "--set", "mass=1.5", "--json"]) == 0
     row = json.loads(capsys.readouterr().out.splitlines()[0])
     assert row["in_training_range"] is False  # neither at 50 kHz nor by its novelty
     assert row["label"] in ("coal", "gangue", "unknown")

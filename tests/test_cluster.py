@@ -119,9 +119,23 @@ def test_groups_are_judged_alike_whoever_leaves_them_out(address: str) -> None:
 def test_a_command_does_its_work_on_a_cluster(address: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     data, models = str(tmp_path / "data"), [tmp_path / name for name in ("far.npz", "two.npz", "one.npz")]
     assert (
-        run(["generate", "reference", "-n", "400", "-o", data, "--shard-signals", "256", "--scheduler", address]) == 0
+        run(
+            [
+                "generate",
+                "reference",
+                "-n",
+                "400",
+                "-o",
+                data,
+                "--set",
+                "shard_signals=256",
+                "--set",
+                f"scheduler={address}",
+            ]
+        )
+        == 0
     )
-    for model, way in zip(models, (["--scheduler", address], ["--jobs", "2"], []), strict=True):
+    for model, way in zip(models, (["--set", f"scheduler={address}"], ["--jobs", "2"], []), strict=True):
         assert run(["train", data, "-o", str(model), "--family", "linear", "--features", FEATURES, *way]) == 0
     assert len({model.read_bytes() for model in models}) == 1
     assert "Traceback" not in capsys.readouterr().err
@@ -196,7 +210,7 @@ def test_no_scheduler_at_all(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     monkeypatch.setattr(cluster, "TIMEOUT", 0.5)
-    assert run(["generate", "reference", "-o", str(tmp_path / "d"), "--scheduler", "tcp://127.0.0.1:9"]) == 69
+    assert run(["generate", "reference", "-o", str(tmp_path / "d"), "--set", "scheduler=tcp://127.0.0.1:9"]) == 69
     error = capsys.readouterr().err
     assert re.fullmatch(r"cgid: error: tcp://127\.0\.0\.1:9: a dask scheduler must answer there within .*\n", error)
     assert not (tmp_path / "d").exists()

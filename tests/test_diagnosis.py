@@ -162,7 +162,7 @@ def test_a_pulse_that_points_down_and_rebounds_is_turned_over() -> None:
     hint = hint_of(samples, RATE, PULSES)
     assert hint is not None
     assert hint.cause == "upside_down"
-    assert hint.commands == ("cgid predict 'my file.csv' --invert",)
+    assert hint.commands == ("cgid predict 'my file.csv' --set invert=true",)
     assert hint_of(-samples, RATE, PULSES) is None
 
 
@@ -170,7 +170,7 @@ def test_a_wrong_sampling_rate_is_told_by_the_true_one() -> None:
     """The answers change when only the rate does, so the rate is the cause."""
     samples = of_the_trained_beam(3)
     model = of_levels()
-    hints = Hints(model, 2 * BEAM_RATE, "x.csv", ("--rate", "51200", "--unit", "g"), ("--mass", "2"))
+    hints = Hints(model, 2 * BEAM_RATE, "x.csv", ("--rate", "51200", "--unit", "g"), ("--set", "mass=2"))
     for step in identify_blocks([samples[None]], 2 * BEAM_RATE, model, ("1",), PredictionSettings()):
         # Only those outside of the training: at this rate about half of them are.
         hints.add([answer for answer in step.answers if answer.novelty > 1])
@@ -178,7 +178,7 @@ def test_a_wrong_sampling_rate_is_told_by_the_true_one() -> None:
     assert hint is not None
     assert hint.cause == "sampling_rate"
     assert "at 25600 Hz they would be inside" in hint.line
-    assert hint.commands == ("cgid predict x.csv --unit g --mass 2 --rate 25600",)
+    assert hint.commands == ("cgid predict x.csv --unit g --set mass=2 --rate 25600",)
     # As well if the file states the wrong rate, but not of a dataset.
     hints._options, hints._labelled = ("--unit", "g"), False
     assert hints.hints()[0].commands == hint.commands
@@ -443,9 +443,9 @@ def recordings_with_hints(folder: Path) -> dict[str, tuple[str, list[str]]]:
         ),
         array("picked.npy", *two, motion): (
             "shape",
-            [*unstated, "--unit", "g", "--channel", "3", "--channel", "1", "--coverage", ".9"],
+            [*unstated, "--unit", "g", "--channel", "3", "--channel", "1", "--set", "coverage=.9"],
         ),
-        "two channels.wav": ("shape", ["--full-scale", "5 g", "--dead-time", "6"]),
+        "two channels.wav": ("shape", ["--full-scale", "5 g", "--set", "dead_time=6"]),
         array("faster.npy", resample_poly(motion, 2, 1)): ("shape", ["--rate", "51200", "--unit", "m/s^2"]),
         array("down.npy", force, rebounding): ("upside_down", [*pulses, "--unit", "N"]),
         array("kilo.npy", force, force): ("amplitude", [*pulses, "--unit", "kN"]),

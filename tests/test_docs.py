@@ -243,7 +243,7 @@ def test_lines_of_json_have_the_keys_of_their_page(capsys: pytest.CaptureFixture
     rows = {
         kinds: set(re.findall(r"`(\w+)`", keys)) for kinds, keys in re.findall(r"^\| (`.*?) \| (.*) \|$", page, re.M)
     }
-    assert run(["predict", "--sample", "--json", "--window", "0.06", "--coverage", "0.9"]) == 0
+    assert run(["predict", "--sample", "--json", "--set", "window=0.06", "--set", "coverage=0.9"]) == 0
     lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
     for kind in ("impact", "share", "summary"):
         keys = {key for line in lines if line["kind"] == kind for key in line} - {"version", "kind", "source"}

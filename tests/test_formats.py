@@ -450,7 +450,7 @@ def test_the_readers_of_the_documentation_read_their_format(install, tmp_path, n
         for _ in range(2):  # a training reads a recording several times
             found = np.concatenate(list(recording.blocks(7)), axis=1)
             np.testing.assert_allclose(found, samples.T * 10 / 32768, rtol=1e-12)
-    assert CliRunner().invoke(cli, ["info", str(path), "--format", "XYLOG"]).exit_code == 0
+    assert CliRunner().invoke(cli, ["info", str(path), "--set", "format=XYLOG"]).exit_code == 0
     # A name for text is text, whatever readers would say.
     (tmp_path / "hit.csv").write_text("t,F\n0,1\n1,2\n2,1\n")
     install("XYLOG", is_format=lambda head: True, read=names["read"])

@@ -37,16 +37,18 @@ N_IMPACTS = 40
 
 def test_the_command_after_a_training_reads_recordings_like_its_own(capsys: Any, tmp_path: Path) -> None:
     folder, model = Path(__file__).parents[1] / "datasets" / "labelled", str(tmp_path / "m.npz")
-    assert main(["train", str(folder / "labels.csv"), "-o", model, "--dead-time", "5"]) == 0
+    assert main(["train", str(folder / "labels.csv"), "-o", model, "--set", "dead_time=5"]) == 0
     (then,) = re.findall("; now cgid (.*)", capsys.readouterr().err)
-    assert shlex.split(then)[2:-2] == ["--dead-time", "5", "--full-scale", "10000 m/s^2"]
+    assert shlex.split(then)[2:-2] == ["--set", "dead_time=5", "--full-scale", "10000 m/s^2"]
     assert main(shlex.split(then.replace("FILE", str(folder / "thursday.wav")))) == 0
     # What differs between the rows is left to the reader, and an option is for rows without a value.
     row = Annotation(path=Path("a.wav"), written="a.wav", label="coal", gain=10.0, unit="V", channels=(2,), invert=True)
     rows = (row, replace(row, path=Path("b.wav"), unit="mV"))
     reading = ReadingOptions(unit="g", sensitivity=("10 mV/g", "a.wav:2=9 mV/g"), gain=("2",))
     words = prediction_by(Path("m.npz"), StoredModel.load(model), Manifest(source="x", annotations=rows), reading)
-    assert words == "cgid predict FILE --channel 2 --invert --sensitivity '10 mV/g' --gain 10 --model m.npz"
+    assert (
+        words == "cgid predict FILE --channel 2 --set invert=true --sensitivity '10 mV/g' --set gain=10 --model m.npz"
+    )
 
 
 def rung(seed: int, n: int = N_IMPACTS) -> tuple[np.ndarray, list[str], np.ndarray]:

@@ -252,7 +252,7 @@ def test_the_warning_names_the_channel_and_a_cure() -> None:
     samples = noise(40) + rings(n, 4.0)[0] + (np.arange(n) / RATE % 6 < 3) * tone(n, 297.0)
     (line,) = answers(samples[None])[1]
     assert line.startswith("signal: tones of a machine begin, end or move")
-    assert "--no-lines" in line
+    assert "--set", "lines=false" in line
     (line,) = answers((noise(40) + rings(n, 4.0, damping=0.005)[0] + tone(n, 297.0))[None])[1]
     assert "or the beam rings long beside them" in line  # the machine is steady
     assert not answers(samples[None], lines=False)[1]

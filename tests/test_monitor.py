@@ -103,14 +103,14 @@ def test_a_channel_is_taken_again_and_the_end_comes_only_where_none_is_readable(
     first = round(0.3 * RATE)
     samples[first:, 1] = np.nan
     samples[round(0.45 * RATE) :, 1] = force[round(0.45 * RATE) :]
-    for options in (("--give-up", "0.1"), ()):
+    for options in (("--set", "give_up=0.1"), ()):
         code, impacts, said, _ = answered(*options)
         assert code == 0
         assert len([message for message in said if "no reading" in message]) == (1 if command == "predict" else 2)
         assert sum(row["channel"] == "1" for row in impacts) == 28
         assert sum(row["channel"] == "2" for row in impacts) == 15 + 6
     samples[first:] = 1e20
-    code, impacts, said, err = answered("--give-up", "0.1")
+    code, impacts, said, err = answered("--set", "give_up=0.1")
     assert code == 65
     assert len(impacts) == 30
     assert len([line for line in err.splitlines() if line.startswith("cgid: error: ")]) == 1
@@ -122,7 +122,7 @@ def test_dead_channels_end_a_watch_only_by_an_option(
 ) -> None:
     samples = np.concatenate([force, np.full(round(1.5 * RATE), value)]).astype("<f4")
     samples.tofile(tmp_path / "s.f32")
-    for options, expected in (([], 0), (["--give-up", "1"], 65)):
+    for options, expected in (([], 0), (["--set", "give_up=1"], 65)):
         assert run(["monitor", str(tmp_path / "s.f32"), *RAW, "--json", *options]) == expected
         out, err = capsys.readouterr()
         assert len(rows_of(out, "impact")) == 28
@@ -149,7 +149,7 @@ def test_monitor_says_what_predict_says(
     np.save(tmp_path / "s.npy", force.astype(np.float32))
     assert run(["predict", str(tmp_path / "s.npy"), "--rate", str(RATE), "--unit", "N", "--json"]) == 0
     predicted = rows_of(capsys.readouterr().out, "impact")
-    assert run(["monitor", str(raw), *RAW, "--json", "--window", "0.24"]) == 0
+    assert run(["monitor", str(raw), *RAW, "--json", "--set", "window=0.24"]) == 0
     out = capsys.readouterr().out
     impacts = rows_of(out, "impact")
     assert [row["label"] for row in impacts] == [row["label"] for row in predicted]
@@ -222,7 +222,7 @@ def test_interruption_ends_with_a_summary(force: np.ndarray, number: signal.Sign
 
 
 def test_a_stream_that_stalls_is_stopped_and_taken_up_again(force: np.ndarray) -> None:
-    options = ["--window", "0.24", "--blind-after", "0.6"]
+    options = ["--set", "window=0.24", "--set", "blind_after=0.6"]
     command = [sys.executable, "-u", "-m", "cgid", "monitor", "-", "--json", *RAW, *options]
     pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
     with subprocess.Popen(command, cwd=ROOT, **pipes) as process:

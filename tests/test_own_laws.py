@@ -14,8 +14,7 @@ from numba import njit
 from scipy.integrate import solve_ivp
 
 from benchmarks.impact import own_laws as referee
-from cgid.cli.main import cli, run
-from cgid.cli.options import SCENE
+from cgid.cli.main import run
 from cgid.errors import BadData, CannotCreate, InvalidValue
 from cgid.physics import (
     STEEL,
@@ -156,7 +155,7 @@ def test_workers_make_the_same_bytes_and_another_law_is_no_resumption(cone, tmp_
 
 def test_a_scene_with_a_law_that_is_not_there_is_refused_by_name(monkeypatch):
     monkeypatch.setattr(own_laws, "_own", {})
-    with pytest.raises(BadData, match=r"got 'cone'; .* --laws MODULE, in Python cgid\.physics\.add_laws\(MODULE\)"):
+    with pytest.raises(BadData, match=r"got 'cone'; .* --set laws=MODULE, in Python cgid\.physics\.add_laws\(MODULE\)"):
         scene_of_cones()
 
 
@@ -371,7 +370,7 @@ def test_verify_makes_signals_of_a_law_again(read_cone, cone, tmp_path):
     output, single = tmp_path / "data", tmp_path / "one.h5"
     generate(scene_of_cones(), output, 300, shard_signals=100)
     generate(scene_of_cones(), single, 40)
-    command = ["verify", str(output), str(single), "--laws", str(cone)]
+    command = ["verify", str(output), str(single), "--set", f"laws={cone}"]
     assert run(command) == 0
     assert not changed(verify(output))
     read_cone.write_text("1.001")
@@ -399,7 +398,7 @@ def test_a_law_that_has_changed_completes_no_recordings(read_cone, tmp_path):
 def test_every_command_that_reads_a_scene_takes_its_laws(
     cone: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """The error of a scene names --laws, so each command has it."""
+    """The error of a scene names the key, so each command has it."""
     text = path_of("datasets", "reference.toml").read_text()
     scene, data = tmp_path / "cones.toml", tmp_path / "cones.h5"
     scene.write_text(text.replace('dissipation = "', 'dissipation = "cone" # "'))
@@ -409,8 +408,5 @@ def test_every_command_that_reads_a_scene_takes_its_laws(
     assert '{"cone": "' in capsys.readouterr().out
     assert run(["predict", str(data)]) == 0
     assert "gangue" in capsys.readouterr().out
-    assert run(["info", str(scene), "--laws", str(cone)]) == 0
-    assert f"next: cgid check {scene} --laws {cone}" in capsys.readouterr().out
-    for command in cli.commands.values():
-        if any(option.type is SCENE for option in command.params) and command.name != "fetch":
-            assert any("--laws" in option.opts for option in command.params), command.name
+    assert run(["info", str(scene), "--set", f"laws={cone}"]) == 0
+    assert f"next: cgid check {scene} --set laws={cone}" in capsys.readouterr().out

@@ -34,7 +34,7 @@ from cgid.plant.state import BIN_TIME, Waveform
 from cgid.plant.web import page
 from tests.streams_of_pulses import RATE, ROOT, stream
 
-RAW = ["--rate", str(RATE), "--channels", "1", "--sample-format", "f32le", "--unit", "N", "--window", "0.24"]
+RAW = ["--rate", str(RATE), "--channels", "1", "--sample-format", "f32le", "--unit", "N", "--set", "window=0.24"]
 LABELS = ["coal"] * 14 + ["gangue"] * 14
 
 
@@ -1035,7 +1035,7 @@ def test_lost_sensor_is_seen_in_every_output(raw, tmp_path, capsys) -> None:
     (tmp_path / "lost.raw").write_bytes(raw.read_bytes() + np.zeros(round(2 * RATE), "<f4").tobytes())
     note = tmp_path / "note.py"
     note.write_text("import os, sys; print(os.environ['CGID_GROUND'], sys.stdin.read(), file=open(sys.argv[1], 'a'))")
-    more = ["--blind-after", "0.5", "--live", str(tmp_path / "p.html")]
+    more = ["--set", "blind_after=0.5", "--live", str(tmp_path / "p.html")]
     more += ["--on-blind", f'"{sys.executable}" "{note}" "{tmp_path / "log"}"']
     assert run(["monitor", str(tmp_path / "lost.raw"), *RAW, *more, "--json"]) == 0
     rows = [json.loads(line) for line in capsys.readouterr().out.splitlines()]

@@ -180,12 +180,12 @@ def test_plot_finds_the_impacts(wav: Path, tmp_path: Path, capsys: pytest.Captur
 
 def test_plot_draws_one_signal_of_a_dataset(tmp_path: Path, reference_scene: Any, capsys: Any) -> None:
     generate(reference_scene, tmp_path / "data.h5", 5, seed=1)
-    picked = ["plot", str(tmp_path / "data.h5"), "-o", str(tmp_path / "a.pdf"), "--index", "3", "--json"]
+    picked = ["plot", str(tmp_path / "data.h5"), "-o", str(tmp_path / "a.pdf"), "--set", "index=3", "--json"]
     assert run(picked) == 0
     told = json.loads(capsys.readouterr().out)
     assert told["impacts"] == 1 and told["source"].endswith("data.h5 index 3")
     assert run(["plot", str(tmp_path / "data.h5"), "-o", str(tmp_path / "b.pdf")]) == 65
-    assert "--index" in capsys.readouterr().err
+    assert "index=0" in capsys.readouterr().err
 
 
 def test_coal_and_gangue_have_one_colour_everywhere() -> None:

@@ -202,7 +202,7 @@ def test_watch_tells_the_same_however_answers_come(default_model: StoredModel) -
 
 
 def test_predict_tells_impacts_shares_and_a_summary(two_channels: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    how = ["--rate", str(RATE), "--unit", "N", "--window", "0.16", "--dilution-cost", "2"]
+    how = ["--rate", str(RATE), "--unit", "N", "--set", "window=0.16", "--set", "dilution_cost=2"]
     assert run(["predict", str(two_channels), "--json", *how]) == 0
     rows = lines_of(capsys)
     assert {row["version"] for row in rows} == {5}
@@ -235,7 +235,7 @@ def test_predict_tells_impacts_shares_and_a_summary(two_channels: Path, capsys: 
 
 def test_predict_says_when_to_shut(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     np.save(tmp_path / "s.npy", stream(["coal"] * 14 + ["gangue"] * 14, 0.02).astype(np.float32))
-    arguments = ["predict", str(tmp_path / "s.npy"), "--rate", str(RATE), "--unit", "N", "--window", "0.24"]
+    arguments = ["predict", str(tmp_path / "s.npy"), "--rate", str(RATE), "--unit", "N", "--set", "window=0.24"]
     assert run([*arguments, "--json"]) == 0
     rows = lines_of(capsys)
     (shut,) = of_kind(rows, "shut")
@@ -252,7 +252,7 @@ def test_predict_says_when_to_shut(tmp_path: Path, capsys: pytest.CaptureFixture
 def test_summary_alone_and_fractions_from_ten_answers_on(
     two_channels: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
-    command = ["predict", str(two_channels), "--rate", str(RATE), "--unit", "N", "--window", "0.24"]
+    command = ["predict", str(two_channels), "--rate", str(RATE), "--unit", "N", "--set", "window=0.24"]
     assert run([*command, "--json"]) == 0
     rows = lines_of(capsys)
     assert run(command) == 0
@@ -324,8 +324,8 @@ def test_recordings_of_two_quantities_have_two_models(tmp_path: Path, capsys: py
 def test_model_of_windows_answers_windows(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "m.npz").write_bytes(window_model(hop_time=0.1).to_bytes())
     wavfile.write(tmp_path / "n.wav", 8000, noises(24).T.astype(np.float32))
-    arguments = ["predict", str(tmp_path / "n.wav"), "--model", str(tmp_path / "m.npz"), "--json", "--vote", "0"]
-    assert run([*arguments, "--window", "1.2"]) == 0
+    arguments = ["predict", str(tmp_path / "n.wav"), "--model", str(tmp_path / "m.npz"), "--json", "--set", "vote=0"]
+    assert run([*arguments, "--set", "window=1.2"]) == 0
     rows = lines_of(capsys)
     windows = [row for row in of_kind(rows, "window") if row["channel"] == "1"]
     assert [row["window"] for row in windows] == list(range(1, 25))
@@ -333,7 +333,7 @@ def test_model_of_windows_answers_windows(tmp_path: Path, capsys: pytest.Capture
     assert {row["channel"] for row in of_kind(rows, "shut")} == {"1", "2"}
     (summary,) = of_kind(rows, "summary")
     assert summary["windows"] == 48
-    assert run([*arguments, "--gangue", "granite"]) == 65
+    assert run([*arguments, "--set", "gangue=granite"]) == 65
     assert "gangue label must be one of" in capsys.readouterr().err
     wavfile.write(tmp_path / "short.wav", 8000, noises(12).T[:500].astype(np.float32))
     arguments[1] = str(tmp_path / "short.wav")

@@ -660,7 +660,7 @@ def test_windows_drowned_in_noise_are_unknown(n_channels: int, tmp_path: Path, c
     for share, is_drowned in ((1e-3, False), (1.0, True)):
         np.save(tmp_path / "new.npy", clear + white * clear.std() * share**0.5)
         predict = ["predict", str(tmp_path / "new.npy"), "--model", str(tmp_path / "m.npz"), "--rate", str(RATE)]
-        assert run([*predict, "--unit", "g", "--vote", "0", "--json", *channels]) == 0
+        assert run([*predict, "--unit", "g", "--set", "vote=0", "--json", *channels]) == 0
         said = capsys.readouterr()
         assert "the model knows few recordings of each label" in said.err
         lines = [json.loads(line) for line in said.out.splitlines()]

@@ -386,7 +386,7 @@ def test_lvm_segments_that_follow_each_other_are_one_recording(write):
         assert np.array_equal(whole(recording), TABLE.T) and not recording.warnings
         (force, _) = read_recording(write("".join(segments)), variable="2")
         assert force.samples.tolist() == parts[1][:, 0].tolist()
-    with pytest.raises(BadData, match=r"segment 2 .* must begin where the one before ends, .* --variable 1, 2"):
+    with pytest.raises(BadData, match=r"segment 2 .* must begin where the one before ends, .* --set variable=1, 2"):
         whole(open_recording(write("".join([by_time[0], by_time[2]]))))
     other = lvm(list(rows_of(parts[1])), head=False, delta="2.000000E-3", time="10:00:00,52")
     with pytest.raises(BadData, match=r"segment 2 .* must have the channels and the rate"):
@@ -452,7 +452,7 @@ def test_npz_says_rate_and_unit_by_named_values(tmp_path):
     np.savez(path, acc=samples[0], t=np.arange(20) / 500)
     assert open_recording(path).sampling_rate == pytest.approx(500)
     np.savez(path, left=samples[0], right=samples[1], dt=1e-3)
-    with pytest.raises(BadData, match=r"left \(20\), right \(20\).*--variable NAME"):
+    with pytest.raises(BadData, match=r"left \(20\), right \(20\).*--set variable=NAME"):
         open_recording(path)
     (right,) = read_recording(path, variable="right")
     assert (right.samples.tolist(), right.sampling_rate) == (samples[1].tolist(), pytest.approx(1000))

@@ -165,11 +165,11 @@ def test_impacts_that_are_left_out_are_told(beam_frames, capsys):
 def test_a_signal_of_a_dataset_is_inverted(beam_frames, capsys):
     """It is a recording of one impact, whose place and peak the dataset knows."""
     given = ["invert", "frames.h5", "--scene", "tail_beam"]
-    assert run([*given, "--index", "3", "--json"]) == 0
+    assert run([*given, "--set", "index=3", "--json"]) == 0
     (found,) = json.loads(capsys.readouterr().out)["impacts"]
     truth = beam_frames.impact(3).parameters
     for name, true in ("x", "impact_x"), ("y", "impact_y"), ("peak", "peak_force"):
         assert found[name] == pytest.approx(truth[true][0], abs=4 * found[f"{name}_deviation"])
-    for wrong, says in ([], "--index must"), (["--index", "3", "--hammer", "1"], "--hammer must be left out"):
+    for wrong, says in ([], "index must"), (["--set", "index=3", "--hammer", "1"], "--hammer must be left out"):
         assert run([*given, *wrong]) == 65
         assert says in capsys.readouterr().err

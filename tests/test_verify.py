@@ -284,7 +284,7 @@ def test_verify_names_the_command_that_makes_it_again(
 ) -> None:
     """Run as it is printed, it makes the damaged and the missing shard and no other, to the same bytes."""
     monkeypatch.chdir(tmp_path)
-    made = "generate reference -n 300 --seed 3 --dtype float64 --shard-signals 100 --compression gzip -o"
+    made = "generate reference -n 300 --seed 3 --set dtype=float64 --set shard_signals=100 --set compression=gzip -o"
     assert run([*made.split(), "a folder"]) == 0
     assert run(["generate", "reference", "-n", "20", "--seed", "3", "-o", "one.h5"]) == 0
     folder, single = tmp_path / "a folder", tmp_path / "one.h5"
@@ -320,7 +320,7 @@ def test_the_remedy_says_which_file_the_scene_is(
     text = path_of("datasets", "reference.toml").read_text().replace('name = "reference"', 'name = "slope"')
     Path("mine.toml").write_text(text.replace('dissipation = "', 'dissipation = "cone" # "'))
     Path("cone.py").write_text(CONE)
-    assert run(["generate", "mine.toml", "-n", "5", "-o", "own", "--laws", "cone.py"]) == 0
+    assert run(["generate", "mine.toml", "-n", "5", "-o", "own", "--set", "laws=cone.py"]) == 0
     before = contents(Path("own"))
     flip(Path("own/shard-00000.h5"), 20_000)
     assert run(["verify", "own"]) == 65
@@ -332,7 +332,7 @@ def test_the_remedy_says_which_file_the_scene_is(
 
 
 def test_without_its_description_only_the_kind_of_command_is_known(copies: Path) -> None:
-    command = "cgid generate SCENE.toml -n 3 --seed 3 --dtype float32 -o {} --resume; SCENE.toml is the file of {}"
+    command = "cgid generate SCENE.toml -n 3 --seed 3 --set dtype=float32 -o {} --resume; SCENE.toml is the file of {}"
     assert remedy(copies / "recordings") == command.format(copies / "recordings", "scene stream")
     (copies / "folder" / "description.json").write_text("{")
     assert remedy(copies / "folder") == "repeat the command that made it, with --resume"

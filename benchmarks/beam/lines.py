@@ -1,7 +1,7 @@
-"""Tones of machines beside a window: answers and fraction of gangue with `--no-lines` and without.
+"""Tones of machines beside a window: answers and fraction of gangue with `--set lines=false` and without.
 
     python benchmarks/beam/lines.py [--streams 4] [--first 0] [--rows none "3 g" ...]
-    python benchmarks/beam/lines.py --from-begin         # with --no-lines and with --lines
+    python benchmarks/beam/lines.py --from-begin         # with --set lines=false and with --set lines=true
     python benchmarks/beam/lines.py --seams wet hard     # beside 25 s of coal, with tones taken out
     python benchmarks/beam/lines.py --narrow 0.02 0.002  # beams of these dampings, without any tone
 
@@ -364,7 +364,7 @@ def main() -> None:
     parser.add_argument("--streams", type=int, default=4)
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--rows", nargs="+", default=list(ROWS), choices=ROWS)
-    parser.add_argument("--from-begin", action="store_true", help="with --lines in place of the default")
+    parser.add_argument("--from-begin", action="store_true", help="with --set lines=true in place of the default")
     parser.add_argument("--seams", nargs="+", choices=SEAMS, metavar="SEAM", help="in these seams, beside their coal")
     parser.add_argument("--narrow", nargs="+", type=float, metavar="RATIO", help="damping of beams without any tone")
     given = parser.parse_args()

@@ -104,7 +104,7 @@ class Told(NamedTuple):
 
 
 def answers(file: Path, model: Path, vote: float) -> list[dict[str, Any]]:
-    lines = command("predict", str(file), "--model", str(model), "--vote", f"{vote:g}", "--json").splitlines()
+    lines = command("predict", str(file), "--model", str(model), "--set", f"vote={vote:g}", "--json").splitlines()
     return [line for line in map(json.loads, lines) if line["kind"] == "window"]
 
 

@@ -132,7 +132,7 @@ def monitored(force, seconds, more=(), queue=10_000, events=()):
 
     `events` are (time, function) to call meanwhile.
     """
-    raw = ["--rate", str(RATE), "--channels", "1", "--sample-format", "f32le", "--unit", "N", "--window", "2"]
+    raw = ["--rate", str(RATE), "--channels", "1", "--sample-format", "f32le", "--unit", "N", "--set", "window=2"]
     command = [sys.executable, "-c", MONITOR.format(queue=queue), "monitor", "-", *raw, *more]
     pipes = dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.PIPE)
     process = subprocess.Popen(command, cwd=ROOT, **pipes)

@@ -70,9 +70,9 @@ mixture = { times = ["0 s", "2 s"], gangue = [0.1, 0.9] }
 rebounds = { most = 1, least_speed = "0.1 m/s" }
 """
 COMMANDS = (
-    _command("generate: folder", f"{_SIGNALS} 1 --shard-signals 16 -o {{here}}/data", unfinished=_SHARDS),
+    _command("generate: folder", f"{_SIGNALS} 1 --set shard_signals=16 -o {{here}}/data", unfinished=_SHARDS),
     _command("generate: file", f"{_SIGNALS} 1 -o {{here}}/data.h5"),
-    _command("generate: gzip", f"{_SIGNALS} 1 --compression gzip -o {{here}}/data.h5"),
+    _command("generate: gzip", f"{_SIGNALS} 1 --set compression=gzip -o {{here}}/data.h5"),
     _command("generate: recording", f"{_STREAM} 1 -o {{here}}/data.h5"),
     _command("generate: recordings", f"{_STREAM} 1 -n 3 -o {{here}}/data", unfinished=_SHARDS),
     _command("generate: table, HDF5", f"{_TABLE} 1 -o {{here}}/table.h5"),

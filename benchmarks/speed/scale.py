@@ -95,7 +95,7 @@ def workers(folder: Path) -> Iterator[tuple[str, Run]]:
         yield f"--jobs {jobs}", generated(folder, "tail_beam", N_WORKERS, "--jobs", str(jobs))[0]
     with LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster:
         for _ in range(2):  # the first loads the kernels in each worker
-            run = generated(folder, "tail_beam", N_WORKERS, "--scheduler", cluster.scheduler_address)[0]
+            run = generated(folder, "tail_beam", N_WORKERS, "--set", f"scheduler={cluster.scheduler_address}")[0]
         yield "2 workers of dask", run
 
 

@@ -370,10 +370,10 @@ def _content(path: Path) -> dict[str, Any]:
         raise BadData(
             f"{path}: a site file must be TOML, {reason}; cgid info RECORDING --write-site {path.stem}.toml writes one"
         ) from None
-    if not content.keys() & {*KEYS, "channels"} - {"scene"} and content:
+    if content.keys() & {"impact", "sampling"}:
         raise BadData(
-            f"{path}: a site file must have a section such as [recorder] or [channels.1], got "
-            f"{', '.join([*content][:3])}; a scene is for --scene"
+            f"{path}: a site file must have sections such as [recorder] and [channels.1], this is a scene; give it as "
+            "--scene, or to cgid generate"
         )
     return content
 

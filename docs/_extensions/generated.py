@@ -256,7 +256,18 @@ def formats() -> str:
         reader = getattr(importlib.import_module(f"cgid.recordings.{module}"), function)
         summary = (inspect.getdoc(reader) or "").split("\n\n")[0].replace("Return the", "The", 1)
         rows.append([entry.name, escaped(summary), "yes" if entry.takes_variable else "-"])
-    return table(("format", "what is read", "`--variable`"), rows)
+    return table(("format", "what is read", "`variable`"), rows)
+
+
+def site_keys() -> str:
+    """Return every key of a site file, section by section."""
+    from cgid.recordings.site import CHANNEL_KEYS, KEYS
+
+    parts = []
+    for section, keys in ({"recorder": KEYS["recorder"], "channels.1": CHANNEL_KEYS} | KEYS).items():
+        rows = [(coded(key), about.kind, escaped(about.help)) for key, about in keys.items()]
+        parts.append(f"## {coded(f'[{section}]')}\n\n{table(('key', 'value', 'meaning'), rows)}")
+    return "\n".join(parts)
 
 
 def sample_units() -> str:
@@ -296,7 +307,7 @@ def errors() -> str:
 PAGES: dict[str, Callable[[], str]] = {
     function.__name__: function
     for function in (
-        commands, scene_keys, scene_distributions, features, formats, sample_units, scene_units, errors
+        commands, site_keys, scene_keys, scene_distributions, features, formats, sample_units, scene_units, errors
     )
 }  # fmt: skip
 

@@ -79,18 +79,11 @@ class ShareSettings(NamedTuple):
 
 
 @dataclass(frozen=True, kw_only=True)
-class PredictionSettings:
-    """Settings for every impact or window of a recording.
-
-    Costs and a coverage exclude each other, since a single-label prediction set is a decision. Raises
-    `InvalidValue` for this, and for numbers outside of their range.
+class ReadingSettings:
+    """How the impacts of a recording are heard.
 
     Attributes
     ----------
-    costs : mapping of str to float
-        Cost of missing each label, default 1: with coal 1 and gangue 3, coal must be three times as probable.
-    coverage : float, optional
-        Fraction of prediction sets that contain the truth; rejects sets without exactly one label; None: no rejection.
     mass : float, optional [kg]
         Mass of the accelerated impactor; turns an acceleration into a force.
     invert : bool
@@ -100,10 +93,93 @@ class PredictionSettings:
         never, or, without a statement, once two seconds have told that a machine runs.
     dead_time : float, optional [s]
         Time after an impact in which no other begins, see `find_impacts`.
+    blind_after : float, optional [s]
+        Time without valid samples after which a support is blind; None: `BLIND_TIME`.
+    give_up : float, optional [s]
+        The recording ends where no channel has a sample that a sensor can give for this long; None: it goes on.
+    same_beam : tuple of tuple of str
+        Channels of one beam, by name or number from 1, such as (("1", "2"), ("3", "4")): an impact that several of them
+        measure is one prediction.
+    """
+
+    mass: float | None = None
+    invert: bool = False
+    lines: bool | None = None
+    dead_time: float | None = None
+    blind_after: float | None = None
+    give_up: float | None = None
+    same_beam: tuple[tuple[str, ...], ...] = ()
+
+    def __post_init__(self) -> None:
+        validation.instance("invert", self.invert, bool, np.bool_)
+        if self.lines is not None:
+            validation.instance("lines", self.lines, bool, np.bool_)
+        object.__setattr__(self, "same_beam", require_groups(self.same_beam))
+
+    @property
+    def blinded_after(self) -> float:
+        """Time without valid samples after which a support is blind [s]."""
+        return BLIND_TIME if self.blind_after is None else self.blind_after
+
+
+@dataclass(frozen=True, kw_only=True)
+class AnsweringSettings:
+    """What the answer for an impact or window is.
+
+    Attributes
+    ----------
+    costs : mapping of str to float
+        Cost of missing each label, default 1: with coal 1 and gangue 3, coal must be three times as probable.
+    coverage : float, optional
+        Fraction of prediction sets that contain the truth; rejects sets without exactly one label; None: no rejection.
     vote_time : float, optional [s]
         Windows that are known are decided on together over this time; 0: no voting; None: `VOTE_TIME`.
     batch : int
         Number of impacts to collect before identification; 1: no waiting.
+    """
+
+    costs: Mapping[str, float] = field(default_factory=dict)
+    coverage: float | None = None
+    vote_time: float | None = None
+    batch: int = BATCH
+
+    def __post_init__(self) -> None:
+        validation.instance("costs", self.costs, Mapping)
+        if self.costs and self.coverage is not None:
+            raise InvalidValue("costs and coverage must not be given together; leave one out")
+
+    def check(self, model: StoredModel) -> None:
+        """Raise `InvalidValue` if the model lacks a label or the coverage."""
+        self.labels(model, np.empty((0, len(model.labels))))
+
+    def labels(self, model: StoredModel, probabilities: Floats) -> tuple[list[str], list[tuple[str, ...] | None]]:
+        """Return the label and the prediction set of each row of probabilities."""
+        if self.coverage is None:
+            return model.decide(probabilities, self.costs).tolist(), [None] * len(probabilities)
+        prediction_sets = model.prediction_set(probabilities, self.coverage)
+        sets = [tuple(compress(model.labels, row)) for row in prediction_sets.tolist()]
+        return [one[0] if len(one) == 1 else UNKNOWN for one in sets], [*sets]
+
+    def doubt(self, labels: tuple[str, ...] | None) -> str:
+        """Return why a prediction set gives no label; empty for a single label."""
+        if labels is None or len(labels) == 1:
+            return ""
+        if not labels:
+            return f"no label is probable enough: the prediction set at coverage {self.coverage:g} is empty"
+        listed = "both" if len(labels) == 2 else f"these {len(labels)}"
+        return f"{' or '.join(labels)}: the prediction set at coverage {self.coverage:g} contains {listed}"
+
+    def vote_over(self, model: StoredModel) -> float:
+        """Return the time over which windows vote [s]."""
+        return max(VOTE_TIME if self.vote_time is None else self.vote_time, model.window_time)
+
+
+@dataclass(frozen=True, kw_only=True)
+class WatchingSettings:
+    """What is told of the gangue fraction, and when the window is shut.
+
+    Attributes
+    ----------
     share_time : float, optional [s]
         Window of a gangue fraction; None: `SHARE_TIME`.
     share_step : float, optional [s]
@@ -129,23 +205,8 @@ class PredictionSettings:
         Likewise of gangue alone, such as of ten labelled lumps: beside stated coal they sharpen the gangue fraction.
     trained_seam : bool
         The seam is that of the training, so that the gangue fraction takes its rates of errors.
-    blind_after : float, optional [s]
-        Time without valid samples after which a support is blind; None: `BLIND_TIME`.
-    give_up : float, optional [s]
-        The recording ends where no channel has a sample that a sensor can give for this long; None: it goes on.
-    same_beam : tuple of tuple of str
-        Channels of one beam, by name or number from 1, such as (("1", "2"), ("3", "4")): an impact that several of them
-        measure is one prediction.
     """
 
-    costs: Mapping[str, float] = field(default_factory=dict)
-    coverage: float | None = None
-    mass: float | None = None
-    invert: bool = False
-    lines: bool | None = None
-    dead_time: float | None = None
-    vote_time: float | None = None
-    batch: int = BATCH
     share_time: float | None = None
     share_step: float | None = None
     gangue: tuple[str, ...] = ()
@@ -158,27 +219,14 @@ class PredictionSettings:
     coal: tuple[LabelledSpan, ...] = ()
     lumps: tuple[LabelledSpan, ...] = ()
     trained_seam: bool = False
-    blind_after: float | None = None
-    give_up: float | None = None
-    same_beam: tuple[tuple[str, ...], ...] = ()
 
     def __post_init__(self) -> None:
-        validation.instance("costs", self.costs, Mapping)
-        for name in ("invert", "trained_seam"):
-            validation.instance(name, getattr(self, name), bool, np.bool_)
-        if self.lines is not None:
-            validation.instance("lines", self.lines, bool, np.bool_)
-        object.__setattr__(self, "same_beam", require_groups(self.same_beam))
+        validation.instance("trained_seam", self.trained_seam, bool, np.bool_)
         for name, label in (("coal", "coal"), ("lumps", "gangue")):
             if getattr(self, name):
                 object.__setattr__(self, name, require_spans(getattr(self, name), label))
-        for name, rule in RULES.items():
-            if (value := getattr(self, name)) is not None:
-                validation.number(name, value, rule=rule)
         if self.cost_late == 0:
             require_costs(0, self.shares.cost_early)
-        if self.costs and self.coverage is not None:
-            raise InvalidValue("costs and coverage must not be given together; leave one out")
         if self.cycle_pause is not None and self.coal_until is None:
             raise InvalidValue("cycle_pause must come with coal_until, the coal of each cycle; give --coal-until, too")
         coal = {
@@ -197,44 +245,6 @@ class PredictionSettings:
                 f"labelled gangue must begin after the {self.coal_until:g} s of coal alone, got {first:g} s; shorten "
                 "--coal-until, or leave the row out"
             )
-
-    # -- decision -------------------------------------------------------------------------------------
-
-    def check(self, model: StoredModel) -> None:
-        """Raise `InvalidValue` if the model lacks a label or the coverage."""
-        self.labels(model, np.empty((0, len(model.labels))))
-
-    def labels(self, model: StoredModel, probabilities: Floats) -> tuple[list[str], list[tuple[str, ...] | None]]:
-        """Return the label and the prediction set of each row of probabilities."""
-        if self.coverage is None:
-            return model.decide(probabilities, self.costs).tolist(), [None] * len(probabilities)
-        prediction_sets = model.prediction_set(probabilities, self.coverage)
-        sets = [tuple(compress(model.labels, row)) for row in prediction_sets.tolist()]
-        return [one[0] if len(one) == 1 else UNKNOWN for one in sets], [*sets]
-
-    def doubt(self, labels: tuple[str, ...] | None) -> str:
-        """Return why a prediction set gives no label; empty for a single label."""
-        if labels is None or len(labels) == 1:
-            return ""
-        if not labels:
-            return f"no label is probable enough: the prediction set at coverage {self.coverage:g} is empty"
-        listed = "both" if len(labels) == 2 else f"these {len(labels)}"
-        return f"{' or '.join(labels)}: the prediction set at coverage {self.coverage:g} contains {listed}"
-
-    # -- models and channels --------------------------------------------------------------------------
-
-    def require_use(self, model: StoredModel) -> None:
-        """Raise `InvalidValue` for a vote time with a model of impacts, or a dead time with a model of windows."""
-        of_others = {"impact": ("vote_time", self.vote_time), "window": ("dead_time", self.dead_time)}
-        flag, given = of_others[model.subject]
-        if given is not None:
-            raise InvalidValue(f"{flag} must be left out, this model decides on {model.subject}s")
-
-    def vote_over(self, model: StoredModel) -> float:
-        """Return the time over which windows vote [s]."""
-        return max(VOTE_TIME if self.vote_time is None else self.vote_time, model.window_time)
-
-    # -- gangue fraction ---------------------------------------------------------------------------------
 
     @property
     def shares(self) -> ShareSettings:
@@ -256,16 +266,34 @@ class PredictionSettings:
         )
 
     @property
-    def blinded_after(self) -> float:
-        """Time without valid samples after which a support is blind [s]."""
-        return BLIND_TIME if self.blind_after is None else self.blind_after
-
-    @property
     def needs_shares(self) -> bool:
         """Whether an option requests gangue fractions, so that even a single impact has them."""
         costs = (self.dilution_cost, self.cost_late, self.cost_early)
         decides = (self.share_time, *costs, self.hold, self.coal_until)
         return bool(self.gangue or self.coal) or self.trained_seam or any(one is not None for one in decides)
+
+
+@dataclass(frozen=True, kw_only=True)
+class PredictionSettings(ReadingSettings, AnsweringSettings, WatchingSettings):
+    """Settings for every impact or window of a recording: those of reading, answering and watching.
+
+    Costs and a coverage exclude each other, since a single-label prediction set is a decision. Raises
+    `InvalidValue` for this, and for numbers outside of their range.
+    """
+
+    def __post_init__(self) -> None:
+        for name, rule in RULES.items():
+            if (value := getattr(self, name)) is not None:
+                validation.number(name, value, rule=rule)
+        for part in (ReadingSettings, AnsweringSettings, WatchingSettings):
+            part.__post_init__(self)
+
+    def require_use(self, model: StoredModel) -> None:
+        """Raise `InvalidValue` for a vote time with a model of impacts, or a dead time with a model of windows."""
+        of_others = {"impact": ("vote_time", self.vote_time), "window": ("dead_time", self.dead_time)}
+        flag, given = of_others[model.subject]
+        if given is not None:
+            raise InvalidValue(f"{flag} must be left out, this model decides on {model.subject}s")
 
 
 def require_costs(late: float, early: float) -> None:
