@@ -429,13 +429,13 @@ def fitted_pulse(
     return whole, 2 * found.cost
 
 
-def pulse_covariance(times: np.ndarray, duration: float, onset: float, restitution: float, free: Sequence[int],
-                     seen: Callable[[np.ndarray], np.ndarray] = lambda force: force) -> np.ndarray:  # fmt: skip
+def pulse_covariance(times: np.ndarray, duration: float, onset: float, restitution: float,
+                     free: Sequence[int]) -> np.ndarray:  # fmt: skip
     """Invert the Fisher information of (ln peak, ln duration, onset, ln restitution, baseline), peak and noise 1."""
 
     def curve(values: np.ndarray) -> np.ndarray:
         peak, length, shape = np.exp(values[[0, 1, 3]])
-        return seen(damped_pulse(times, peak, length, values[2], shape)) + values[4]
+        return damped_pulse(times, peak, length, values[2], shape) + values[4]
 
     at = np.array([0.0, math.log(duration), onset, math.log(restitution), 0.0])
     slopes = []

@@ -1,4 +1,4 @@
-"""Parameters of pulses by maximum likelihood, their Cramer-Rao bound, and posteriors for short pulses.
+"""Parameters of pulses by maximum likelihood.
 
 The fitted restitution is the shape of the pulse, how much faster it rises than it falls. For a sphere on a half space
 it is the restitution of the impact; on recordings of real shocks it varies with the mounting and describes the pulse.
@@ -7,7 +7,7 @@ it is the restitution of the impact; on recordings of real shocks it varies with
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -18,16 +18,11 @@ from cgid.errors import BadData, InvalidValue
 from cgid.measure.features.pulses import PulseBatch
 from cgid.measure.filters import low_pass_response
 from cgid.measure.fit.fit import MODEL_ERROR, PulseFit, fit_pulses, without_impact
-from cgid.measure.fit.template import parameters_of, relative_times
+from cgid.measure.fit.template import relative_times
 from cgid.measure.frames import LARGEST, frames_of
-from studies.impactor.likelihood import cramer_rao_bound, profile
-from studies.impactor.prior import Prior
 
-__all__ = ["Estimates", "Posterior", "cramer_rao_bound", "estimate", "posterior"]
-
-
-#: Rows processed at once, and most nodes of a posterior.
-_ROWS, _MAX_NODES = 512, 4096
+#: Rows processed at once.
+_ROWS = 512
 #: If the squared residual is more than this many times that of the noise, the pulse is not of the family.
 FAMILY_LIMIT = 2.5
 
@@ -74,72 +69,6 @@ class Estimates:
     def of_family(self) -> NDArray[np.bool_]:
         """Whether the pulse may be a damped-Hertz pulse: `misfit` at most `FAMILY_LIMIT`."""
         return np.asarray(self.misfit <= FAMILY_LIMIT)
-
-
-@dataclass(frozen=True, eq=False)
-class Posterior:
-    """Posterior of the restitution of each pulse.
-
-    Attributes
-    ----------
-    restitution : ndarray, (n, n_nodes)
-        Nodes of the quadrature, ascending.
-    weight : ndarray, (n, n_nodes)
-        Probability of each node; each row sums to 1.
-    peak, contact_duration : ndarray, (n,)
-        Posterior means, in the unit of the signal and seconds.
-    """
-
-    restitution: Floats
-    weight: Floats
-    peak: Floats
-    contact_duration: Floats
-
-    @property
-    def mean(self) -> Floats:
-        """Posterior mean of the restitution, (n,)."""
-        return np.asarray(np.sum(self.weight * self.restitution, axis=1))
-
-    @property
-    def deviation(self) -> Floats:
-        """Posterior standard deviation of the restitution, (n,)."""
-        return np.asarray(np.sqrt(np.sum(self.weight * (self.restitution - self.mean[:, None]) ** 2, axis=1)))
-
-    def quantile(self, share: float) -> Floats:
-        """Return the quantile of the restitution, (n,), at a probability between 0 and 1.
-
-        Parameters
-        ----------
-        share : float, in (0, 1)
-
-        Returns
-        -------
-        ndarray, (n,)
-        """
-        if not 0 < validation.number("share", share) < 1:
-            raise InvalidValue(f"share must be between 0 and 1 (exclusive), got {share:g}")
-        # Half of a node's probability is on either side of it.
-        below = np.cumsum(self.weight, axis=1) - 0.5 * self.weight
-        rows = np.arange(len(below))
-        after = np.clip(np.sum(below < share, axis=1), 1, below.shape[1] - 1)
-        low, high = below[rows, after - 1], below[rows, after]
-        part = np.clip((share - low) / np.maximum(high - low, 1e-300), 0.0, 1.0)
-        start, stop = self.restitution[rows, after - 1], self.restitution[rows, after]
-        return np.asarray(start + part * (stop - start))
-
-    def interval(self, coverage: float = 0.9) -> tuple[Floats, Floats]:
-        """Return the equal-tailed interval that contains the restitution with this probability.
-
-        Parameters
-        ----------
-        coverage : float, in (0, 1)
-
-        Returns
-        -------
-        tuple of two ndarray, (n,)
-            Lower and upper ends.
-        """
-        return self.quantile(0.5 - 0.5 * coverage), self.quantile(0.5 + 0.5 * coverage)
 
 
 def estimate(
@@ -260,71 +189,6 @@ def estimate(
         if (column := getattr(found, one.name)).dtype.kind == "f":
             column[problem != ""] = np.nan
     return found
-
-
-def posterior(
-    samples: ArrayLike,
-    sampling_rate: float,
-    prior: Prior,
-    *,
-    pre_trigger: int | None = None,
-    noise: ArrayLike | None = None,
-    bandwidth: float | None = None,
-    n_nodes: int = 65,
-) -> Posterior:
-    """Return the posterior of the restitution of each pulse under a prior.
-
-    Parameters
-    ----------
-    samples, sampling_rate, pre_trigger, noise, bandwidth
-        As in `estimate`.
-    prior : Prior
-        For example `Prior.from_draws` of the expected impacts.
-    n_nodes : int
-        Nodes of the quadrature along the restitution.
-
-    Returns
-    -------
-    Posterior
-
-    Raises
-    ------
-    BadData, InvalidValue
-        As `estimate`; `InvalidValue` also for a signal without noise.
-    """
-    validation.instance("prior", prior, Prior)
-    validation.whole("n_nodes", n_nodes, 3, _MAX_NODES)
-    frames, rate = frames_of(samples, pre_trigger).astype(np.float64, copy=False), require_rate(sampling_rate)
-    given = None if noise is None else _each("noise", validation.positive("noise", noise), len(frames))
-    response = None if bandwidth is None else low_pass_response(rate, bandwidth)
-    lowest, highest = prior.shape_bounds
-    parts = []
-    for first in range(0, len(frames), _ROWS):
-        block = slice(first, first + _ROWS)
-        pulses = PulseBatch(frames[block], rate, pre_trigger).uncoupled()
-        level = pulses.noise if given is None else given[block]
-        if not (level > 0).all():
-            raise InvalidValue(
-                f"noise must be above 0 for a posterior, got 0 in signal {first + int(np.argmin(level > 0))}; "
-                "record some samples before onset, or give the noise"
-            )
-        known: dict[str, Any] = {"offset": pulses.offset, "clip_level": pulses.clip_level, "response": response}
-        fit = fit_pulses(pulses.samples, pulses.fit_start, level, **known)
-        along = profile(
-            pulses.samples,
-            parameters_of(fit.peak, fit.width, fit.onset, fit.shape),
-            level,
-            lowest=lowest,
-            highest=highest,
-            n_nodes=n_nodes,
-            n_quiet=pulses.n_quiet,
-            **known,
-        )
-        weight = np.exp(prior.log_posterior(along, -np.log(rate)))
-        peak = np.sum(weight * np.exp(along.log_peak), axis=1)
-        duration = np.sum(weight * np.exp(along.log_duration), axis=1) / rate
-        parts.append((np.exp(along.shape), weight, peak, duration))
-    return Posterior(*(np.concatenate(column) for column in zip(*parts, strict=True)))
 
 
 def with_baseline_error(fit: PulseFit, noise: Floats, n_quiet: Floats) -> PulseFit:

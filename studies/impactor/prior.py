@@ -86,12 +86,6 @@ class Prior:
 
         return np.asarray(logsumexp(self._joint(along, log_peak_offset, log_time_offset), axis=1))
 
-    def log_posterior(self, along: Profile, log_time_offset: Floats | float = 0.0) -> Floats:
-        """Return ln of the probability of each node, (n, n_nodes); offset as in `evidence`."""
-        from scipy.special import log_softmax
-
-        return np.asarray(log_softmax(self._joint(along, 0.0, log_time_offset), axis=1))
-
     def _joint(self, along: Profile, log_peak_offset: Floats | float, log_time_offset: Floats | float) -> Floats:
         """Return ln of likelihood times prior, whose mean over peak and duration is by Gauss-Hermite quadrature."""
         nodes, weights = np.polynomial.hermite_e.hermegauss(_HERMITE)
