@@ -6,7 +6,6 @@ import pytest
 from cgid.errors import BadData, InvalidValue
 from cgid.measure.features.extraction import extract_array
 from cgid.measure.features.pulses import PulseBatch
-from cgid.measure.filters import fft_filter
 from cgid.measure.fit import family
 from cgid.measure.fit.fit import PulseStart, fit_pulses
 from cgid.measure.fit.fit_samples import strongest_run
@@ -42,13 +41,13 @@ def fitted(frames, noise, rate=1.0, **options):
     return estimate(frames, rate, pre_trigger=BEFORE - 4, noise=noise, remove_baseline=False, **options)
 
 
-def squared(found, row, frame, baseline=0.0, seen=lambda force: force):
+def squared(found, row, frame):
     """The squared residual of a found pulse, worked out anew."""
     times = np.arange(len(frame))
     force = naive.damped_pulse(
         times, found.peak[row], found.contact_duration[row], found.onset[row], found.restitution[row]
     )
-    return float(np.sum((frame - seen(force) - baseline) ** 2))
+    return float(np.sum((frame - force) ** 2))
 
 
 # -- the template -------------------------------------------------------------------------------------------------
@@ -84,38 +83,17 @@ CASES = [(0.45, 60, 0.01), (0.5, 30, 0.01), (0.65, 30, 0.02), (0.8, 100, 0.02), 
 
 
 @pytest.mark.parametrize(("e", "contact", "noise"), few(CASES, 2))
-@pytest.mark.parametrize("known", [False, True])
-def test_fit_is_that_of_scipy(e, contact, noise, known):
+def test_fit_is_that_of_scipy(e, contact, noise):
     """No less likely than scipy's by a fiftieth of a standard deviation squared; so within a seventh of one."""
     frames, touch = frames_of(e, contact, noise, n=12, seed=3)
-    found = fitted(frames, noise, onset=touch if known else None)
+    found = fitted(frames, noise)
     apart = []
     for row, frame in enumerate(frames):
-        twin, cost = naive.fitted_pulse(frame, (1.0, contact, touch[row], e), onset=touch[row] if known else None)
+        twin, cost = naive.fitted_pulse(frame, (1.0, contact, touch[row], e))
         assert squared(found, row, frame) - cost < 0.02 * noise**2
         apart.append((found.restitution[row] - twin[3]) / found.restitution_deviation[row])
         assert found.peak[row] == pytest.approx(twin[0], abs=0.15 * noise / np.sqrt(contact / 3))
     assert np.abs(apart).max() < 0.15
-    if known:
-        assert found.onset == pytest.approx(touch, abs=1e-9)
-        assert (found.covariance[:, 2] == 0).all()
-
-
-@pytest.mark.parametrize("e", [0.5, 0.65, 0.95])
-def test_fit_with_a_baseline_is_that_of_scipy(e):
-    """The frame is shorter than the window around the pulse: both fits look at the same samples."""
-    frames, touch = frames_of(e, 60, 0.01, n=10, seed=4)
-    frames = frames[:, BEFORE - 4 : BEFORE + 66] + 0.3
-    start = PulseStart(np.ones(10), np.full(10, 30.0), frames.argmax(axis=1).astype(float))
-    found = fit_pulses(frames, start, np.full(10, 0.01), fit_baseline=True)
-    for row, frame in enumerate(frames):
-        twin, _ = naive.fitted_pulse(frame, (1.0, 60, touch[row] - BEFORE + 4, e), baseline=True)
-        deviation = np.sqrt(found.covariance[row].diagonal())
-        assert abs(found.shape[row] - np.log(twin[3])) < 0.25 * deviation[3]
-        assert abs(found.baseline[row] - twin[4]) < 0.25 * deviation[4]
-        assert abs(found.onset[row] - twin[2]) < 0.25 * deviation[2]
-        assert abs(np.log(found.peak[row] / twin[0])) < 0.25 * deviation[0]
-        assert found.baseline[row] == pytest.approx(0.3, abs=4 * deviation[4])
 
 
 def test_the_error_of_a_removed_baseline_is_in_the_covariance():
@@ -125,29 +103,11 @@ def test_the_error_of_a_removed_baseline_is_in_the_covariance():
     shape = np.log(found.restitution)
     relative, _, slope, _ = relative_times(shape)
     true = np.log(150 / relative_times(np.log([0.6]))[0])
-    slopes = np.zeros((500, 5))
+    slopes = np.zeros((500, 4))
     slopes[:, :2], slopes[:, 3] = 1.0, -slope / relative
     deviation = np.sqrt(np.einsum("ni,nij,nj->n", slopes, found.covariance, slopes))
     away = np.log(found.peak * found.contact_duration / relative) - true
     assert np.std(away / deviation) == pytest.approx(1, abs=0.12)
-
-
-@pytest.mark.parametrize("e", [0.5, 0.8])
-def test_fit_through_a_low_pass_is_that_of_scipy(e):
-    rate, contact, noise = 200e3, 60, 0.01
-    frames, touch = frames_of(e, contact, n=8, seed=5, after=4)
-
-    def seen(force):
-        return fft_filter(force, rate, high=12e3, taper=0.5)
-
-    frames = seen(frames) + noise * np.random.default_rng(6).normal(size=frames.shape)
-    found = fitted(frames, noise, rate, bandwidth=12e3)
-    for row, frame in enumerate(frames):
-        twin, _ = naive.fitted_pulse(frame, (1.0, contact, touch[row], e), seen=seen)
-        assert abs(found.restitution[row] - twin[3]) < 0.2 * found.restitution_deviation[row]
-        assert found.peak[row] == pytest.approx(twin[0], abs=0.15 * noise)
-    blind = fitted(frames, noise, rate)
-    assert blind.misfit.mean() > found.misfit.mean() + 0.1  # the low-pass is seen where it is not told
 
 
 @pytest.mark.parametrize("e", [0.5, 0.65, 0.95])
@@ -183,7 +143,7 @@ def same(found, other, relative=1e-6, rows=slice(None)):
         assert getattr(found, name)[rows] == pytest.approx(getattr(other, name), rel=relative), name
 
 
-@pytest.mark.parametrize("options", [{}, {"bandwidth": 0.3}, {"fit_baseline": True}, {"clip_level": 0.7}])
+@pytest.mark.parametrize("options", [{}, {"clip_level": 0.7}])
 def test_a_row_does_not_depend_on_its_neighbours(noisy, options):
     found = fitted(noisy, 0.01, **options)
     for row in (0, 7, 20, 35):
@@ -195,12 +155,9 @@ def test_a_row_does_not_depend_on_its_neighbours(noisy, options):
 _BROKEN = [
     ({"noise": 1e300}, "noise"),
     ({"noise": [1.0, 2.0]}, r"noise must be one number or one for each signal \(1\), got shape \(2,\)"),
-    *(({"bandwidth": edge}, "bandwidth must") for edge in (-1.0, 0.0, 1e-3, np.nan, np.inf, "x", [1e4, 2e4])),
     *(({"pre_trigger": before}, "pre_trigger must be a whole number") for before in (-5, 10**9, 2.5, np.nan, "x")),
     ({"noise": -1.0}, "noise"),
     ({"clip_level": 0.0}, "clip_level"),
-    ({"bandwidth": 2e5}, "bandwidth"),
-    *(({"onset": touch}, "onset must be between 0 and .* s, got") for touch in (-1e-5, 1.0, 1e300)),
 ]
 
 
@@ -216,10 +173,9 @@ def test_estimate_names_the_number_that_breaks_its_rule(options, name):
 @pytest.mark.parametrize("e", [0.2, 0.35, 0.65, 0.95, 1.5])
 @pytest.mark.parametrize("contact", [12.3, 30.0, 200.4])
 def test_bound_is_the_inverse_of_numerical_information(e, contact):
-    free = (0, 1, 2, 3)
-    found = cramer_rao_bound(contact, e, 1.0, 1.0, onset=0.37).covariance[np.ix_(free, free)]
+    found = cramer_rao_bound(contact, e, 1.0, 1.0, onset=0.37).covariance
     times = np.arange(1, np.ceil(0.37 + contact))
-    expected = naive.pulse_covariance(times, contact, 0.37, e, free)
+    expected = naive.pulse_covariance(times, contact, 0.37, e)
     size = np.sqrt(np.outer(expected.diagonal(), expected.diagonal()))
     assert np.abs(found - expected).max() / size.max() < 0.02
     assert np.abs((found - expected) / size).max() < (0.02 if e > 0.3 else 0.05)

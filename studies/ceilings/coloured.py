@@ -258,7 +258,7 @@ class Whitened:
     free: list[int] = field(init=False)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "free", free_parameters(self.onset is not None, False))
+        object.__setattr__(self, "free", free_parameters(self.onset is not None))
 
     def tied(self, parameters: Floats) -> Floats:
         """Return the parameters, with the place that follows from a known onset."""
@@ -317,7 +317,7 @@ class Frames:
         return replace(self, samples=self.samples[chosen], peak=self.peak[chosen], onset=onset)
 
     def whitened(self, block: slice, longest: Floats) -> Iterator[tuple[NDArray[np.intp], Whitened]]:
-        """Yield parts of a block of rows with their whitened points, for pulses up to these, (n, 5)."""
+        """Yield parts of a block of rows with their whitened points, for pulses up to these, (n, 4)."""
         duration, lead, _, _ = relative_times(longest[:, 3])
         width = np.exp(longest[:, 1])
         stop = longest[:, 2] + (duration * _ROOM - lead) * width + 2
@@ -368,7 +368,7 @@ def profile_in(
 ) -> Profile:
     """Return the likelihood along the shape, as `studies.impactor.likelihood.profile`.
 
-    `near` (n, 5) holds pulses near the most likely ones, such as the true ones: (peak, ln width, place, s, 0).
+    `near` (n, 4) holds pulses near the most likely ones, such as the true ones: (peak, ln width, place, s).
     """
     if frames.noise.mixed and (np.diff(frames.peak) < 0).any():
         # Rows of similar peaks share their maps.
@@ -399,7 +399,7 @@ def profile_in(
 
 
 def _most_likely(frames: Frames, near: Floats, lowest: float, highest: float) -> tuple[Floats, Floats]:
-    """Return the most likely parameters, (n, 5), and the standard deviation of the shape, (n,)."""
+    """Return the most likely parameters, (n, 4), and the standard deviation of the shape, (n,)."""
     found, deviation = near.copy(), np.empty(len(near))
     longest = near.copy()
     longest[:, 3] = np.maximum(longest[:, 3] - MAX_STEPS[2], MIN_SHAPE)

@@ -374,7 +374,7 @@ def _noise_level(scene: Scene, peak: Floats) -> Floats:
 
 
 def true_pulses(batch: Batch) -> Floats:
-    """Return the true pulses, (n, 5), near which the most likely ones are: (peak, ln width, location, s, 0)."""
+    """Return the true pulses, (n, 4), near which the most likely ones are: (peak, ln width, location, s)."""
     values, rate = batch.parameters, batch.sampling_rate
     shape = np.log(values["restitution"])
     width = values["contact_duration"] * rate / relative_times(shape)[0]

@@ -16,7 +16,6 @@ from cgid._lib import validation
 from cgid._lib.validation import Floats, require_rate
 from cgid.errors import BadData, InvalidValue
 from cgid.measure.features.pulses import PulseBatch
-from cgid.measure.filters import low_pass_response
 from cgid.measure.fit.fit import MODEL_ERROR, PulseFit, fit_pulses, without_impact
 from cgid.measure.fit.template import relative_times
 from cgid.measure.frames import LARGEST, frames_of
@@ -33,14 +32,14 @@ class Estimates:
 
     Attributes
     ----------
-    peak, contact_duration, baseline : ndarray, (n,)
+    peak, contact_duration : ndarray, (n,)
     onset : ndarray, (n,) [s]
         Time of onset after the first sample.
     restitution : ndarray, (n,)
         Above 1 for a pulse that rises more slowly than it falls.
-    covariance : ndarray, (n, 5, 5)
-        Covariance of ln(peak), ln(contact duration), onset [s], ln(restitution) and baseline, with the error of a
-        baseline that was removed; 0 for given quantities.
+    covariance : ndarray, (n, 4, 4)
+        Covariance of ln(peak), ln(contact duration), onset [s] and ln(restitution), with the error of a baseline that
+        was removed.
     restitution_deviation : ndarray, (n,)
         Standard deviation of the restitution; from the likelihood of all shapes if it is not a parabola, so that it
         includes a second likely shape.
@@ -57,7 +56,6 @@ class Estimates:
     contact_duration: Floats
     onset: Floats
     restitution: Floats
-    baseline: Floats
     covariance: Floats
     restitution_deviation: Floats
     misfit: Floats
@@ -77,11 +75,8 @@ def estimate(
     *,
     pre_trigger: int | None = None,
     noise: ArrayLike | None = None,
-    fit_baseline: bool = False,
     remove_baseline: bool = True,
-    onset: ArrayLike | None = None,
     clip_level: ArrayLike | None = None,
-    bandwidth: float | None = None,
     invalid: Literal["raise", "nan"] = "raise",
 ) -> Estimates:
     """Fit the most likely damped-Hertz pulse to each signal.
@@ -100,16 +95,10 @@ def estimate(
     noise : float or array_like, (n_signals,), optional
         Standard deviation of the noise, if known and white; by default its level and colour are those of the samples
         before onset.
-    fit_baseline : bool
-        Whether to fit a constant together with the pulse (after the removal).
     remove_baseline : bool
         Whether to subtract the mean before onset first.
-    onset : float or array_like, (n_signals,), optional
-        Time of onset after the first sample [s], if known.
     clip_level : float or array_like, (n_signals,), optional
         Limit of the sensor; by default the top level that at least three samples share.
-    bandwidth : float, optional
-        Edge of the sensor's low-pass [Hz], as in `cgid.scene.Sensor`; the fit includes this filter.
     invalid : {"raise", "nan"}
         Treatment of a signal without impact; `Estimates.problem` has the reason of a row of nan.
 
@@ -133,11 +122,9 @@ def estimate(
     [805.24, 0.509, 1.0]
     """
     frames, rate = frames_of(samples, pre_trigger).astype(np.float64, copy=False), require_rate(sampling_rate)
-    n, last = frames.shape[0], (frames.shape[1] - 1) / rate
+    n = frames.shape[0]
     given_noise = None if noise is None else _each("noise", validation.between("noise", noise, 0, LARGEST), n)
-    onsets = None if onset is None else _each("onset", validation.between("onset", onset, 0, last, "s") * rate, n)
     limit = None if clip_level is None else _each("clip_level", validation.positive("clip_level", clip_level), n)
-    response = None if bandwidth is None else low_pass_response(rate, bandwidth)
     validation.choice("invalid", invalid, ("raise", "nan"))
     parts, overloads, problem = [PulseFit.nothing()], [np.empty(0)], np.full(n, "", object)
     for first in range(0, n, _ROWS):
@@ -150,14 +137,11 @@ def estimate(
                 pulses.fit_start,
                 pulses.noise if given_noise is None else given_noise[block],
                 offset=pulses.offset,
-                fit_baseline=fit_baseline,
-                onset=None if onsets is None else onsets[block],
                 clip_level=level,
-                response=response,
                 n_quiet=pulses.n_quiet if given_noise is None else None,
             )
         )
-        if remove_baseline and not fit_baseline:
+        if remove_baseline:
             level_noise = pulses.noise if given_noise is None else given_noise[block]
             parts[-1] = with_baseline_error(parts[-1], level_noise, pulses.n_quiet)
         failures = without_impact(pulses.samples, parts[-1])
@@ -177,7 +161,6 @@ def estimate(
         contact_duration=fit.duration / rate,
         onset=fit.onset / rate,
         restitution=fit.restitution,
-        baseline=fit.baseline,
         covariance=covariance,
         restitution_deviation=fit.restitution_deviation,
         misfit=fit.misfit,

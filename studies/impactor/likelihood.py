@@ -53,7 +53,7 @@ _WIDEST = 0.5
 class Bound:
     """The Cramer-Rao bound."""
 
-    #: (..., 5, 5), of ln(peak), ln(duration), onset [s], ln(restitution), baseline over peak; 0 if known
+    #: (..., 4, 4), of ln(peak), ln(duration), onset [s], ln(restitution)
     covariance: Floats
     restitution: Floats  # (...), of the pulse
 
@@ -140,7 +140,7 @@ def cramer_rao_bound(
             f"contact_duration must be at most {MAX_SAMPLES} samples, got {samples.max():g} "
             f"({duration.max():g} s); give it in seconds, or lower the sampling rate"
         )
-    covariance = np.empty((s.size, 5, 5))
+    covariance = np.empty((s.size, 4, 4))
     order = np.argsort(samples)
     together = int(np.clip(_SAMPLES / samples.max(initial=1.0), 1, _ROWS))
     for first in range(0, s.size, together):
@@ -149,7 +149,7 @@ def cramer_rao_bound(
     covariance *= (level.ravel() ** 2)[:, None, None]
     covariance[:, 2] /= rate.ravel()[:, None]
     covariance[:, :, 2] /= rate.ravel()[:, None]
-    return Bound(covariance.reshape(*e.shape, 5, 5), e)
+    return Bound(covariance.reshape(*e.shape, 4, 4), e)
 
 
 def _covariance(samples: Floats, shape: Floats, phase: Floats) -> Floats:
@@ -225,7 +225,7 @@ def profile(  # noqa: PLR0913
     whitened: Whitened | None = None,
 ) -> Profile:
     """Return the likelihood along the shape of pulses in samples (n, n_samples)."""
-    # `near` (n, 5) holds pulses near the most likely ones: (peak, ln width, peak time, s, baseline). The prior is zero
+    # `near` (n, 4) holds pulses near the most likely ones: (peak, ln width, peak time, s). The prior is zero
     # outside `lowest` and `highest`, and outside `onset_between` [samples] if given. `noise` (n,) is above 0; other
     # arguments are as in `windows`. Where the noise is not white, `whitened` replaces samples, onset, limit and
     # response, and `noise` is the equivalent white noise.
