@@ -8,8 +8,9 @@ from cgid.measure.features.extraction import extract_array, extract_truncated
 from cgid.measure.fit.ar_noise import ORDER, ARNoise, ar_noise_of
 from cgid.measure.fit.residual import N_SHAPES
 from cgid.measure.fit.search import NODES
-from cgid.measure.fit.template import SHAPES_PATH, TEMPLATE_PATH, curve, pulse_and_slopes, relative_times
+from cgid.measure.fit.template import SHAPES_PATH, TEMPLATE_PATH, curve, relative_times
 from studies.impactor.estimation import estimate
+from studies.impactor.pulses import pulse_and_slopes
 from tests import few, naive
 from tests.references import make_shapes
 from tests.test_estimation import BEFORE, frames_of, squared

@@ -25,17 +25,7 @@ from cgid._lib.validation import Floats
 from cgid.errors import InvalidValue
 from cgid.measure.fit.fit_samples import by_length, mixing_matrix, tied
 from cgid.measure.fit.least_squares import solve_scaled
-from cgid.measure.fit.optimum import normal_equations
-from cgid.measure.fit.template import (
-    MAX_SHAPE,
-    MAX_STEPS,
-    MIN_SHAPE,
-    bounded,
-    free_parameters,
-    pulse_and_slopes,
-    relative_times,
-    shape_deviation,
-)
+from cgid.measure.fit.template import MAX_SHAPE, MAX_STEPS, MIN_SHAPE, bounded, free_parameters, relative_times
 from cgid.scene import Scene
 from cgid.scene.synthesis.draws import COLOURED
 from cgid.scene.synthesis.noise import Coloured, ar_noise_of
@@ -50,6 +40,7 @@ from studies.ceilings.limit import (
     uncovered_pulses,
 )
 from studies.impactor.likelihood import Profile, profile
+from studies.impactor.pulses import normal_equations, pulse_and_slopes, shape_deviation
 
 #: White noise that is always added, over the peak: the accuracy of the pulse as a curve.
 _FLOOR = 1e-5

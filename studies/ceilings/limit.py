@@ -25,13 +25,14 @@ from cgid.measure.features.extraction import extract_array
 from cgid.measure.features.pulses import PULSE_FEATURES
 from cgid.measure.features.table import Feature
 from cgid.measure.filters import low_pass_response
-from cgid.measure.fit.template import parameters_of, relative_times
+from cgid.measure.fit.template import relative_times
 from cgid.scene import Scene, load_scene, parse_scene, synthesise
 from cgid.scene.synthesis.draws import BLOCK
 from cgid.scene.synthesis.impacts import draws
 from cgid.signals import Batch
 from studies.impactor.likelihood import Profile, profile
 from studies.impactor.prior import Prior
+from studies.impactor.pulses import parameters_of
 
 __all__ = ["Ceiling", "Learner", "ceiling", "learner"]
 

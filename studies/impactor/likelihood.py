@@ -21,18 +21,8 @@ from cgid._lib.validation import Floats, rates
 from cgid.errors import InvalidValue
 from cgid.measure.fit.fit_samples import rows_of, windows
 from cgid.measure.fit.least_squares import solve_scaled
-from cgid.measure.fit.optimum import normal_equations
-from cgid.measure.fit.template import (
-    MAX_SHAPE,
-    MIN_SHAPE,
-    PARAMETERS,
-    bounded,
-    covariance_of,
-    parameters_of,
-    pulse_and_slopes,
-    relative_times,
-    shape_deviation,
-)
+from cgid.measure.fit.template import MAX_SHAPE, MIN_SHAPE, PARAMETERS, bounded, covariance_of, relative_times
+from studies.impactor.pulses import normal_equations, parameters_of, pulse_and_slopes, shape_deviation
 
 #: Maximum number of impacts of the bound computed at once, and most samples of them together.
 _ROWS, _SAMPLES = 64, 1 << 20

@@ -23,8 +23,8 @@ from cgid._lib import validation
 from cgid._lib.terminal import counted
 from cgid._lib.validation import Floats
 from cgid.errors import InvalidValue
-from cgid.measure.fit.template import dimensionless_logarithms
 from studies.impactor.measured import MeasuredPulses
+from studies.impactor.pulses import dimensionless_logarithms
 
 #: Estimated quantities of an impactor and their units.
 QUANTITIES = {"mass": "kg", "radius": "m", "speed": "m/s"}

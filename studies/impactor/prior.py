@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from cgid._lib import validation
 from cgid._lib.validation import Floats
-from cgid.measure.fit.template import dimensionless_logarithms
 from studies.impactor.likelihood import Profile
+from studies.impactor.pulses import dimensionless_logarithms
 
 #: Nodes along each of peak and duration at a node of a profile.
 _HERMITE = 3

@@ -102,10 +102,3 @@ def search_nearby(problems: Problems, guess: Floats, sigma: Floats, rows: NDArra
         at_bound,
     )
     return Optimum(parameters, products[:, -1, -1], products[:, :-1, :-1], converged)
-
-
-def normal_equations(residual: Floats, slopes: Floats) -> tuple[Floats, Floats, Floats]:
-    """Return squared residual (n,), information (n, n_free, n_free) and gradient (n, n_free)."""
-    information = np.matmul(slopes, np.swapaxes(slopes, 1, 2))
-    gradient = np.matmul(slopes, residual[..., None])[..., 0]
-    return np.sum(residual**2, axis=1), information, gradient

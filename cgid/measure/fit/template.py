@@ -42,20 +42,6 @@ def dimensionless(shapes: Floats) -> tuple[Floats, Floats, Floats, Floats]:
     return restitution, contact, rise_time, family.force(rise_time[:, None], restitution)[:, 0]
 
 
-def dimensionless_logarithms(shape: Floats, *names: str) -> tuple[Floats, ...]:
-    """Return ln of "contact" time, "peak" or "width" of the dimensionless pulse by a table, each as `shape`."""
-    table = _logarithms()
-    return tuple(np.interp(shape, table["shape"], table[name]) for name in names)
-
-
-@cache
-def _logarithms() -> dict[str, Floats]:
-    grid = np.linspace(MIN_SHAPE, 0.0, 1201)
-    restitution, contact, _, peak = dimensionless(grid)
-    # The impulse of m x'' from 1 to -e is 1 + e.
-    return {"shape": grid, "contact": np.log(contact), "peak": np.log(peak), "width": np.log((1 + restitution) / peak)}
-
-
 @cache
 def tables() -> tuple[NDArray[np.float32], Floats]:
     """Return the tables of the family from their files."""
@@ -98,8 +84,6 @@ def curve(fraction: Floats, shape: Floats) -> Floats:
 
 #: Order of the parameters in a reported covariance.
 PARAMETERS = ("ln_peak", "ln_duration", "onset", "shape")
-#: Shapes and points in time for the information of a densely sampled pulse.
-_GRID, _POINTS = 241, 300
 
 
 def free_parameters(onset_known: bool) -> list[int]:
@@ -176,12 +160,6 @@ def slopes_and_pulse(parameters: Floats, times: Floats, onset_known: bool = Fals
     return out
 
 
-def pulse_and_slopes(parameters: Floats, times: Floats, onset_known: bool = False) -> tuple[Floats, Floats]:
-    """Return the parts of `slopes_and_pulse`: pulses (n, n_samples), and their slopes (n, n_free, n_samples)."""
-    both = slopes_and_pulse(parameters, times, onset_known)
-    return both[:, -1], both[:, :-1]
-
-
 def covariance_of(information: Floats, parameters: Floats) -> Floats:
     """Return the covariance of `PARAMETERS`, (n, 4, 4), for noise of variance 1."""
     peak, log_width, _, shape = parameters.T
@@ -195,36 +173,6 @@ def covariance_of(information: Floats, parameters: Floats) -> Floats:
     scale, unit = scaled(information, 1e-12)
     inverse = np.linalg.inv(unit) / (scale[:, :, None] * scale[:, None, :])
     return np.asarray(jacobian @ inverse @ np.swapaxes(jacobian, 1, 2))
-
-
-@cache
-def _shape_deviation() -> tuple[Floats, Floats]:
-    """Return shapes s, and ln(standard deviation of s) there with two derivatives, for densely sampled pulses."""
-    shapes = np.linspace(MIN_SHAPE, MAX_SHAPE, _GRID)
-    duration, lead, _, _ = relative_times(shapes)
-    ones, zeros = np.ones(_GRID), np.zeros(_GRID)
-    parameters = np.stack([ones, zeros, lead, shapes], axis=1)
-    times = duration[:, None] * (np.arange(_POINTS) + 0.5) / _POINTS
-    _, slopes = pulse_and_slopes(parameters, times)
-    information = np.matmul(slopes, np.swapaxes(slopes, 1, 2)) * (duration / _POINTS)[:, None, None]
-    deviation = np.log(covariance_of(information, parameters)[:, 3, 3]) / 2
-    step = shapes[1] - shapes[0]
-    slope = np.gradient(deviation, step)
-    return shapes, np.stack([deviation, slope, np.gradient(slope, step)])
-
-
-def shape_deviation(shape: Floats) -> Floats:
-    """Return ln(standard deviation of s) of densely sampled pulses plus a constant, and two derivatives, (3, n)."""
-    grid, tabulated = _shape_deviation()
-    position = (shape - MIN_SHAPE) / (grid[1] - grid[0])
-    node = np.clip(position.astype(np.intp), 0, _GRID - 2)
-    return np.asarray(tabulated[:, node] + (position - node) * (tabulated[:, node + 1] - tabulated[:, node]))
-
-
-def parameters_of(peak: Floats, width: Floats, onset: Floats, shape: Floats) -> Floats:
-    """Return (peak, ln width, peak time, shape), (n, 4), of pulses given by their onset."""
-    _, lead, _, _ = relative_times(shape)
-    return np.stack([peak, np.log(width), onset + lead * width, shape], axis=1)
 
 
 def bounded(step: Floats, free: list[int], width: Floats) -> Floats:
