@@ -393,57 +393,35 @@ def damped_pulse(times: np.ndarray, peak: float, duration: float, onset: float, 
 
 
 def fitted_pulse(
-    samples: np.ndarray,
-    start: Sequence[float],
-    *,
-    onset: float | None = None,
-    baseline: bool = False,
-    clip_level: float = math.inf,
-    seen: Callable[[np.ndarray], np.ndarray] = lambda force: force,
+    samples: np.ndarray, start: Sequence[float], *, clip_level: float = math.inf
 ) -> tuple[np.ndarray, float]:
-    """Fit (peak, duration, onset, restitution, baseline) by scipy to all samples; also return the squared residual.
+    """Fit (peak, duration, onset, restitution) by scipy to all samples; also return the squared residual.
 
-    `seen` maps the force to the sensor's output. A clipped sample costs nothing where the curve is above it.
+    A clipped sample costs nothing where the curve is above it.
     """
     times = np.arange(len(samples), dtype=float)
-    free = [0, 1, *([] if onset is not None else [2]), 3, *([4] if baseline else [])]
-    whole = np.array([*start, 0.0])
-    whole[3] = math.log(whole[3])
-    if onset is not None:
-        whole[2] = onset
 
-    def residual(chosen: np.ndarray) -> np.ndarray:
-        values = whole.copy()
-        values[free] = chosen
-        curve = seen(damped_pulse(times, *values[:3], math.exp(values[3]))) + values[4]
-        left = np.asarray(samples - curve, float)
+    def residual(values: np.ndarray) -> np.ndarray:
+        left = np.asarray(samples - damped_pulse(times, *values[:3], math.exp(values[3])), float)
         return np.where((samples >= clip_level) & (left < 0), 0.0, left)
 
-    scale = np.array([whole[0], whole[1], whole[1], 1.0, whole[0]])[free]
-    widest = np.array([[0, 1, -np.inf, math.log(0.05), -np.inf], [np.inf, np.inf, np.inf, math.log(20), np.inf]])[
-        :, free
-    ]
-    found = least_squares(residual, whole[free], x_scale=scale, bounds=widest, xtol=1e-11, ftol=1e-13, gtol=1e-13)
-    whole[free] = found.x
-    whole[3] = math.exp(whole[3])
-    return whole, 2 * found.cost
+    first = np.array([*start[:3], math.log(start[3])])
+    scale = np.array([first[0], first[1], first[1], 1.0])
+    widest = np.array([[0, 1, -np.inf, math.log(0.05)], [np.inf, np.inf, np.inf, math.log(20)]])
+    found = least_squares(residual, first, x_scale=scale, bounds=widest, xtol=1e-11, ftol=1e-13, gtol=1e-13)
+    return np.array([*found.x[:3], math.exp(found.x[3])]), 2 * found.cost
 
 
-def pulse_covariance(times: np.ndarray, duration: float, onset: float, restitution: float, free: Sequence[int],
-                     seen: Callable[[np.ndarray], np.ndarray] = lambda force: force) -> np.ndarray:  # fmt: skip
-    """Invert the Fisher information of (ln peak, ln duration, onset, ln restitution, baseline), peak and noise 1."""
+def pulse_covariance(times: np.ndarray, duration: float, onset: float, restitution: float) -> np.ndarray:
+    """Invert the Fisher information of (ln peak, ln duration, onset, ln restitution), peak and noise 1."""
 
     def curve(values: np.ndarray) -> np.ndarray:
         peak, length, shape = np.exp(values[[0, 1, 3]])
-        return seen(damped_pulse(times, peak, length, values[2], shape)) + values[4]
+        return damped_pulse(times, peak, length, values[2], shape)
 
-    at = np.array([0.0, math.log(duration), onset, math.log(restitution), 0.0])
-    slopes = []
-    for column in free:
-        step = np.zeros(5)
-        step[column] = 1e-5
-        slopes.append((curve(at + step) - curve(at - step)) / 2e-5)
-    return np.linalg.inv(np.array(slopes) @ np.array(slopes).T)
+    at = np.array([0.0, math.log(duration), onset, math.log(restitution)])
+    slopes = np.array([(curve(at + step) - curve(at - step)) / 2e-5 for step in 1e-5 * np.eye(4)])
+    return np.linalg.inv(slopes @ slopes.T)
 
 
 def log_evidence(samples: np.ndarray, noise: float, draws: np.ndarray) -> tuple[float, float]:

@@ -15,14 +15,11 @@ from cgid.identification.detection import ImpactDetector
 from cgid.measure.overview import OverviewStream
 from cgid.physics import RIGID, STEEL, Elastic, HuntCrossley, Material, ThinPlate
 from cgid.recordings import open_recording
-from studies.impactor.estimation import estimate, posterior
+from studies.impactor.estimation import estimate
 from studies.impactor.likelihood import cramer_rao_bound
-from studies.impactor.prior import Prior
 
 RATE = 2e5
 PULSE = 800 * np.sin(np.pi * np.clip((np.arange(400) / RATE - 6e-4) / 5e-4, 0, 1)) ** 1.5
-DRAWS = np.random.default_rng(0).uniform(0.3, 0.8, (3, 500))
-PRIOR = Prior.from_draws(*DRAWS)
 IMPACT = Impact(
     sphere=Sphere(material=STEEL, radius=0.025), target=RIGID, velocity=2.0, stiffness="hertz", dissipation=Elastic()
 )
@@ -32,12 +29,10 @@ SAMPLES: dict[str, Callable[[Any], object]] = {
     "extract": lambda samples: extract(samples, RATE),
     "fft_filter": lambda samples: fft_filter(samples, RATE),
     "estimate": lambda samples: estimate(samples, RATE),
-    "posterior": lambda samples: posterior(samples, RATE, PRIOR, noise=1.0),
     "ImpactDetector": lambda samples: ImpactDetector(RATE, kind="pulse").feed(samples),
     "OverviewStream": lambda samples: OverviewStream(RATE).feed(samples[None]),
     "times": IMPACT.force,
     "noise": lambda noise: estimate(np.tile(PULSE, (400, 1)), RATE, noise=noise),
-    "prior": lambda draws: Prior.from_draws(draws, draws, draws),
     "radius": lambda radius: Sphere(material=STEEL, radius=radius),
     "velocity": lambda velocity: free_fall(velocity),
     "thickness": lambda thickness: ThinPlate(material=STEEL, thickness=thickness),
@@ -51,7 +46,6 @@ ONE_NUMBER: dict[str, Callable[[Any], object]] = {
     "extract": lambda rate: extract(PULSE, rate),
     "fft_filter": lambda rate: fft_filter(PULSE, rate),
     "estimate": lambda rate: estimate(PULSE, rate),
-    "posterior": lambda rate: posterior(PULSE, rate, PRIOR, noise=1.0),
     "ImpactDetector": lambda rate: ImpactDetector(rate, kind="pulse"),
     "OverviewStream": OverviewStream,
     "open_recording": lambda rate: open_recording("none.npy", sampling_rate=rate),

@@ -142,10 +142,7 @@ def radii(one: Ball) -> tuple[Floats, Floats, Floats]:
     unknown[0, 0], unknown[2, 2] = 2.9**2, 1.0
     population = population_of(scene)
     middle = np.full(len(seen), np.median(population.log_peak))
-    blind = replace(
-        seen, log_peak=middle, covariance=seen.covariance + unknown, strange=np.zeros(len(seen), bool),
-        usable=np.ones(len(seen), bool),
-    )  # fmt: skip
+    blind = replace(seen, log_peak=middle, covariance=seen.covariance + unknown, usable=np.ones(len(seen), bool))
     found = population.posterior(blind)
     low, high = found.interval("radius", 0.9)
     return 1e3 * low, 1e3 * found.median("radius"), 1e3 * high

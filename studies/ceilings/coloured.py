@@ -25,17 +25,7 @@ from cgid._lib.validation import Floats
 from cgid.errors import InvalidValue
 from cgid.measure.fit.fit_samples import by_length, mixing_matrix, tied
 from cgid.measure.fit.least_squares import solve_scaled
-from cgid.measure.fit.optimum import normal_equations
-from cgid.measure.fit.template import (
-    MAX_SHAPE,
-    MAX_STEPS,
-    MIN_SHAPE,
-    bounded,
-    free_parameters,
-    pulse_and_slopes,
-    relative_times,
-    shape_deviation,
-)
+from cgid.measure.fit.template import MAX_SHAPE, MAX_STEPS, MIN_SHAPE, bounded, free_parameters, relative_times
 from cgid.scene import Scene
 from cgid.scene.synthesis.draws import COLOURED
 from cgid.scene.synthesis.noise import Coloured, ar_noise_of
@@ -50,6 +40,7 @@ from studies.ceilings.limit import (
     uncovered_pulses,
 )
 from studies.impactor.likelihood import Profile, profile
+from studies.impactor.pulses import normal_equations, pulse_and_slopes, shape_deviation
 
 #: White noise that is always added, over the peak: the accuracy of the pulse as a curve.
 _FLOOR = 1e-5
@@ -258,7 +249,7 @@ class Whitened:
     free: list[int] = field(init=False)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "free", free_parameters(self.onset is not None, False))
+        object.__setattr__(self, "free", free_parameters(self.onset is not None))
 
     def tied(self, parameters: Floats) -> Floats:
         """Return the parameters, with the place that follows from a known onset."""
@@ -317,7 +308,7 @@ class Frames:
         return replace(self, samples=self.samples[chosen], peak=self.peak[chosen], onset=onset)
 
     def whitened(self, block: slice, longest: Floats) -> Iterator[tuple[NDArray[np.intp], Whitened]]:
-        """Yield parts of a block of rows with their whitened points, for pulses up to these, (n, 5)."""
+        """Yield parts of a block of rows with their whitened points, for pulses up to these, (n, 4)."""
         duration, lead, _, _ = relative_times(longest[:, 3])
         width = np.exp(longest[:, 1])
         stop = longest[:, 2] + (duration * _ROOM - lead) * width + 2
@@ -368,7 +359,7 @@ def profile_in(
 ) -> Profile:
     """Return the likelihood along the shape, as `studies.impactor.likelihood.profile`.
 
-    `near` (n, 5) holds pulses near the most likely ones, such as the true ones: (peak, ln width, place, s, 0).
+    `near` (n, 4) holds pulses near the most likely ones, such as the true ones: (peak, ln width, place, s).
     """
     if frames.noise.mixed and (np.diff(frames.peak) < 0).any():
         # Rows of similar peaks share their maps.
@@ -399,7 +390,7 @@ def profile_in(
 
 
 def _most_likely(frames: Frames, near: Floats, lowest: float, highest: float) -> tuple[Floats, Floats]:
-    """Return the most likely parameters, (n, 5), and the standard deviation of the shape, (n,)."""
+    """Return the most likely parameters, (n, 4), and the standard deviation of the shape, (n,)."""
     found, deviation = near.copy(), np.empty(len(near))
     longest = near.copy()
     longest[:, 3] = np.maximum(longest[:, 3] - MAX_STEPS[2], MIN_SHAPE)

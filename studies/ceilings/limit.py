@@ -25,13 +25,14 @@ from cgid.measure.features.extraction import extract_array
 from cgid.measure.features.pulses import PULSE_FEATURES
 from cgid.measure.features.table import Feature
 from cgid.measure.filters import low_pass_response
-from cgid.measure.fit.template import parameters_of, relative_times
+from cgid.measure.fit.template import relative_times
 from cgid.scene import Scene, load_scene, parse_scene, synthesise
 from cgid.scene.synthesis.draws import BLOCK
 from cgid.scene.synthesis.impacts import draws
 from cgid.signals import Batch
 from studies.impactor.likelihood import Profile, profile
 from studies.impactor.prior import Prior
+from studies.impactor.pulses import parameters_of
 
 __all__ = ["Ceiling", "Learner", "ceiling", "learner"]
 
@@ -374,7 +375,7 @@ def _noise_level(scene: Scene, peak: Floats) -> Floats:
 
 
 def true_pulses(batch: Batch) -> Floats:
-    """Return the true pulses, (n, 5), near which the most likely ones are: (peak, ln width, location, s, 0)."""
+    """Return the true pulses, (n, 4), near which the most likely ones are: (peak, ln width, location, s)."""
     values, rate = batch.parameters, batch.sampling_rate
     shape = np.log(values["restitution"])
     width = values["contact_duration"] * rate / relative_times(shape)[0]

@@ -1,4 +1,4 @@
-"""Parameters of pulses by maximum likelihood, their Cramer-Rao bound, and posteriors for short pulses.
+"""Parameters of pulses by maximum likelihood.
 
 The fitted restitution is the shape of the pulse, how much faster it rises than it falls. For a sphere on a half space
 it is the restitution of the impact; on recordings of real shocks it varies with the mounting and describes the pulse.
@@ -7,7 +7,7 @@ it is the restitution of the impact; on recordings of real shocks it varies with
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -16,18 +16,12 @@ from cgid._lib import validation
 from cgid._lib.validation import Floats, require_rate
 from cgid.errors import BadData, InvalidValue
 from cgid.measure.features.pulses import PulseBatch
-from cgid.measure.filters import low_pass_response
 from cgid.measure.fit.fit import MODEL_ERROR, PulseFit, fit_pulses, without_impact
-from cgid.measure.fit.template import parameters_of, relative_times
+from cgid.measure.fit.template import relative_times
 from cgid.measure.frames import LARGEST, frames_of
-from studies.impactor.likelihood import cramer_rao_bound, profile
-from studies.impactor.prior import Prior
 
-__all__ = ["Estimates", "Posterior", "cramer_rao_bound", "estimate", "posterior"]
-
-
-#: Rows processed at once, and most nodes of a posterior.
-_ROWS, _MAX_NODES = 512, 4096
+#: Rows processed at once.
+_ROWS = 512
 #: If the squared residual is more than this many times that of the noise, the pulse is not of the family.
 FAMILY_LIMIT = 2.5
 
@@ -38,14 +32,14 @@ class Estimates:
 
     Attributes
     ----------
-    peak, contact_duration, baseline : ndarray, (n,)
+    peak, contact_duration : ndarray, (n,)
     onset : ndarray, (n,) [s]
         Time of onset after the first sample.
     restitution : ndarray, (n,)
         Above 1 for a pulse that rises more slowly than it falls.
-    covariance : ndarray, (n, 5, 5)
-        Covariance of ln(peak), ln(contact duration), onset [s], ln(restitution) and baseline, with the error of a
-        baseline that was removed; 0 for given quantities.
+    covariance : ndarray, (n, 4, 4)
+        Covariance of ln(peak), ln(contact duration), onset [s] and ln(restitution), with the error of a baseline that
+        was removed.
     restitution_deviation : ndarray, (n,)
         Standard deviation of the restitution; from the likelihood of all shapes if it is not a parabola, so that it
         includes a second likely shape.
@@ -62,7 +56,6 @@ class Estimates:
     contact_duration: Floats
     onset: Floats
     restitution: Floats
-    baseline: Floats
     covariance: Floats
     restitution_deviation: Floats
     misfit: Floats
@@ -76,83 +69,14 @@ class Estimates:
         return np.asarray(self.misfit <= FAMILY_LIMIT)
 
 
-@dataclass(frozen=True, eq=False)
-class Posterior:
-    """Posterior of the restitution of each pulse.
-
-    Attributes
-    ----------
-    restitution : ndarray, (n, n_nodes)
-        Nodes of the quadrature, ascending.
-    weight : ndarray, (n, n_nodes)
-        Probability of each node; each row sums to 1.
-    peak, contact_duration : ndarray, (n,)
-        Posterior means, in the unit of the signal and seconds.
-    """
-
-    restitution: Floats
-    weight: Floats
-    peak: Floats
-    contact_duration: Floats
-
-    @property
-    def mean(self) -> Floats:
-        """Posterior mean of the restitution, (n,)."""
-        return np.asarray(np.sum(self.weight * self.restitution, axis=1))
-
-    @property
-    def deviation(self) -> Floats:
-        """Posterior standard deviation of the restitution, (n,)."""
-        return np.asarray(np.sqrt(np.sum(self.weight * (self.restitution - self.mean[:, None]) ** 2, axis=1)))
-
-    def quantile(self, share: float) -> Floats:
-        """Return the quantile of the restitution, (n,), at a probability between 0 and 1.
-
-        Parameters
-        ----------
-        share : float, in (0, 1)
-
-        Returns
-        -------
-        ndarray, (n,)
-        """
-        if not 0 < validation.number("share", share) < 1:
-            raise InvalidValue(f"share must be between 0 and 1 (exclusive), got {share:g}")
-        # Half of a node's probability is on either side of it.
-        below = np.cumsum(self.weight, axis=1) - 0.5 * self.weight
-        rows = np.arange(len(below))
-        after = np.clip(np.sum(below < share, axis=1), 1, below.shape[1] - 1)
-        low, high = below[rows, after - 1], below[rows, after]
-        part = np.clip((share - low) / np.maximum(high - low, 1e-300), 0.0, 1.0)
-        start, stop = self.restitution[rows, after - 1], self.restitution[rows, after]
-        return np.asarray(start + part * (stop - start))
-
-    def interval(self, coverage: float = 0.9) -> tuple[Floats, Floats]:
-        """Return the equal-tailed interval that contains the restitution with this probability.
-
-        Parameters
-        ----------
-        coverage : float, in (0, 1)
-
-        Returns
-        -------
-        tuple of two ndarray, (n,)
-            Lower and upper ends.
-        """
-        return self.quantile(0.5 - 0.5 * coverage), self.quantile(0.5 + 0.5 * coverage)
-
-
 def estimate(
     samples: ArrayLike,
     sampling_rate: float,
     *,
     pre_trigger: int | None = None,
     noise: ArrayLike | None = None,
-    fit_baseline: bool = False,
     remove_baseline: bool = True,
-    onset: ArrayLike | None = None,
     clip_level: ArrayLike | None = None,
-    bandwidth: float | None = None,
     invalid: Literal["raise", "nan"] = "raise",
 ) -> Estimates:
     """Fit the most likely damped-Hertz pulse to each signal.
@@ -171,16 +95,10 @@ def estimate(
     noise : float or array_like, (n_signals,), optional
         Standard deviation of the noise, if known and white; by default its level and colour are those of the samples
         before onset.
-    fit_baseline : bool
-        Whether to fit a constant together with the pulse (after the removal).
     remove_baseline : bool
         Whether to subtract the mean before onset first.
-    onset : float or array_like, (n_signals,), optional
-        Time of onset after the first sample [s], if known.
     clip_level : float or array_like, (n_signals,), optional
         Limit of the sensor; by default the top level that at least three samples share.
-    bandwidth : float, optional
-        Edge of the sensor's low-pass [Hz], as in `cgid.scene.Sensor`; the fit includes this filter.
     invalid : {"raise", "nan"}
         Treatment of a signal without impact; `Estimates.problem` has the reason of a row of nan.
 
@@ -204,11 +122,9 @@ def estimate(
     [805.24, 0.509, 1.0]
     """
     frames, rate = frames_of(samples, pre_trigger).astype(np.float64, copy=False), require_rate(sampling_rate)
-    n, last = frames.shape[0], (frames.shape[1] - 1) / rate
+    n = frames.shape[0]
     given_noise = None if noise is None else _each("noise", validation.between("noise", noise, 0, LARGEST), n)
-    onsets = None if onset is None else _each("onset", validation.between("onset", onset, 0, last, "s") * rate, n)
     limit = None if clip_level is None else _each("clip_level", validation.positive("clip_level", clip_level), n)
-    response = None if bandwidth is None else low_pass_response(rate, bandwidth)
     validation.choice("invalid", invalid, ("raise", "nan"))
     parts, overloads, problem = [PulseFit.nothing()], [np.empty(0)], np.full(n, "", object)
     for first in range(0, n, _ROWS):
@@ -221,14 +137,11 @@ def estimate(
                 pulses.fit_start,
                 pulses.noise if given_noise is None else given_noise[block],
                 offset=pulses.offset,
-                fit_baseline=fit_baseline,
-                onset=None if onsets is None else onsets[block],
                 clip_level=level,
-                response=response,
                 n_quiet=pulses.n_quiet if given_noise is None else None,
             )
         )
-        if remove_baseline and not fit_baseline:
+        if remove_baseline:
             level_noise = pulses.noise if given_noise is None else given_noise[block]
             parts[-1] = with_baseline_error(parts[-1], level_noise, pulses.n_quiet)
         failures = without_impact(pulses.samples, parts[-1])
@@ -248,7 +161,6 @@ def estimate(
         contact_duration=fit.duration / rate,
         onset=fit.onset / rate,
         restitution=fit.restitution,
-        baseline=fit.baseline,
         covariance=covariance,
         restitution_deviation=fit.restitution_deviation,
         misfit=fit.misfit,
@@ -260,71 +172,6 @@ def estimate(
         if (column := getattr(found, one.name)).dtype.kind == "f":
             column[problem != ""] = np.nan
     return found
-
-
-def posterior(
-    samples: ArrayLike,
-    sampling_rate: float,
-    prior: Prior,
-    *,
-    pre_trigger: int | None = None,
-    noise: ArrayLike | None = None,
-    bandwidth: float | None = None,
-    n_nodes: int = 65,
-) -> Posterior:
-    """Return the posterior of the restitution of each pulse under a prior.
-
-    Parameters
-    ----------
-    samples, sampling_rate, pre_trigger, noise, bandwidth
-        As in `estimate`.
-    prior : Prior
-        For example `Prior.from_draws` of the expected impacts.
-    n_nodes : int
-        Nodes of the quadrature along the restitution.
-
-    Returns
-    -------
-    Posterior
-
-    Raises
-    ------
-    BadData, InvalidValue
-        As `estimate`; `InvalidValue` also for a signal without noise.
-    """
-    validation.instance("prior", prior, Prior)
-    validation.whole("n_nodes", n_nodes, 3, _MAX_NODES)
-    frames, rate = frames_of(samples, pre_trigger).astype(np.float64, copy=False), require_rate(sampling_rate)
-    given = None if noise is None else _each("noise", validation.positive("noise", noise), len(frames))
-    response = None if bandwidth is None else low_pass_response(rate, bandwidth)
-    lowest, highest = prior.shape_bounds
-    parts = []
-    for first in range(0, len(frames), _ROWS):
-        block = slice(first, first + _ROWS)
-        pulses = PulseBatch(frames[block], rate, pre_trigger).uncoupled()
-        level = pulses.noise if given is None else given[block]
-        if not (level > 0).all():
-            raise InvalidValue(
-                f"noise must be above 0 for a posterior, got 0 in signal {first + int(np.argmin(level > 0))}; "
-                "record some samples before onset, or give the noise"
-            )
-        known: dict[str, Any] = {"offset": pulses.offset, "clip_level": pulses.clip_level, "response": response}
-        fit = fit_pulses(pulses.samples, pulses.fit_start, level, **known)
-        along = profile(
-            pulses.samples,
-            parameters_of(fit.peak, fit.width, fit.onset, fit.shape),
-            level,
-            lowest=lowest,
-            highest=highest,
-            n_nodes=n_nodes,
-            n_quiet=pulses.n_quiet,
-            **known,
-        )
-        weight = np.exp(prior.log_posterior(along, -np.log(rate)))
-        peak = np.sum(weight * np.exp(along.log_peak), axis=1)
-        duration = np.sum(weight * np.exp(along.log_duration), axis=1) / rate
-        parts.append((np.exp(along.shape), weight, peak, duration))
-    return Posterior(*(np.concatenate(column) for column in zip(*parts, strict=True)))
 
 
 def with_baseline_error(fit: PulseFit, noise: Floats, n_quiet: Floats) -> PulseFit:

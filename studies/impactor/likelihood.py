@@ -19,28 +19,15 @@ from numpy.typing import ArrayLike, NDArray
 from cgid._lib import validation
 from cgid._lib.validation import Floats, rates
 from cgid.errors import InvalidValue
-from cgid.measure.filters import low_pass_response
-from cgid.measure.fit.fit_samples import mixing_matrix, rows_of, windows
+from cgid.measure.fit.fit_samples import rows_of, windows
 from cgid.measure.fit.least_squares import solve_scaled
-from cgid.measure.fit.optimum import normal_equations
-from cgid.measure.fit.template import (
-    MAX_SHAPE,
-    MIN_SHAPE,
-    PARAMETERS,
-    bounded,
-    covariance_of,
-    parameters_of,
-    pulse_and_slopes,
-    relative_times,
-    shape_deviation,
-)
+from cgid.measure.fit.template import MAX_SHAPE, MIN_SHAPE, PARAMETERS, bounded, covariance_of, relative_times
+from studies.impactor.pulses import normal_equations, parameters_of, pulse_and_slopes, shape_deviation
 
 #: Maximum number of impacts of the bound computed at once, and most samples of them together.
 _ROWS, _SAMPLES = 64, 1 << 20
 #: Maximum number of samples of a contact: with more, the bound only falls as one over the square root of their number.
 MAX_SAMPLES = 1_000_000
-#: Extent of the band-limited pulse beyond onset and separation, in contact durations.
-_RINGING = 1.0
 #: Extent of a profile's grid to either side, in standard deviations of the shape.
 _REACH = 6.5
 #: Evaluations of the fit at each node of a profile, and rows of profiles computed at once.
@@ -56,7 +43,7 @@ _WIDEST = 0.5
 class Bound:
     """The Cramer-Rao bound."""
 
-    #: (..., 5, 5), of ln(peak), ln(duration), onset [s], ln(restitution), baseline over peak; 0 if known
+    #: (..., 4, 4), of ln(peak), ln(duration), onset [s], ln(restitution)
     covariance: Floats
     restitution: Floats  # (...), of the pulse
 
@@ -91,9 +78,6 @@ def cramer_rao_bound(
     noise: ArrayLike,
     sampling_rate: ArrayLike,
     *,
-    bandwidth: float | None = None,
-    onset_known: bool = False,
-    fit_baseline: bool = False,
     onset: ArrayLike = 0.5,
 ) -> Bound:
     """Return the bound of the parameters of a damped-Hertz pulse in white noise.
@@ -107,13 +91,7 @@ def cramer_rao_bound(
     noise : array_like
         Standard deviation of a sample over the peak.
     sampling_rate : array_like
-        [Hz]; one number if there is a bandwidth.
-    bandwidth : float, optional
-        Edge of the sensor's low-pass [Hz], as in `cgid.scene.Sensor`; the white noise is added after it.
-    onset_known : bool
-        Whether the time of onset is known.
-    fit_baseline : bool
-        Whether a constant is unknown, too; then only the samples in contact count.
+        [Hz].
     onset : array_like
         Position of onset between two samples, 0 to 1.
 
@@ -146,53 +124,35 @@ def cramer_rao_bound(
     if not ((s >= MIN_SHAPE - 1e-12) & (s <= MAX_SHAPE + 1e-12)).all():
         low, high = np.exp(MIN_SHAPE), np.exp(MAX_SHAPE)
         raise InvalidValue(f"restitution must be in [{low:g}, {high:g}], got {e.min():g} to {e.max():g}")
-    response = None
-    if bandwidth is not None:
-        if np.ptp(rate) > 0:
-            raise InvalidValue(
-                "sampling_rate must be one number when there is a bandwidth; compute each rate separately"
-            )
-        response = low_pass_response(float(rate.flat[0]), bandwidth)
     samples = (duration * rate).ravel()
     if (samples > MAX_SAMPLES).any():
         raise InvalidValue(
             f"contact_duration must be at most {MAX_SAMPLES} samples, got {samples.max():g} "
             f"({duration.max():g} s); give it in seconds, or lower the sampling rate"
         )
-    covariance = np.empty((s.size, 5, 5))
+    covariance = np.empty((s.size, 4, 4))
     order = np.argsort(samples)
     together = int(np.clip(_SAMPLES / samples.max(initial=1.0), 1, _ROWS))
     for first in range(0, s.size, together):
         rows = order[first : first + together]
-        covariance[rows] = _covariance(samples[rows], s[rows], phase.ravel()[rows], response, onset_known, fit_baseline)
+        covariance[rows] = _covariance(samples[rows], s[rows], phase.ravel()[rows])
     covariance *= (level.ravel() ** 2)[:, None, None]
     covariance[:, 2] /= rate.ravel()[:, None]
     covariance[:, :, 2] /= rate.ravel()[:, None]
-    return Bound(covariance.reshape(*e.shape, 5, 5), e)
+    return Bound(covariance.reshape(*e.shape, 4, 4), e)
 
 
-def _covariance(
-    samples: Floats, shape: Floats, phase: Floats, response: Floats | None, onset_known: bool, fit_baseline: bool
-) -> Floats:
+def _covariance(samples: Floats, shape: Floats, phase: Floats) -> Floats:
     """Return the covariance of pulses of peak 1 in noise of standard deviation 1, times in samples."""
     width = samples / relative_times(shape)[0]
     parameters = parameters_of(np.ones_like(shape), width, phase, shape)
-    margin = 1 if response is None else int(_RINGING * samples.max()) + len(response)
-    times = np.arange(-margin, int(samples.max()) + margin + 3, dtype=np.float64)
-    mixing = None if response is None else mixing_matrix(response, times.size)
-    _, slopes = pulse_and_slopes(
-        parameters, np.broadcast_to(times, (len(shape), times.size)), onset_known, fit_baseline
-    )
-    if mixing is not None:
-        slopes = slopes @ mixing
-    if fit_baseline:
-        # Only the samples in contact: the number of others is not a property of the pulse.
-        slopes = slopes * ((times > phase[:, None]) & (times < (phase + samples)[:, None]))[:, None]
+    times = np.arange(-1.0, int(samples.max()) + 4)
+    _, slopes = pulse_and_slopes(parameters, np.broadcast_to(times, (len(shape), times.size)))
     information = np.matmul(slopes, np.swapaxes(slopes, 1, 2))
     with np.errstate(all="ignore"):
-        covariance = covariance_of(information, parameters, onset_known, fit_baseline)
+        covariance = covariance_of(information, parameters)
     enough = np.ceil(phase + samples) - np.floor(phase) - 1 >= information.shape[1]
-    return np.where(enough[:, None, None] if response is None else True, covariance, np.inf)
+    return np.where(enough[:, None, None], covariance, np.inf)
 
 
 # -- the profile --------------------------------------------------------------------------------------
@@ -248,8 +208,6 @@ def profile(  # noqa: PLR0913
     lowest: float = MIN_SHAPE,
     highest: float = MAX_SHAPE,
     n_nodes: int = 33,
-    offset: Floats | None = None,
-    n_quiet: Floats | None = None,
     onset: Floats | None = None,
     onset_between: tuple[float, float] | None = None,
     clip_level: Floats | None = None,
@@ -257,11 +215,10 @@ def profile(  # noqa: PLR0913
     whitened: Whitened | None = None,
 ) -> Profile:
     """Return the likelihood along the shape of pulses in samples (n, n_samples)."""
-    # `near` (n, 5) holds pulses near the most likely ones: (peak, ln width, peak time, s, baseline). The prior is zero
-    # outside `lowest` and `highest`, and outside `onset_between` [samples] if given. With `n_quiet` (n,), the offset is
-    # only known as the mean of this many samples. `noise` (n,) is above 0; other arguments are as in `fit_pulses`.
-    # Where the noise is not white, `whitened` replaces samples, offset, onset, limit and response, and `noise` is the
-    # equivalent white noise.
+    # `near` (n, 4) holds pulses near the most likely ones: (peak, ln width, peak time, s). The prior is zero
+    # outside `lowest` and `highest`, and outside `onset_between` [samples] if given. `noise` (n,) is above 0; other
+    # arguments are as in `windows`. Where the noise is not white, `whitened` replaces samples, onset, limit and
+    # response, and `noise` is the equivalent white noise.
     shapes = _grid(near, noise, lowest, highest, n_nodes)
     out = Profile(shapes, *(np.empty(shapes.shape) for _ in range(6)))
     for first in range(0, len(samples), _PROFILED_ROWS):
@@ -272,15 +229,12 @@ def profile(  # noqa: PLR0913
         longest[:, 3] = shapes[block, 0]
         if whitened is not None:
             for rows, residual in whitened(block, longest):
-                _fill(out, first + rows, residual, guess[rows], np.ones(rows.size), None, onset_between)
+                _fill(out, first + rows, residual, guess[rows], np.ones(rows.size), onset_between)
             continue
-        options = (0.0 if offset is None else offset[block], np.inf if clip_level is None else clip_level[block])
-        curve = {"fit_baseline": n_quiet is not None, "onset": rows_of(onset, block), "response": response}
-        for window in windows(samples[block], longest, *options, **curve):
+        limit = np.inf if clip_level is None else clip_level[block]
+        for window in windows(samples[block], longest, 0.0, limit, onset=rows_of(onset, block), response=response):
             rows = first + window.rows
-            sigma = noise[rows] / np.sqrt(window.averaged)
-            hold = None if n_quiet is None else n_quiet[rows] / window.averaged
-            _fill(out, rows, window, guess[window.rows], sigma, hold, onset_between)
+            _fill(out, rows, window, guess[window.rows], noise[rows] / np.sqrt(window.averaged), onset_between)
     widths = np.gradient(shapes, axis=1) if n_nodes > 1 else np.ones_like(shapes)
     with np.errstate(divide="ignore"):
         log_weight = out.log_weight + np.log(np.maximum(widths, 0.0))
@@ -293,11 +247,10 @@ def _fill(
     problem: FittedCurve,
     guess: Floats,
     sigma: Floats,
-    hold: Floats | None,
     onset_between: tuple[float, float] | None,
 ) -> None:
     for node in range(out.shape.shape[1]):
-        solution = _at(problem, guess, out.shape[rows, node], sigma, hold, onset_between)
+        solution = _at(problem, guess, out.shape[rows, node], sigma, onset_between)
         for part, value in zip(fields(Profile)[1:], solution, strict=True):
             getattr(out, part.name)[rows, node] = value
 
@@ -323,10 +276,9 @@ def _at(
     guess: Floats,
     shape: Floats,
     sigma: Floats,
-    hold: Floats | None,
     onset_between: tuple[float, float] | None,
 ) -> tuple[Floats, ...]:
-    """Return the attributes of a profile at given shapes; the baseline is that of `hold` points (n,), or 0 for None."""
+    """Return the attributes of a profile at given shapes."""
     parameters = guess.copy()
     parameters[:, 3] = shape
     parameters = problem.tied(parameters)
@@ -335,10 +287,6 @@ def _at(
     for iteration in range(_ITERATIONS):
         residual, slopes = problem.residual(parameters)
         squared, information, gradient = normal_equations(residual, slopes[:, indices])
-        if hold is not None:
-            information[:, -1, -1] += hold
-            gradient[:, -1] -= hold * parameters[:, 4]
-            squared += hold * parameters[:, 4] ** 2
         if iteration == _ITERATIONS - 1:
             break
         step = solve_scaled(information, gradient, 1e-6)

@@ -12,7 +12,6 @@ Zhang and Balding 2002, Genetics 162, 2025.) Samples are sorted by shape and P0 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from statistics import NormalDist
@@ -24,8 +23,8 @@ from cgid._lib import validation
 from cgid._lib.terminal import counted
 from cgid._lib.validation import Floats
 from cgid.errors import InvalidValue
-from cgid.measure.fit.template import dimensionless_logarithms
 from studies.impactor.measured import MeasuredPulses
+from studies.impactor.pulses import dimensionless_logarithms
 
 #: Estimated quantities of an impactor and their units.
 QUANTITIES = {"mass": "kg", "radius": "m", "speed": "m/s"}
@@ -35,8 +34,8 @@ LEVELS = np.array([0.005, 0.01, 0.025, *np.arange(0.05, 0.951, 0.05), 0.975, 0.9
 SPEED_POWER, TIME_POWER = 1.6, -0.2
 #: Power of the modulus in T0 over that in P0 / T0^2: -2/5 over 6/5.
 _MODULUS_RATIO = -1 / 3
-#: Nodes along the shape, and draws used from each; if size is not a similarity, fewer draws have weight.
-_NODES, _DRAWS, _MORE_DRAWS = 12, 48, 96
+#: Nodes along the shape, and draws used from each.
+_NODES, _DRAWS = 12, 48
 #: Extent of ln(radius) below which more draws are used, as fewer have weight, and the most.
 _FEW_RADII, _MOST_DRAWS = 0.25, 384
 #: Extent of the nodes and cut-off distance of draws [standard deviations].
@@ -45,8 +44,8 @@ _REACH, _BEYOND = 3.5, 4.0
 _THIN, _PRECISION = 1e-6, 1e-5
 #: Minimum number of draws per shape, and minimum and maximum number of shapes.
 _PER_SHAPE, _MIN_SHAPES, _MAX_SHAPES = 1024, 8, 96
-#: Widest kernel of draws along ln(P0 / T0^2), and along ln(size) if size is not a similarity.
-_WIDEST, _ALIKE = 0.25, 0.3
+#: Widest kernel of draws along ln(P0 / T0^2).
+_WIDEST = 0.25
 #: Cells of ln(P0 / T0^2), of ln(radius), and of a posterior.
 _CELLS, _RADII, _POSTERIOR = 512, 256, 160
 #: Minimum relative width of a population's radii and speeds: equal ones are spread by this fraction. Range of ln(speed)
@@ -124,8 +123,6 @@ class ImpactorPopulation:
     log_peak, log_width, shape : of the pulse: ln of the peak [N] and of impulse over peak [s], and s = ln e
     log_radius, log_speed, log_mass : of the impactor [m], [m/s], [kg]
     group : number of its part of the population; within a part the radius is independent of other quantities
-    similar : whether doubling the size of an impactor doubles the length of its pulse and changes nothing else
-    of_family : whether all pulses are damped-Hertz pulses
     name : of the population
     """
 
@@ -136,32 +133,16 @@ class ImpactorPopulation:
     log_speed: Floats
     log_mass: Floats
     group: NDArray[np.intp]
-    similar: bool = True
-    of_family: bool = True
     name: str = "population"
 
     def __post_init__(self) -> None:
         if self.shape.size < _PER_SHAPE:
             raise InvalidValue(f"{self.name}: must have at least {_PER_SHAPE} draws, got {self.shape.size}")
 
-    # -- the posterior ------------------------------------------------------------------------------------
-
     def posterior(self, pulses: MeasuredPulses) -> ImpactorEstimates:
         """Return the posterior of the impactor."""
-        parts = [self._posterior(part) for part in self._seen(pulses).blocks(_ROWS)]
+        parts = [self._posterior(part) for part in pulses.blocks(_ROWS)]
         return ImpactorEstimates.joined(parts) if parts else ImpactorEstimates.unknown(np.empty(0, np.str_))
-
-    def draws(self, pulses: MeasuredPulses) -> Iterator[tuple[dict[str, Floats], Floats]]:
-        """Yield the logarithms of mass, radius and speed of weighted draws of the posterior, block by block.
-
-        All are (n, n_draws). The weights of a row sum to 1, or to 0 where the population excludes the pulse.
-        """
-        for part in self._seen(pulses).blocks(_ROWS):
-            values, weight, _ = self._moved(part)
-            yield values, weight
-
-    def _seen(self, pulses: MeasuredPulses) -> MeasuredPulses:
-        return pulses.widened() if self.of_family else pulses
 
     def _posterior(self, pulses: MeasuredPulses) -> ImpactorEstimates:
         values, weight, excluded = self._moved(pulses)
@@ -187,8 +168,6 @@ class ImpactorPopulation:
         growth = later - table.time[rows]
         log_radius = table.log_radius[rows] + growth - table.time_power * (moved - distance)
         log_weight = -0.5 * distance**2 / wide
-        if not self.similar:
-            log_weight -= 0.5 * (growth / _ALIKE) ** 2
         reached = log_weight > -0.5 * _BEYOND**2
         fits = table.radii(table.group[rows], log_radius)
         fits *= (log_speed >= table.speeds[0]) & (log_speed <= table.speeds[1])
@@ -227,8 +206,6 @@ class ImpactorPopulation:
     @cached_property
     def _table(self) -> _Table:
         return _Table(self)
-
-    # -- prior ----------------------------------------------------------------------------------------------
 
     def prior(self, quantity: str) -> Floats:
         """Return the draws of a quantity without a measurement, (n,), in its unit of `QUANTITIES`."""
@@ -276,14 +253,13 @@ class _Table:
         self.speed_share = float(not few)
         self.time_power = _MODULUS_RATIO if few else TIME_POWER / SPEED_POWER
         self.one_radius = np.ptp(self.log_radius) < _NARROWEST
-        fewest = _DRAWS if population.similar else _MORE_DRAWS
-        self.n_draws = int(np.clip(_DRAWS * _FEW_RADII / self._radii(population.similar), fewest, _MOST_DRAWS))
+        self.n_draws = int(np.clip(_DRAWS * _FEW_RADII / self._radii(), _DRAWS, _MOST_DRAWS))
         # Nodes at one shape use different draws.
         self.phase = (np.arange(_NODES)[:, None] + 0.5) / _NODES
         even = np.broadcast_to(_normal(self.n_draws), (_NODES, self.n_draws))
         self.jitter = np.random.default_rng(0x57).permuted(even, axis=1).astype(np.float32)
 
-    def _radii(self, similar: bool) -> float:
+    def _radii(self) -> float:
         """Tabulate the weight of a moved draw by its radius: the prior density there over that of the moved draws.
 
         Return the extent of ln(radius), that of a uniform density as concentrated.
@@ -300,9 +276,6 @@ class _Table:
         smooth = np.stack([np.convolve(row, kernel / kernel.sum(), mode="same") for row in counts.astype(np.float64)])
         density = smooth / np.maximum(smooth.sum(axis=1, keepdims=True), 1e-300)
         extent = self.ring / np.max(np.sum(density**2, axis=1))
-        if not similar:
-            separation = (np.arange(_RADII)[:, None] - np.arange(_RADII)) * self.ring / _ALIKE
-            density = density / np.maximum(density @ np.exp(-0.5 * separation**2), 1e-300)
         self._weight = np.pad(density, ((0, 0), (1, 1))).astype(np.float32)
         return float(extent)
 

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from cgid._lib import validation
 from cgid._lib.validation import Floats
-from cgid.measure.fit.template import dimensionless_logarithms
 from studies.impactor.likelihood import Profile
+from studies.impactor.pulses import dimensionless_logarithms
 
 #: Nodes along each of peak and duration at a node of a profile.
 _HERMITE = 3
@@ -85,12 +85,6 @@ class Prior:
         from scipy.special import logsumexp
 
         return np.asarray(logsumexp(self._joint(along, log_peak_offset, log_time_offset), axis=1))
-
-    def log_posterior(self, along: Profile, log_time_offset: Floats | float = 0.0) -> Floats:
-        """Return ln of the probability of each node, (n, n_nodes); offset as in `evidence`."""
-        from scipy.special import log_softmax
-
-        return np.asarray(log_softmax(self._joint(along, 0.0, log_time_offset), axis=1))
 
     def _joint(self, along: Profile, log_peak_offset: Floats | float, log_time_offset: Floats | float) -> Floats:
         """Return ln of likelihood times prior, whose mean over peak and duration is by Gauss-Hermite quadrature."""

@@ -8,11 +8,11 @@ from functools import cache
 import numpy as np
 import pytest
 
-from cgid.measure.fit.template import dimensionless_logarithms
 from cgid.scene import load_scene, parse_scene, synthesise, varied
 from cgid.scene.synthesis.impacts import draw
 from studies.ceilings.__main__ import main
 from studies.ceilings.limit import ceiling, ceilings, learner, untrusted
+from studies.impactor.pulses import dimensionless_logarithms
 from tests import few, naive
 from tests.test_scene import content
 

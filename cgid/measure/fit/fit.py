@@ -67,8 +67,7 @@ class PulseFit:
     onset: Floats
     width: Floats  # impulse over peak
     shape: Floats  # s = ln e, above 0 for a pulse that rises more slowly than it falls
-    baseline: Floats  # 0 unless fitted
-    covariance: Floats  # (n, 5, 5), of `cgid.measure.fit.template.PARAMETERS`; zero for given parameters
+    covariance: Floats  # (n, 4, 4), of `cgid.measure.fit.template.PARAMETERS`
     restitution_deviation: Floats  # of exp(s)
     expected_restitution: Floats  # mean after the fit, if it was `WIDE_RESTITUTION` before
     expected_deviation: Floats
@@ -89,7 +88,7 @@ class PulseFit:
         """Return a fit without rows."""
         none = np.empty(0)
         return cls(
-            *(none,) * 6, np.empty((0, 5, 5)), *(none,) * 5, *(np.empty(0, kind) for kind in (int, float, bool, int))
+            *(none,) * 5, np.empty((0, 4, 4)), *(none,) * 5, *(np.empty(0, kind) for kind in (int, float, bool, int))
         )
 
     def spread(self, rows: NDArray[np.intp], n: int) -> PulseFit:
@@ -134,16 +133,12 @@ def fit_pulses(
     noise: Floats,
     *,
     offset: Floats | None = None,
-    fit_baseline: bool = False,
-    onset: Floats | None = None,
     clip_level: Floats | None = None,
-    response: Floats | None = None,
     n_quiet: Floats | None = None,
 ) -> PulseFit:
     """Return the most likely pulse of the damped-Hertz family in each row of samples, (n, n_samples)."""
     # `noise` (n,) is a standard deviation, white unless the first `n_quiet` (n,) samples show otherwise. `offset` (n,)
-    # is subtracted first, `onset` (n,) [samples] may be given. Samples at or above `clip_level` (n,) are lower bounds.
-    # `response` (n_lags,) is the sensor's symmetric impulse response from lag 0: it filters the pulse, not the noise.
+    # is subtracted first. Samples at or above `clip_level` (n,) are lower bounds.
     if not len(samples):
         return PulseFit.nothing()
     n = len(samples)
@@ -153,9 +148,8 @@ def fit_pulses(
     for first in range(0, n, _ROWS):
         rows = slice(first, first + _ROWS)
         block = (samples[rows], start.rows(rows), noise[rows], offset[rows], clip_level[rows])
-        more = (rows_of(onset, rows), rows_of(n_quiet, rows), fit_baseline, response)
         with np.errstate(all="ignore"):  # the fit of a frame without a pulse fails; `evidence` shows it
-            parts.append(_fit_block(*block, *more))
+            parts.append(_fit_block(*block, rows_of(n_quiet, rows)))
     return PulseFit.joined(parts)
 
 
@@ -165,17 +159,14 @@ def _fit_block(
     noise: Floats,
     offset: Floats,
     clip_level: Floats,
-    onset: Floats | None,
     n_quiet: Floats | None,
-    fit_baseline: bool,
-    response: Floats | None,
 ) -> PulseFit:
     # In units of its first peak, every pulse is of order 1.
     unit, n = start.peak, len(samples)
     noise_over_peak = np.maximum(noise / unit, _NOISE_FLOOR)
-    guess, reach, results = np.empty((n, 5)), np.zeros(n), []
+    guess, reach, results = np.empty((n, 4)), np.zeros(n), []
     for rows, window_block in around(samples, start.peak_time, start.width, offset, clip_level, _REACH):
-        nearby = search(window_block, start.peak_time[rows], start.width[rows], fit_baseline)
+        nearby = search(window_block, start.peak_time[rows], start.width[rows])
         results.append((rows, nearby))
         guess[rows], reach[rows] = nearby.start(), window_block.reach
     parts, sigma = [], noise_over_peak.copy()
@@ -184,8 +175,7 @@ def _fit_block(
     coloured = np.empty(0, np.intp) if colour is None else colour.rows
     for rows, before in ((np.delete(np.arange(n), coloured), 0), (coloured, ORDER)):
         levels = (offset[rows], clip_level[rows], unit[rows])
-        curve = {"fit_baseline": fit_baseline, "onset": rows_of(onset, rows), "response": response}
-        for window in windows(samples, guess[rows], *levels, **curve, before=before, among=rows):
+        for window in windows(samples, guess[rows], *levels, before=before, among=rows):
             if before and colour is not None and n_quiet is not None:
                 some = window.rows
                 window.colour = colour.of(some)
@@ -193,8 +183,8 @@ def _fit_block(
                     window.colour = ar_noise_of(samples[some], n_quiet[some], floor[some], window.run)
                 sigma[some] = window.colour.innovation / unit[some] * np.sqrt(window.run)
             parts.append(window)
-    guess[:, [0, 4]] /= unit[:, None]
-    problems = Problems(parts, onset)
+    guess[:, 0] /= unit
+    problems = Problems(parts)
     best = search_nearby(problems, guess, sigma / np.sqrt(problems.averaged), np.arange(n))
     return _report(problems, best, sigma, noise_over_peak, unit, SearchResult.joined(results), reach)
 
@@ -206,7 +196,7 @@ def _report(
     variance = sigma**2 / problems.averaged
     # The accuracy of the pulse model limits the fit, however good the recorder.
     believed = variance + (MODEL_ERROR * best.parameters[:, 0]) ** 2 / problems.averaged
-    covariance = parabolic(problems, best, believed)
+    covariance = parabolic(best, believed)
     shape = best.parameters[:, 3]
     restitution = gaussian_restitution(shape, covariance[:, 3, 3])
     doubt = (covariance[:, 3, 3] > PARABOLIC**2) | result.in_doubt(shape, believed * problems.averaged * unit**2)
@@ -217,12 +207,10 @@ def _report(
         if rows.size:
             profile = profiled(problems, result.rows(rows), unit[rows], rows)
             tops = _improve(problems, best, profile, believed, rows)
-            covariance[rows], restitution[:, rows] = profile.moments(tops, believed[rows], problems)
-    peak, log_width, peak_time, shape, baseline = best.parameters.T
+            covariance[rows], restitution[:, rows] = profile.moments(tops, believed[rows])
+    peak, log_width, peak_time, shape = best.parameters.T
     width = np.exp(log_width)
     duration, lead, _, _ = relative_times(shape)
-    covariance[:, 4] *= unit[:, None]
-    covariance[:, :, 4] *= unit[:, None]
     each = [(window.largest_outside, window.reach, *window.counts()) for window in problems.windows]
     outside, end, clipped, counted = (problems.gathered(part) for part in zip(*each, strict=True))
     reach = np.maximum(np.maximum(end, reach), last_bin(peak_time, width, shape))
@@ -234,7 +222,6 @@ def _report(
         onset=peak_time - lead * width,
         width=width,
         shape=shape,
-        baseline=baseline * unit,
         covariance=covariance,
         restitution_deviation=restitution[0],
         expected_restitution=restitution[1],

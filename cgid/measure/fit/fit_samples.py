@@ -52,13 +52,12 @@ class Window:
         length: int,
         run: int,
         levels: Floats,
-        fit_baseline: bool,
         onset: Floats | None,
         response: Floats | None,
     ) -> None:
         (n, n_samples), (offset, clip_level, unit) = (len(rows), samples.shape[1]), levels
         self.rows, self.run, self.averaged, self.reach = rows, run, np.full(n, float(run)), first + length - 1
-        self.fit_baseline, self.onset, self.free = fit_baseline, onset, free_parameters(onset is not None, fit_baseline)
+        self.onset, self.free = onset, free_parameters(onset is not None)
         self.largest_outside = _largest_outside(samples, rows, first, length, offset) / unit
         self.times = first[:, None] + (0.5 * (run - 1) + run * np.arange(length // run, dtype=np.float64))
         columns = first[:, None] + np.arange(length)
@@ -103,7 +102,7 @@ class Window:
 
     def slopes_and_residual(self, parameters: Floats, rows: Selected = slice(None)) -> Floats:
         """Return the slopes of the curve and, last, samples minus curve, (n, n_free + 1, n_points)."""
-        curves = slopes_and_pulse(parameters, self.times[rows], self.onset is not None, self.fit_baseline)
+        curves = slopes_and_pulse(parameters, self.times[rows], self.onset is not None)
         if self._mixing is not None:
             curves = curves @ self._mixing
         if self.run > 1:
@@ -111,8 +110,6 @@ class Window:
             curves[..., 1:-1] += (1 - self.run**-2) / 24 * np.diff(curves, n=2)
         residual = curves[:, -1]
         np.subtract(self.values[rows], residual, out=residual)
-        if self.fit_baseline:
-            residual -= parameters[:, 4:]
         # Points outside the frame have no weight, nor do clipped samples below the curve.
         ignored = rows_of(self.outside, rows)
         if self.clipped is not None:
@@ -124,7 +121,7 @@ class Window:
 
 
 def tied(parameters: Floats, onset: Floats | None) -> Floats:
-    """Return the parameters (n, 5), with the peak time that follows from a known onset (n,), changed in place."""
+    """Return the parameters (n, 4), with the peak time that follows from a known onset (n,), changed in place."""
     if onset is not None:
         parameters[:, 2] = onset + relative_times(parameters[:, 3])[1] * np.exp(parameters[:, 1])
     return parameters
@@ -137,13 +134,12 @@ def windows(
     clip_level: Floats | float,
     unit: Floats | float = 1.0,
     *,
-    fit_baseline: bool = False,
     onset: Floats | None = None,
     response: Floats | None = None,
     before: int = 0,
     among: NDArray[np.intp] | None = None,
 ) -> Iterator[Window]:
-    """Yield windows around pulses (peak, ln width, peak time, shape, baseline), grouped by similar length."""
+    """Yield windows around pulses (peak, ln width, peak time, shape), grouped by similar length."""
     # Values are divided by `unit`; `offset` and `clip_level` are in the unit of the samples. Each window begins
     # `before` points earlier than the pulse needs. With a sensor's response samples are not averaged.
     levels = np.stack([np.broadcast_to(value, len(guess)) for value in (offset, clip_level, unit)])
@@ -156,7 +152,7 @@ def windows(
         run = max(-(-length // _LONGEST), 1) if response is None else 1
         length = -(-length // run) * run + before * run
         selected = rows if among is None else among[rows]
-        curve = (fit_baseline, rows_of(onset, rows), response)
+        curve = (rows_of(onset, rows), response)
         yield Window(samples, selected, first[rows] - before * run, length, run, levels[:, rows], *curve)
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid._lib.validation import Floats
-from cgid.measure.fit.fit_samples import Selected, Window, rows_of, tied
+from cgid.measure.fit.fit_samples import Selected, Window
 from cgid.measure.fit.least_squares import least_squares
 from cgid.measure.fit.template import MAX_SHAPE, MIN_SHAPE, bounded
 
@@ -23,13 +23,12 @@ _BLOCK = 16384
 
 
 class Problems:
-    """The windows of many rows, by the position of each row; `onset` (n,) [samples] may be unknown."""
+    """The windows of many rows, by the position of each row."""
 
     # `averaged` (n,): samples per point of each row's window; `coloured` (n,): rows whose noise is not white.
 
-    def __init__(self, windows: list[Window], onset: Floats | None) -> None:
-        self.windows, self.onset = windows, onset
-        self.free, self.fit_baseline = windows[0].free, windows[0].fit_baseline
+    def __init__(self, windows: list[Window]) -> None:
+        self.windows, self.free = windows, windows[0].free
         n = sum(len(window.rows) for window in windows)
         self._window, self._row = np.zeros(n, np.intp), np.arange(n)
         for number, window in enumerate(windows):
@@ -44,12 +43,8 @@ class Problems:
             out[window.rows] = of_window
         return out
 
-    def tied(self, parameters: Floats, rows: Selected = slice(None)) -> Floats:
-        """Return the parameters, with the peak time that follows from a known onset."""
-        return tied(parameters, rows_of(self.onset, rows))
-
     def equations(self, parameters: Floats, rows: NDArray[np.intp]) -> Floats:
-        """Return the products (n, n_free + 1, n_free + 1) of slopes and, last, the residual at parameters (n, 5)."""
+        """Return the products (n, n_free + 1, n_free + 1) of slopes and, last, the residual at parameters (n, 4)."""
         out = np.empty((len(rows), len(self.free) + 1, len(self.free) + 1))
         number, place = self._window[rows], self._row[rows]
         for k, window in enumerate(self.windows):
@@ -63,7 +58,7 @@ class Problems:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Optimum:
-    """Parameters (n, 5), squared residual, information (times the variance of the noise) and convergence of rows."""
+    """Parameters (n, 4), squared residual, information (times the variance of the noise) and convergence of rows."""
 
     parameters: Floats
     cost: Floats
@@ -81,15 +76,15 @@ class Optimum:
 
 
 def search_nearby(problems: Problems, guess: Floats, sigma: Floats, rows: NDArray[np.intp]) -> Optimum:
-    """Return the optimum nearest to a guess, (n, 5), for some rows (n,); `sigma` (n,) is the noise of a point."""
+    """Return the optimum nearest to a guess, (n, 4), for some rows (n,); `sigma` (n,) is the noise of a point."""
     free, column = problems.free, problems.free.index(3)
 
-    def moved(parameters: Floats, step: Floats, some: NDArray[np.intp]) -> Floats:
+    def moved(parameters: Floats, step: Floats, _some: NDArray[np.intp]) -> Floats:
         new = parameters.copy()
         new[:, free] += bounded(step, free, np.exp(parameters[:, 1]))
         new[:, 3] = np.minimum(np.maximum(new[:, 3], MIN_SHAPE), MAX_SHAPE)
         # Without any samples a step may be nan, which counts as no step.
-        return problems.tied(np.where(np.isfinite(new), new, parameters), rows[some])
+        return np.where(np.isfinite(new), new, parameters)
 
     def at_bound(parameters: Floats, gradient: Floats) -> NDArray[np.bool_]:
         """Return which shapes are at a bound that the step would cross."""
@@ -99,7 +94,7 @@ def search_nearby(problems: Problems, guess: Floats, sigma: Floats, rows: NDArra
         return out
 
     parameters, products, converged = least_squares(
-        problems.tied(np.where(np.isfinite(guess), guess, 0.0), rows),
+        np.where(np.isfinite(guess), guess, 0.0),
         lambda parameters, some: problems.equations(parameters, rows[some]),
         moved,
         _LAST * sigma**2,
@@ -107,10 +102,3 @@ def search_nearby(problems: Problems, guess: Floats, sigma: Floats, rows: NDArra
         at_bound,
     )
     return Optimum(parameters, products[:, -1, -1], products[:, :-1, :-1], converged)
-
-
-def normal_equations(residual: Floats, slopes: Floats) -> tuple[Floats, Floats, Floats]:
-    """Return squared residual (n,), information (n, n_free, n_free) and gradient (n, n_free)."""
-    information = np.matmul(slopes, np.swapaxes(slopes, 1, 2))
-    gradient = np.matmul(slopes, residual[..., None])[..., 0]
-    return np.sum(residual**2, axis=1), information, gradient

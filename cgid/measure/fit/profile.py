@@ -60,29 +60,27 @@ def _interpolation() -> tuple[Floats, Floats]:
     return fine, matrix
 
 
-def parabolic(problems: Problems, best: Optimum, variance: Floats) -> Floats:
+def parabolic(best: Optimum, variance: Floats) -> Floats:
     """Return the covariance of a parabolic likelihood for noise of this variance, (n,)."""
-    known = problems.onset is not None
-    covariance = covariance_of(best.information, best.parameters, known, problems.fit_baseline)
-    return covariance * variance[:, None, None]
+    return covariance_of(best.information, best.parameters) * variance[:, None, None]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Profiled:
     """The best parameters at each of `PROFILED` shapes, and their squared residuals."""
 
-    parameters: Floats  # (n, n_shapes, 5)
+    parameters: Floats  # (n, n_shapes, 4)
     cost: Floats  # (n, n_shapes)
     result: SearchResult
     scale: Floats  # (n,), factor from costs of the search to squared residuals
     binned: bool  # whether costs of the search are used, since bins contain as much information as samples
 
     def second(self, best: Optimum, variance: Floats) -> tuple[Floats, NDArray[np.bool_]]:
-        """Return parameters (n, 5) of the second likely shape, and which rows have one."""
+        """Return parameters (n, 4) of the second likely shape, and which rows have one."""
         # The minimum that the first search did not end in.
         away = [np.abs(self.result.shape_of(k) - best.parameters[:, 3]) for k in (0, 1)]
         guess = np.where((away[1] < away[0])[:, None], self.result.start(), self.result.start(second=True))
-        guess[:, [0, 4]] *= (self.parameters[:, 0, 0] / self.result.peak[:, 0])[:, None]
+        guess[:, 0] *= self.parameters[:, 0, 0] / self.result.peak[:, 0]
         likely = self.result.has_second(BIN * self.result.unit * variance / self.scale)
         if self.binned:
             return guess, likely
@@ -91,7 +89,7 @@ class Profiled:
         lower = far[rows, node] < best.cost + np.where(likely, -1, 16) * variance
         return np.where(lower[:, None], self.parameters[rows, node], guess), likely | lower
 
-    def moments(self, tops: list[Optimum], variance: Floats, problems: Problems) -> tuple[Floats, Floats]:
+    def moments(self, tops: list[Optimum], variance: Floats) -> tuple[Floats, Floats]:
         """Return covariances about the best parameters, and restitutions as `gaussian_restitution`."""
         # `tops` contains the best parameters and those of a second maximum, of infinite cost if there is none. A
         # maximum narrower than the grid counts by its own parabola, as three points of Gauss-Hermite quadrature.
@@ -99,7 +97,7 @@ class Profiled:
         best, shapes = tops[0].parameters, [np.broadcast_to(fine, (len(variance), fine.size))]
         squares = [np.matmul((self.cost / variance[:, None])[:, None], spline.T)[:, 0]]
         away = [np.matmul(spline, _away(self.parameters, PROFILED, best))]
-        covariances = [parabolic(problems, top, variance) for top in tops]
+        covariances = [parabolic(top, variance) for top in tops]
         for top, covariance in zip(tops, covariances, strict=True):
             shape = top.parameters[:, 3:4]
             deviation = np.sqrt(covariance[:, 3, 3:4])
@@ -117,8 +115,6 @@ class Profiled:
         s, square, moved = (np.concatenate(parts, axis=1) for parts in (shapes, squares, away))
         weight = np.exp(-0.5 * (square - square.min(axis=1, keepdims=True)))
         weight /= weight.sum(axis=1, keepdims=True)
-        if problems.onset is not None:
-            moved[:, :, 2] = 0.0
         spread = np.matmul(np.swapaxes(moved, 1, 2), weight[:, :, None] * moved)
         column = covariances[0][:, :, 3]
         given_shape = covariances[0] - column[:, :, None] * column[:, None] / column[:, 3][:, None, None]
@@ -134,18 +130,18 @@ class Profiled:
 
 
 def _away(parameters: Floats, shape: Floats, best: Floats) -> Floats:
-    """Return differences of parameters (n, k, 5) at some shapes from the best (n, 5), in reported quantities."""
+    """Return differences of parameters (n, k, 4) at some shapes from the best (n, 4), in reported quantities."""
     away = _reported(parameters, shape) - _reported(best[:, None], best[:, 3:4])
     return np.where(np.isfinite(away), away, 0.0)
 
 
 def _reported(parameters: Floats, shape: Floats) -> Floats:
-    """Return (ln peak, ln duration, onset, shape, baseline) of parameters (n, k, 5) at shapes of (n, k) or (k,)."""
+    """Return (ln peak, ln duration, onset, shape) of parameters (n, k, 4) at shapes of (n, k) or (k,)."""
     duration, lead, _, _ = (a.reshape(shape.shape) for a in relative_times(shape.ravel()))
     shape = np.broadcast_to(shape, parameters.shape[:2])
     log_peak = np.log(np.maximum(parameters[:, :, 0], 1e-300))
     onset = parameters[:, :, 2] - lead * np.exp(parameters[:, :, 1])
-    return np.stack([log_peak, parameters[:, :, 1] + np.log(duration), onset, shape, parameters[:, :, 4]], axis=2)
+    return np.stack([log_peak, parameters[:, :, 1] + np.log(duration), onset, shape], axis=2)
 
 
 def binned(problems: Problems, result: SearchResult, unit: Floats, rows: NDArray[np.intp]) -> Profiled:
@@ -160,19 +156,17 @@ def _scale(problems: Problems, result: SearchResult, unit: Floats, rows: NDArray
 
 
 def _at_shapes(result: SearchResult, unit: Floats) -> Floats:
-    """Return the parameters of the search at each of `PROFILED`, (n, n_shapes, 5)."""
-    peak, width, peak_time, baseline = (
-        a[:, _EVERY] for a in (result.peak, result.width, result.peak_time, result.baseline)
-    )
+    """Return the parameters of the search at each of `PROFILED`, (n, n_shapes, 4)."""
+    peak, width, peak_time = (a[:, _EVERY] for a in (result.peak, result.width, result.peak_time))
     shape = np.broadcast_to(PROFILED, peak.shape)
-    return np.stack([peak / unit[:, None], np.log(width), peak_time, shape, baseline / unit[:, None]], axis=2)
+    return np.stack([peak / unit[:, None], np.log(width), peak_time, shape], axis=2)
 
 
 def exact(problems: Problems, result: SearchResult, unit: Floats, rows: NDArray[np.intp]) -> Profiled:
     """Return the best parameters at each shape, by one Gauss-Newton step from the results of the search."""
     n, n_shapes, scale = len(rows), PROFILED.size, _scale(problems, result, unit, rows)
     each = np.repeat(rows, n_shapes)
-    flat = problems.tied(_at_shapes(result, unit).reshape(-1, 5), each)
+    flat = _at_shapes(result, unit).reshape(-1, 4)
     indices = [k for k, column in enumerate(problems.free) if column != 3]
     columns = [problems.free[k] for k in indices]
     products = problems.equations(flat, each)
@@ -180,4 +174,4 @@ def exact(problems: Problems, result: SearchResult, unit: Floats, rows: NDArray[
     step = solve_scaled(information, gradient, 1e-9)
     cost = cost - np.sum(step * gradient, axis=1)
     flat[:, columns] += bounded(step, columns, np.exp(flat[:, 1]))
-    return Profiled(flat.reshape(n, n_shapes, 5), cost.reshape(n, n_shapes), result, scale, False)
+    return Profiled(flat.reshape(n, n_shapes, 4), cost.reshape(n, n_shapes), result, scale, False)

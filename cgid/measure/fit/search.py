@@ -45,7 +45,7 @@ class PulseBank:
     # `peak_time`, `width`: of each node's peak and of its width (impulse over peak) in common coordinates, (n_nodes,)
     peak_time: Floats
     width: Floats
-    # pulse, slopes in peak time and ln(width), and optionally a constant, averaged over bins, (n_nodes, n_bins, n_free)
+    # pulse, slopes in peak time and ln(width), averaged over bins, (n_nodes, n_bins, n_free)
     basis: Floats
     products: Floats  # of the columns of the basis, (n_bins, n_nodes n_free n_free)
     inverse: Floats  # of the information of all bins, (n_nodes, n_free, n_free)
@@ -62,13 +62,11 @@ class PulseBank:
 
 
 @cache
-def bank(with_baseline: bool = False) -> PulseBank:
+def bank() -> PulseBank:
     """Return the bank from its file: making it takes longer than the fit of a few pulses."""
     with np.load(SHAPES_PATH, allow_pickle=False) as stored:
         peak_time, width, tangents = stored["place"], stored["width"], stored["tangents"]
     basis = tangents[:, :, :3]
-    if with_baseline:
-        basis = np.concatenate([basis, np.ones((NODES.size, N_BINS, 1))], axis=2)
     products = np.einsum("kbi,kbj->bkij", basis, basis).reshape(N_BINS, -1)
     inverse = np.linalg.inv(products.sum(axis=0).reshape(NODES.size, *basis.shape[2:] * 2))
     return PulseBank(peak_time, width, basis, products, inverse, tangents)
@@ -179,10 +177,9 @@ class SearchResult:
     """The result of the search, each (n, n_nodes); `unit` [samples] is (n,)."""
 
     cost: Floats  # sum over the bins of the squared residual
-    peak: Floats  # `peak`, `peak_time`, `width`, `baseline`: the best at each shape, times in samples
+    peak: Floats  # `peak`, `peak_time`, `width`: the best at each shape, times in samples
     peak_time: Floats
     width: Floats
-    baseline: Floats
     unit: Floats
 
     @classmethod
@@ -223,20 +220,20 @@ class SearchResult:
         return np.asarray(np.where((away[1] < away[0]) & np.isfinite(second), second, lowest))
 
     def start(self, second: bool = False) -> Floats:
-        """Return parameters (peak, ln width, peak time, shape, baseline) near the best, or the second best, (n, 5)."""
+        """Return parameters (peak, ln width, peak time, shape) near the best, or the second best, (n, 4)."""
         rows, node, shape = np.arange(len(self.cost)), self._valleys[0][int(second)], self.shape_of(int(second))
         middle = np.clip(node, 1, NODES.size - 2)
         share = (shape - NODES[node]) / (NODES[1] - NODES[0])  # 0 where the neighbours differ
         before, at, after = (
-            np.array([part[rows, k] for part in (self.peak, self.width, self.peak_time, self.baseline)])
+            np.array([part[rows, k] for part in (self.peak, self.width, self.peak_time)])
             for k in (middle - 1, node, middle + 1)
         )
         for part in (before, at, after):
             np.log(part[1], out=part[1])
-        peak, log_width, peak_time, baseline = at + np.where(
+        peak, log_width, peak_time = at + np.where(
             share == 0, 0.0, 0.5 * share * (after - before) + 0.5 * share**2 * (after - 2 * at + before)
         )
-        return np.array([peak, log_width, peak_time, shape, baseline]).T
+        return np.array([peak, log_width, peak_time, shape]).T
 
     @cached_property
     def _parabolas(self) -> tuple[Floats, Floats]:
@@ -265,9 +262,9 @@ class SearchResult:
         return np.stack([first, second]), np.stack([deepest, depths[rows, second]])
 
 
-def search(samples: Samples, peak_time: Floats, width: Floats, with_baseline: bool = False) -> SearchResult:
+def search(samples: Samples, peak_time: Floats, width: Floats) -> SearchResult:
     """Return the best pulses of all shapes in frames, from approximate peak times and widths [samples], each (n,)."""
-    shapes = bank(with_baseline)
+    shapes = bank()
     n, n_nodes = len(peak_time), NODES.size
     origin, unit = peak_time.copy(), width.copy()
     solution = np.zeros((n, n_nodes, shapes.basis.shape[2]))
@@ -292,13 +289,11 @@ def search(samples: Samples, peak_time: Floats, width: Floats, with_baseline: bo
     # First-order moves from the common origin and unit, for each shape.
     move, stretch = (np.clip(solution[:, :, k] / peak, -_MAX_STEP, _MAX_STEP) for k in (1, 2))
     stretched_unit = unit[:, None] * np.exp(stretch)
-    baseline = solution[:, :, 3] if with_baseline else np.zeros_like(peak)
     return SearchResult(
         cost,
         peak,
         origin[:, None] + unit[:, None] * move + stretched_unit * shapes.peak_time,
         stretched_unit * shapes.width,
-        baseline,
         unit,
     )
 

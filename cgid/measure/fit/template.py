@@ -8,7 +8,7 @@ It is tabulated with its derivatives at `N_SHAPES` shapes and `N_CELLS` equal pa
 from the nearest node to second order. `tests/references/make_shapes.py` makes the tables from
 `cgid.measure.fit.family`.
 
-The parameters of a fit, (peak, ln width, peak time, s, baseline) with width = impulse over peak, are
+The parameters of a fit, (peak, ln width, peak time, s) with width = impulse over peak, are
 nearly independent; contact duration and onset would be strongly correlated with s. `PARAMETERS` are reported.
 """
 
@@ -40,20 +40,6 @@ def dimensionless(shapes: Floats) -> tuple[Floats, Floats, Floats, Floats]:
     restitution = np.minimum(np.exp(shapes), family.MAX_RESTITUTION)
     contact, rise_time, _ = family.times(restitution)
     return restitution, contact, rise_time, family.force(rise_time[:, None], restitution)[:, 0]
-
-
-def dimensionless_logarithms(shape: Floats, *names: str) -> tuple[Floats, ...]:
-    """Return ln of "contact" time, "peak" or "width" of the dimensionless pulse by a table, each as `shape`."""
-    table = _logarithms()
-    return tuple(np.interp(shape, table["shape"], table[name]) for name in names)
-
-
-@cache
-def _logarithms() -> dict[str, Floats]:
-    grid = np.linspace(MIN_SHAPE, 0.0, 1201)
-    restitution, contact, _, peak = dimensionless(grid)
-    # The impulse of m x'' from 1 to -e is 1 + e.
-    return {"shape": grid, "contact": np.log(contact), "peak": np.log(peak), "width": np.log((1 + restitution) / peak)}
 
 
 @cache
@@ -97,24 +83,20 @@ def curve(fraction: Floats, shape: Floats) -> Floats:
 
 
 #: Order of the parameters in a reported covariance.
-PARAMETERS = ("ln_peak", "ln_duration", "onset", "shape", "baseline")
-#: Shapes and points in time for the information of a densely sampled pulse.
-_GRID, _POINTS = 241, 300
+PARAMETERS = ("ln_peak", "ln_duration", "onset", "shape")
 
 
-def free_parameters(onset_known: bool, fit_baseline: bool) -> list[int]:
-    """Return the columns of (peak, ln width, peak time, shape, baseline) that are fitted."""
-    return [0, 1, *([] if onset_known else [2]), 3, *([4] if fit_baseline else [])]
+def free_parameters(onset_known: bool) -> list[int]:
+    """Return the columns of (peak, ln width, peak time, shape) that are fitted."""
+    return [0, 1, 3] if onset_known else [0, 1, 2, 3]
 
 
-def slopes_and_pulse(
-    parameters: Floats, times: Floats, onset_known: bool = False, fit_baseline: bool = False
-) -> Floats:
-    """Return slopes in the free parameters and, last, pulses without baseline, (n, n_free + 1, n_samples)."""
+def slopes_and_pulse(parameters: Floats, times: Floats, onset_known: bool = False) -> Floats:
+    """Return slopes in the free parameters and, last, pulses, (n, n_free + 1, n_samples)."""
     # With a known onset, the peak time follows from width and shape. The error against `curve` is 1e-5 of the peak for
     # e from .2 and 1.2e-4 at .05; within a thousandth of the contact from its ends up to 4e-5 for e from .3, 4e-4 at
     # .05.
-    peak, log_width, peak_time, shape, _ = parameters.T
+    peak, log_width, peak_time, shape = parameters.T
     width = np.exp(log_width)
     node, offset, duration, lead, duration_slope, lead_slope = _near_node(shape)
     turned = shape > 0
@@ -138,7 +120,7 @@ def slopes_and_pulse(
     ]
     ds, half, z0, z1, to_peak_time, in_s, s0, s1 = np.array(of_rows, np.float32)[:, :, None]
     n, n_points = times.shape
-    out = np.empty((n, len(free_parameters(onset_known, fit_baseline)) + 1, n_points))
+    out = np.empty((n, len(free_parameters(onset_known)) + 1, n_points))
     x = times * scale[:, None]
     x += shift[:, None]
     np.minimum(np.maximum(x, 0.0, out=x), N_CELLS, out=x)
@@ -175,66 +157,22 @@ def slopes_and_pulse(
     x *= slope
     g_s *= in_s
     np.add(x, g_s, out=out[:, 2 if onset_known else 3])
-    if fit_baseline:
-        out[:, -2] = 1.0
     return out
 
 
-def pulse_and_slopes(
-    parameters: Floats, times: Floats, onset_known: bool = False, fit_baseline: bool = False
-) -> tuple[Floats, Floats]:
-    """Return the parts of `slopes_and_pulse`: pulses (n, n_samples), and their slopes (n, n_free, n_samples)."""
-    both = slopes_and_pulse(parameters, times, onset_known, fit_baseline)
-    return both[:, -1], both[:, :-1]
-
-
-def covariance_of(
-    information: Floats, parameters: Floats, onset_known: bool = False, fit_baseline: bool = False
-) -> Floats:
-    """Return the covariance of `PARAMETERS`, (n, 5, 5), for noise of variance 1; zero where a parameter is known."""
-    peak, log_width, _, shape, _ = parameters.T
+def covariance_of(information: Floats, parameters: Floats) -> Floats:
+    """Return the covariance of `PARAMETERS`, (n, 4, 4), for noise of variance 1."""
+    peak, log_width, _, shape = parameters.T
     width = np.exp(log_width)
     duration, lead, duration_slope, lead_slope = relative_times(shape)
-    jacobian = np.zeros((len(peak), 5, 5))
+    jacobian = np.zeros((len(peak), 4, 4))
     jacobian[:, 0, 0] = 1 / peak
     jacobian[:, 1, 1], jacobian[:, 1, 3] = 1.0, duration_slope / duration
-    if not onset_known:
-        jacobian[:, 2, 1], jacobian[:, 2, 2], jacobian[:, 2, 3] = -lead * width, 1.0, -lead_slope * width
-    jacobian[:, 3, 3] = jacobian[:, 4, 4] = 1.0
-    jacobian = jacobian[:, :, free_parameters(onset_known, fit_baseline)]
+    jacobian[:, 2, 1], jacobian[:, 2, 2], jacobian[:, 2, 3] = -lead * width, 1.0, -lead_slope * width
+    jacobian[:, 3, 3] = 1.0
     scale, unit = scaled(information, 1e-12)
     inverse = np.linalg.inv(unit) / (scale[:, :, None] * scale[:, None, :])
     return np.asarray(jacobian @ inverse @ np.swapaxes(jacobian, 1, 2))
-
-
-@cache
-def _shape_deviation() -> tuple[Floats, Floats]:
-    """Return shapes s, and ln(standard deviation of s) there with two derivatives, for densely sampled pulses."""
-    shapes = np.linspace(MIN_SHAPE, MAX_SHAPE, _GRID)
-    duration, lead, _, _ = relative_times(shapes)
-    ones, zeros = np.ones(_GRID), np.zeros(_GRID)
-    parameters = np.stack([ones, zeros, lead, shapes, zeros], axis=1)
-    times = duration[:, None] * (np.arange(_POINTS) + 0.5) / _POINTS
-    _, slopes = pulse_and_slopes(parameters, times)
-    information = np.matmul(slopes, np.swapaxes(slopes, 1, 2)) * (duration / _POINTS)[:, None, None]
-    deviation = np.log(covariance_of(information, parameters)[:, 3, 3]) / 2
-    step = shapes[1] - shapes[0]
-    slope = np.gradient(deviation, step)
-    return shapes, np.stack([deviation, slope, np.gradient(slope, step)])
-
-
-def shape_deviation(shape: Floats) -> Floats:
-    """Return ln(standard deviation of s) of densely sampled pulses plus a constant, and two derivatives, (3, n)."""
-    grid, tabulated = _shape_deviation()
-    position = (shape - MIN_SHAPE) / (grid[1] - grid[0])
-    node = np.clip(position.astype(np.intp), 0, _GRID - 2)
-    return np.asarray(tabulated[:, node] + (position - node) * (tabulated[:, node + 1] - tabulated[:, node]))
-
-
-def parameters_of(peak: Floats, width: Floats, onset: Floats, shape: Floats) -> Floats:
-    """Return (peak, ln width, peak time, shape, baseline 0), (n, 5), of pulses given by their onset."""
-    _, lead, _, _ = relative_times(shape)
-    return np.stack([peak, np.log(width), onset + lead * width, shape, np.zeros_like(peak)], axis=1)
 
 
 def bounded(step: Floats, free: list[int], width: Floats) -> Floats:
