@@ -485,7 +485,7 @@ def follow(way: list[str], run_one: Callable[[list[str]], int]) -> list[str]:
 def test_every_command_of_a_hint_works(
     name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """As printed, on the very file, which lies elsewhere. Modes are not learned, and few signals train: all else is done."""
+    """As printed, on the very file, in another folder. Modes are not learned, and few signals train: all else is done."""
 
     def unlearned(scene: Scene, blows: np.ndarray, *_: object, **__: object) -> SiteCalibration:
         assert len(blows) >= FEWEST
@@ -520,6 +520,22 @@ def test_every_command_of_a_hint_works(
     commands = [follow(way, run_one) for hint in hints for way in (hint["commands"], hint["instead"])]
     capsys.readouterr()
     assert any(commands)
+
+
+@pytest.mark.parametrize("name", few(("kilo.npy", "down.npy", "two.csv", "volts.npy", "units.csv", *OTHER_RECORDINGS)))
+def test_the_same_is_told_with_and_without_a_report(
+    name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What a hint has told of a channel is not told again."""
+    monkeypatch.chdir(tmp_path)
+    _, options = recordings_with_hints(tmp_path)[name]
+    told = []
+    for more in ((), ("--report", "page.html")):
+        assert run(["predict", name, *options, "--json", *more]) == 0
+        lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+        told.append([line for line in lines if line["kind"] in ("warning", "hint")])
+    assert told[0] == told[1]
+    assert any(line["kind"] == "hint" for line in told[0])
 
 
 # -- the level ----------------------------------------------------------------------------------------
