@@ -485,7 +485,7 @@ def follow(way: list[str], run_one: Callable[[list[str]], int]) -> list[str]:
 def test_every_command_of_a_hint_works(
     name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """As printed, on the very file, in another folder. Modes are not learned, and few signals train: all else is done."""
+    """As printed, on the file, from another folder. Modes are not learned, and few signals train: all else is done."""
 
     def unlearned(scene: Scene, blows: np.ndarray, *_: object, **__: object) -> SiteCalibration:
         assert len(blows) >= FEWEST
