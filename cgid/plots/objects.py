@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from cgid._lib import validation
 from cgid.errors import InvalidValue, optional
-from cgid.plots.figure import NEUTRAL, colours_of, plain
-from cgid.plots.recording import written
+from cgid.plots.figure import NEUTRAL, colours_of, plain, written
 from cgid.units import quantity_of
 
 if TYPE_CHECKING:
