@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from cgid import units
 from cgid._lib import validation
-from cgid._lib.lazy import picture_of
 from cgid._lib.notebook import counts_text, facts_table
 from cgid._lib.terminal import counted
 from cgid._lib.validation import Floats, rates_agree, require_rate
@@ -122,7 +121,9 @@ class Signal:
         MissingExtra
             matplotlib is not installed.
         """
-        return picture_of("plot_signal", self, axes)
+        from cgid.plots.objects import plot_signal
+
+        return plot_signal(self, axes)
 
     @property
     def name(self) -> str:
@@ -351,7 +352,9 @@ class Batch:
         MissingExtra
             matplotlib is not installed.
         """
-        return picture_of("plot_batches", [self], n, "Batch", axes)
+        from cgid.plots.objects import plot_batches
+
+        return plot_batches([self], n, "Batch", axes)
 
     def drop_heights(self) -> Floats | None:
         """Return the drop height of each rock [m]; None if the batch does not store it.

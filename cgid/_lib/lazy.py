@@ -5,12 +5,6 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable
 from importlib import import_module
-from typing import Any
-
-
-def picture_of(what: str, *arguments: Any) -> Any:
-    """Return what a function of `cgid.plots.objects` draws: pictures lie above the objects whose methods draw them."""
-    return getattr(import_module("cgid.plots.objects"), what)(*arguments)
 
 
 def homes_of(package: str) -> dict[str, str]:
