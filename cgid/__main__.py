@@ -1,4 +1,4 @@
-"""`python -m cgid` is the command line."""
+"""`python -P -m cgid` is the command line."""
 
 import sys
 

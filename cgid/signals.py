@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from cgid import units
 from cgid._lib import validation
-from cgid._lib.lazy import picture_of
 from cgid._lib.notebook import counts_text, facts_table
 from cgid._lib.terminal import counted
 from cgid._lib.validation import rates_agree, require_rate
@@ -119,7 +118,9 @@ class Signal:
         MissingExtra
             matplotlib is not installed.
         """
-        return picture_of("plot_signal", self, axes)
+        from cgid.plots.objects import plot_signal
+
+        return plot_signal(self, axes)
 
     @property
     def name(self) -> str:
@@ -348,4 +349,6 @@ class Batch:
         MissingExtra
             matplotlib is not installed.
         """
-        return picture_of("plot_batches", [self], n, "Batch", axes)
+        from cgid.plots.objects import plot_batches
+
+        return plot_batches([self], n, "Batch", axes)

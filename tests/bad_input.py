@@ -637,7 +637,7 @@ _COMMANDS = r"""
 2 | label good.csv --save m.txt | --save is withdrawn
 2 | predict good.csv --strict | --strict is withdrawn
 2 | plot good.csv -o new.png --kind pulse | --kind is withdrawn
-2 | predict good.csv --hold 5 | --set hold=VALUE
+2 | predict good.csv --set hold=5 | --set hold=VALUE
 66 | label good.csv --model gone.npz | gone.npz
 2 | label good.csv --port 0 | --port
 65 | label constant.csv motion.csv | motion.csv

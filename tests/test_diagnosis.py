@@ -485,7 +485,7 @@ def follow(way: list[str], run_one: Callable[[list[str]], int]) -> list[str]:
 def test_every_command_of_a_hint_works(
     name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """As printed, on the very file. Modes are not learned, and few signals train: all else is done."""
+    """As printed, on the file, from another folder. Modes are not learned, and few signals train: all else is done."""
 
     def unlearned(scene: Scene, blows: np.ndarray, *_: object, **__: object) -> SiteCalibration:
         assert len(blows) >= FEWEST
@@ -508,15 +508,34 @@ def test_every_command_of_a_hint_works(
         return run([*arguments, *["-n", "600"] * (arguments[:2] == ["train", "site.toml"])])
 
     monkeypatch.setattr("cgid.calibration.calibrate", unlearned)
-    monkeypatch.chdir(tmp_path)
-    cause, options = recordings_with_hints(tmp_path)[name]
-    assert run(["predict", name, *options, "--json"]) == 0
+    recordings, foreign = tmp_path / "recordings", tmp_path / "foreign"
+    recordings.mkdir()
+    foreign.mkdir()
+    monkeypatch.chdir(foreign)
+    cause, options = recordings_with_hints(recordings)[name]
+    assert run(["predict", f"../recordings/{name}", *options, "--json"]) == 0
     lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
     hints = [line for line in lines if line["kind"] == "hint"]
     assert [hint["cause"] for hint in hints][:1] == [cause]
     commands = [follow(way, run_one) for hint in hints for way in (hint["commands"], hint["instead"])]
     capsys.readouterr()
     assert any(commands)
+
+
+@pytest.mark.parametrize("name", few(("kilo.npy", "down.npy", "two.csv", "volts.npy", "units.csv", *OTHER_RECORDINGS)))
+def test_the_same_is_told_with_and_without_a_report(
+    name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What a hint has told of a channel is not told again."""
+    monkeypatch.chdir(tmp_path)
+    _, options = recordings_with_hints(tmp_path)[name]
+    told = []
+    for more in ((), ("--report", "page.html")):
+        assert run(["predict", name, *options, "--json", *more]) == 0
+        lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+        told.append([line for line in lines if line["kind"] in ("warning", "hint")])
+    assert told[0] == told[1]
+    assert any(line["kind"] == "hint" for line in told[0])
 
 
 # -- the level ----------------------------------------------------------------------------------------

@@ -106,7 +106,7 @@ class Walk:
             shutil.copytree(ROOT / name, folder / name, ignore=shutil.ignore_patterns("__pycache__"))
         programs = folder / ".venv" / "bin"
         programs.mkdir(parents=True)
-        for name, command in {"cgid": "-m cgid", "python": "", "python3": ""}.items():
+        for name, command in {"cgid": "-P -m cgid", "python": "", "python3": ""}.items():
             program = programs / name
             program.write_text(f'#!/bin/sh\nexec {shlex.quote(sys.executable)} {command} "$@"\n')
             program.chmod(0o755)
@@ -266,6 +266,15 @@ def test_named_programs_exist() -> None:
     named = {(page.name, name) for page in PAGES for name in program.findall(page.read_text(encoding="utf-8"))}
     assert len(named) > 30
     assert not [(page, name) for page, name in named if not (ROOT / name).exists()]
+
+
+def test_no_document_starts_cgid_so_that_it_imports_from_the_current_folder() -> None:
+    """`python -m` does; `cgid` and `python -P -m` do not."""
+    starts = re.compile(r"-m\W{1,6}cgid\b")
+    written = [*PAGES, *ROOT.glob("*.md"), *(ROOT / "cgid").rglob("*.py"), *DOCS.rglob("*.py")]
+    written += ROOT.glob("notebooks/*.ipynb")
+    lines = [line for path in written for line in path.read_text(encoding="utf-8").splitlines() if starts.search(line)]
+    assert [line for line in lines if not re.search(r"-P\W{1,6}-m", line)] == []
 
 
 def test_docstrings_of_the_reference_are_complete(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -11,7 +11,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -205,8 +205,8 @@ class Page:
 
     opened: ClassVar[list[subprocess.Popen[str]]] = []
 
-    def __init__(self, folder: Path, *options: str) -> None:
-        command = [sys.executable, "-m", "cgid", "label", "a.npy", "--rate", str(RATE), "--unit", "g", *options]
+    def __init__(self, folder: Path, *options: str, program: Sequence[str] = (sys.executable, "-m", "cgid")) -> None:
+        command = [*program, "label", "a.npy", "--rate", str(RATE), "--unit", "g", *options]
         self.process = subprocess.Popen(
             command,
             cwd=folder,

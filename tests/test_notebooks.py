@@ -18,15 +18,19 @@ ROOT = Path(__file__).parents[1]
 NOTEBOOKS = pytest.mark.parametrize("path", sorted((ROOT / "notebooks").glob("*.ipynb")), ids=lambda path: path.name)
 
 
+@pytest.mark.parametrize("name", ["first_walk", "own_recordings"])
 @pytest.mark.filterwarnings("ignore")
-def test_cells_of_the_first_walk_run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    """In this process, with an eighth of the signals to learn from."""
+def test_cells_of_a_notebook_run(
+    name: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """In this process, with an eighth of the signals to learn from, and in the folder where Jupyter runs them."""
     monkeypatch.setenv("MPLBACKEND", "agg")
+    monkeypatch.chdir(ROOT / "notebooks")
     names: dict[str, object] = {}
-    for cell in nbformat.read(ROOT / "notebooks" / "first_walk.ipynb", as_version=4).cells:
+    for cell in nbformat.read(f"{name}.ipynb", as_version=4).cells:
         if cell.cell_type == "code":
             exec(cell.source.replace("8000", "1000"), names)
-    check("first_walk", capsys.readouterr().out)
+    check(name, capsys.readouterr().out)
 
 
 @pytest.mark.long
@@ -44,7 +48,9 @@ def test_notebook_runs(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPat
     (spec / "kernel.json").write_text(json.dumps({"argv": command, "language": "python"}))
     monkeypatch.setenv("JUPYTER_PATH", str(tmp_path))
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")]))
-    NotebookClient(notebook, timeout=300, kernel_name="python3", resources={"metadata": {"path": str(ROOT)}}).execute()
+    NotebookClient(
+        notebook, timeout=300, kernel_name="python3", resources={"metadata": {"path": str(path.parent)}}
+    ).execute()
     check(path.stem, printed_by(notebook))
 
 

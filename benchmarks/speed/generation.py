@@ -98,7 +98,9 @@ def measured(name: str, n_signals: int, folder: Path) -> Rates:
     data, table = folder / name, folder / f"{name}.h5"
     common = ["generate", name, "-n", str(n_signals)]
     jobs = ["--jobs", str(JOBS)]
-    start_up, _ = run("generate", name, "-n", str(JOBS), "--set", "shard_signals=1", "-o", folder / f"{name}-little", *jobs)
+    start_up, _ = run(
+        "generate", name, "-n", str(JOBS), "--set", "shard_signals=1", "-o", folder / f"{name}-little", *jobs
+    )
     runs = {count: run(*common, "-o", data, "--jobs", str(count), "--overwrite") for count in (1, JOBS)}
     run(*common, "-o", table, "--parameters-only")
     looked_at(synthesise(scene, 2000, 1))  # compiled

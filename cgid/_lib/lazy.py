@@ -6,12 +6,6 @@ import sys
 from collections.abc import Callable, Mapping
 from importlib import import_module
 from types import MappingProxyType
-from typing import Any
-
-
-def picture_of(what: str, *arguments: Any) -> Any:
-    """Return what a function of `cgid.plots.objects` draws: pictures lie above the objects whose methods draw them."""
-    return getattr(import_module("cgid.plots.objects"), what)(*arguments)
 
 
 def homes_of(package: str) -> dict[str, str]:

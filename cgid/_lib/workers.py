@@ -6,6 +6,7 @@ Each result depends only on the common data and its part, not on the worker. Pro
 from __future__ import annotations
 
 import logging
+import os
 import platform
 import re
 import signal
@@ -34,6 +35,8 @@ MAX_JOBS = 1024
 _SMALL = 1 << 20
 #: Libraries that affect the last digits of a result or its transport.
 _LIBRARIES = ("cgid", "numpy", "scipy", "numba", "h5py", "scikit-learn", "joblib", "distributed")
+#: With this, Python imports nothing from the folder in which it starts; then it is told the path of its parent.
+_SAFE = {"PYTHONSAFEPATH": "1"}
 _ADDRESS = re.compile(r"(tcp|tls)://.+:[0-9]+")
 
 Common = TypeVar("Common")
@@ -92,11 +95,12 @@ class Workers:
         results: Any = None
         hook, threading.excepthook = threading.excepthook, _hook_for_executors(threading.excepthook)
         try:
-            with _deaf_children():
-                results = joblib.Parallel(batch_size=1, return_as=way, **executor)(tasks)
-            for result in results:
-                self._go_on()
-                yield result
+            with _safe_paths():  # to the end: a process that dies is replaced
+                with _deaf_children():
+                    results = joblib.Parallel(batch_size=1, return_as=way, **executor)(tasks)
+                for result in results:
+                    self._go_on()
+                    yield result
             if failures:
                 raise failures[0]
         except Exception as error:
@@ -135,11 +139,12 @@ class Workers:
 
         from joblib.externals.loky.process_executor import ProcessPoolExecutor
 
-        executor = ProcessPoolExecutor(self.jobs, timeout=300)
+        with _safe_paths():  # its queues start a process, too
+            executor = ProcessPoolExecutor(self.jobs, timeout=300, env=_SAFE)
         running: deque[Future[Result]] = deque()
         try:
             for part in parts:
-                with _deaf_children():
+                with _safe_paths(), _deaf_children():
                     running.append(executor.submit(_do, [None, function, common, part]))
                 if len(running) > 2 * self.jobs:
                     yield running.popleft().result()
@@ -245,8 +250,8 @@ def workers(jobs: int = 1, scheduler: str | None = None) -> Iterator[Workers]:
             client = dask.Client(scheduler, timeout=TIMEOUT, set_as_default=False)
         except (OSError, ValueError, RuntimeError):
             raise ClusterFailed(
-                f"{scheduler}: a dask scheduler must answer there within {TIMEOUT:g} s, none does; start one (dask "
-                "scheduler), or correct the address"
+                f"{scheduler}: a dask scheduler must answer there within {TIMEOUT:g} s, none does; start one "
+                "(PYTHONSAFEPATH=1 dask scheduler), or correct the address"
             ) from None
         try:
             _require_workers(client, scheduler)
@@ -262,7 +267,8 @@ def _require_workers(client: Any, scheduler: str) -> None:
         client.wait_for_workers(1, timeout=TIMEOUT)
     except TimeoutError:
         raise ClusterFailed(
-            f"{scheduler}: must have workers, none came within {TIMEOUT:g} s; start some (dask worker {scheduler})"
+            f"{scheduler}: must have workers, none came within {TIMEOUT:g} s; start some (PYTHONSAFEPATH=1 dask worker "
+            f"{scheduler})"
         ) from None
     for worker, found in client.run(_versions, on_error="return").items():
         _require_same_versions(_versions(), found, worker)
@@ -322,6 +328,18 @@ def _hook_for_executors(hook: Callable[[Any], object]) -> Callable[[Any], object
             hook(told)
 
     return quiet
+
+
+@contextmanager
+def _safe_paths() -> Iterator[None]:
+    """Start processes that import nothing from the folder of the user's recordings, unless this one does."""
+    before = {name: os.environ.pop(name) for name in _SAFE if name in os.environ}
+    os.environ.update(_SAFE)
+    try:
+        yield
+    finally:
+        os.environ.pop("PYTHONSAFEPATH", None)
+        os.environ.update(before)
 
 
 @contextmanager

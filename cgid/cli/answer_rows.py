@@ -332,9 +332,10 @@ class RecordingRows:
         if self.tally.total > 1 or self._live:
             self.lines.summary(self.source, self.tally, last.until, start_time)
         if not self._live:
-            self._print_hints(self._diagnosis.hints())
+            hints = self._diagnosis.hints()
+            self._print_hints(hints)
             factors = self._diagnosis.wrong_scales()
-            told = {name for hint in self.hints for name in hint.channels or self.channels} | factors.keys()
+            told = {name for hint in hints for name in hint.channels or self.channels} | factors.keys()
             self._print_scales(factors, "")
             self._print_foreign(self._diagnosis.misfits.keys() - told)
             for change in self._later:  # of a part of the recording alone

@@ -301,8 +301,8 @@ class Workbench:
         with tempfile.TemporaryDirectory() as folder:
             page = Path(folder, "report.html")
             model = str(self._saved_as) if self._saved else ""
-            command = [sys.executable, "-m", "cgid", *self._report_of(number, model), "--report", str(page)]
-            environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
+            command = [sys.executable, "-P", "-m", "cgid", *self._report_of(number, model), "--report", str(page)]
+            environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
             done = subprocess.run(command, capture_output=True, text=True, check=False, env=environment)
             if done.returncode == 0 and page.exists():
                 self._report = {"state": "ready", "content": page.read_bytes()}

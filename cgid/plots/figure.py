@@ -104,6 +104,13 @@ def plain(text: str, longest: int = 80) -> str:
     return line if len(line) <= longest else f"{line[:half]}…{line[1 - half :]}"
 
 
+def written(unit: str | None) -> str:
+    """Return a unit with the usual symbols."""
+    if unit is None:
+        return "unit unknown"
+    return unit.replace("s**2", "s²").replace("s^2", "s²").replace("s2", "s²").replace("um", "µm").replace("uV", "µV")
+
+
 def _families() -> list[str]:
     from matplotlib import font_manager, rcParams
 

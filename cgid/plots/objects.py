@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -11,13 +10,11 @@ from numpy.typing import NDArray
 
 from cgid._lib import validation
 from cgid.errors import InvalidValue, optional
-from cgid.plots.figure import NEUTRAL, colours_of, plain
-from cgid.plots.recording import written
+from cgid.plots.figure import NEUTRAL, colours_of, plain, written
 from cgid.units import quantity_of
 
 if TYPE_CHECKING:
     from cgid.physics.contact.impact import Impact
-    from cgid.scene.file.schema import Scene
     from cgid.signals import Batch, Signal
 
 #: Maximum number of lines of one picture: more cannot be told apart.
@@ -70,13 +67,6 @@ def plot_batches(batches: Iterable[Batch], n: int, title: str, axes: Any = None)
     if any(drawn):
         axes.legend()
     return axes
-
-
-def plot_scene(scene: Scene, n: int, seed: int, axes: Any = None) -> Any:
-    """Draw `n` signals of each label of a scene; fewer of a label that is rare."""
-    synthesise = import_module("cgid.scene.synthesis.synthesis").synthesise  # it lies above pictures
-    n = validation.whole("n", n, 1, MAX_LINES)
-    return plot_batches(synthesise(scene, 4 * n * len(scene.labels), seed), n, f"scene {scene.name}", axes)
 
 
 def _axes(axes: Any) -> Any:

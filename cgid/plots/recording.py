@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from cgid._lib.validation import Floats
 from cgid.measure.overview import Overview, OverviewStream
-from cgid.plots.figure import COLOURS, colours_of, plain, png, require_matplotlib
+from cgid.plots.figure import COLOURS, colours_of, plain, png, require_matplotlib, written
 from cgid.recordings import Channel
 from cgid.signals import Signal
 
@@ -243,13 +243,6 @@ def hertz(frequency: float, digits: int = 6) -> str:
     ('43.1 Hz', '44.1 kHz')
     """
     return f"{frequency:.{digits}g} Hz" if frequency < 1000 else f"{frequency / 1e3:.{digits}g} kHz"
-
-
-def written(unit: str | None) -> str:
-    """Return a unit with the usual symbols."""
-    if unit is None:
-        return "unit unknown"
-    return unit.replace("s**2", "s²").replace("s^2", "s²").replace("s2", "s²").replace("um", "µm").replace("uV", "µV")
 
 
 def _density(unit: str | None) -> str:

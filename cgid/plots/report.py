@@ -30,8 +30,8 @@ from cgid.identification.prediction.support import SupportState
 from cgid.measure.overview import Overview
 from cgid.plots import picture, share_figure
 from cgid.plots.answers import drawn_figure
-from cgid.plots.figure import COLOURS, NEUTRAL, colours_of
-from cgid.plots.recording import Mark, hertz, overview_figure, written
+from cgid.plots.figure import COLOURS, NEUTRAL, colours_of, written
+from cgid.plots.recording import Mark, hertz, overview_figure
 from cgid.recordings import Channel, RecordingFile
 
 #: Longest list of names that is written in full.

@@ -16,7 +16,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid._lib import validation
-from cgid._lib.lazy import picture_of
 from cgid._lib.notebook import facts_table
 from cgid._lib.terminal import counted
 from cgid.errors import BadData, InvalidValue, NoInput
@@ -181,7 +180,9 @@ class Dataset:
         MissingExtra
             matplotlib is not installed.
         """
-        return picture_of("plot_batches", islice(self.batches(), 4), n, self.path.name, axes)
+        from cgid.plots.objects import plot_batches
+
+        return plot_batches(islice(self.batches(), 4), n, self.path.name, axes)
 
     @cached_property
     def parameters(self) -> pandas.DataFrame:

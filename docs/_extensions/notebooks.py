@@ -16,7 +16,7 @@ def write_pages(app: Any) -> None:
     folder.mkdir(exist_ok=True)
     for path in sorted((source.parent / "notebooks").glob("*.ipynb")):
         cells = json.loads(path.read_text(encoding="utf-8"))["cells"]
-        note = f"\nThis page is the notebook `notebooks/{path.name}` of the checkout.\n"
+        note = f"\nThis page is the notebook `notebooks/{path.name}` of the checkout; paths are from its folder.\n"
         text = "\n".join(part for k, cell in enumerate(cells) for part in _shown(cell, folder, f"{path.stem}_{k}"))
         (folder / f"{path.stem}.md").write_text(text + note, encoding="utf-8")
 

@@ -22,7 +22,7 @@ ROOT = HERE.parents[1]
 
 def command(*words: str, folder: Path) -> None:
     """Run cgid in a folder."""
-    program = [sys.executable, "-m", "cgid", *words]
+    program = [sys.executable, "-P", "-m", "cgid", *words]
     paths = os.environ | {"PYTHONPATH": str(ROOT)}
     subprocess.run(program, cwd=folder, env=paths, check=True, capture_output=True)
 

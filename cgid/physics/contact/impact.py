@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 from cgid._lib import validation
-from cgid._lib.lazy import picture_of
 from cgid._lib.notebook import facts_table
 from cgid._lib.validation import Floats
 from cgid.errors import InvalidValue
@@ -174,7 +173,9 @@ class Impact:
         MissingExtra
             matplotlib is not installed.
         """
-        return picture_of("plot_impact", self, axes)
+        from cgid.plots.objects import plot_impact
+
+        return plot_impact(self, axes)
 
     def _require_reach(self) -> None:
         with np.errstate(all="ignore"):

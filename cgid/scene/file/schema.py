@@ -12,8 +12,8 @@ from typing import Any, Self, get_args
 
 from pydantic import BaseModel, Field, PrivateAttr, ValidationError, model_validator
 
+from cgid._lib import validation
 from cgid._lib.files import parse_toml, read_regular
-from cgid._lib.lazy import picture_of
 from cgid._lib.notebook import facts_table
 from cgid._lib.validation import cut, shown, similar, suggestion
 from cgid.errors import BadData, InvalidValue
@@ -173,7 +173,11 @@ class Scene(Section):
         MissingExtra
             matplotlib is not installed.
         """
-        return picture_of("plot_scene", self, n, seed, axes)
+        from cgid.plots.objects import MAX_LINES, plot_batches
+        from cgid.scene.synthesis.synthesis import synthesise
+
+        n = validation.whole("n", n, 1, MAX_LINES)
+        return plot_batches(synthesise(self, 4 * n * len(self.labels), seed), n, f"scene {self.name}", axes)
 
     def _problems_of_dissipation(self) -> list[str]:
         problems = []

@@ -10,7 +10,6 @@ from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import closing
-from contextvars import copy_context
 from dataclasses import dataclass, replace
 from functools import partial
 from importlib.metadata import version
@@ -349,19 +348,12 @@ def _write_one(work: _Work, shard: _Shard) -> tuple[str, str, int]:
 
 def ahead(items: Iterable[_T], max_items: int) -> Generator[_T, None, None]:
     """Yield items that a thread makes in advance, at most `max_items`; raise the error of an item in its place."""
-    source, context = iter(items), copy_context()  # so that counters also count in the thread
+    source = iter(items)
     with ThreadPoolExecutor(max_workers=1) as maker:
-
-        def make() -> _T | None:
-            return next(source, None)
-
-        def ask() -> Future[_T | None]:
-            return maker.submit(context.run, make)
-
-        asked = deque(ask() for _ in range(max_items))
+        asked = deque(maker.submit(next, source, None) for _ in range(max_items))
         try:
             while (item := asked.popleft().result()) is not None:
-                asked.append(ask())
+                asked.append(maker.submit(next, source, None))
                 yield item
         finally:
             maker.shutdown(wait=False, cancel_futures=True)

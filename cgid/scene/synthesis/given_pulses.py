@@ -66,7 +66,7 @@ PARAMETERS = ("density", "youngs_modulus", "poisson_ratio", "drop_height", "velo
 MAKING = ("restitution_asked", "retardation_time")
 #: Largest file of solved impacts [bytes].
 _MAX_FILE_SIZE = 64 << 20
-_MAKER = "python datasets/make_finite_element.py"
+_MAKER = "python datasets/make_finite_element.py, in a checkout of cgid"
 #: Index of the random number of a signal's radius; the first one selects its population.
 _RADIUS = 1 + FALL.index("radius")
 
