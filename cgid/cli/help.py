@@ -15,8 +15,7 @@ from cgid.cli.options import OutputName, require_no_input_written
 _OTHERS, _PLANT = "Other", "Plant outputs"
 #: Heading -> the options below it; "command --option" if a command uses the name differently.
 _OPTIONS = {
-    "Task": "--labels --sample --list --explain --features-only --closed-form-only --parameters-only --scene "
-    "--template",
+    "Task": "--labels --sample --list --explain --features-only --quantities --parameters-only --scene --template",
     "Reading the recording": "--rate --unit --sensitivity --gain --full-scale --channel --channels --same-beam "
     "--sample-format --variable --format --index --invert --keep-baseline --lines --dead-time --give-up --from --to "
     "--events --kind",
@@ -24,7 +23,7 @@ _OPTIONS = {
     "Decision": "--miss-cost --coverage --vote",
     "Gangue fraction": "--window --gangue --dilution-cost --cost-late --cost-early --hold --coal-until --cycle-pause "
     "--cycle-by --labelled --trained-seam --blind-after",
-    "Signals": "--signals --seed --laws --dtype --quantities --test-share --calibration-share",
+    "Signals": "--signals --seed --laws --dtype --test-share --calibration-share",
     "Calibration": "--start-error --drift --participation-error --dimension-error --exact --impacts",
     "Tap test": "--hammer --modes --band --max-order --contact --taps --window-tau",
     "Output": "--output --summary --save --port --audacity --mirror --report --plot --plots --uff --overwrite --resume "
@@ -65,6 +64,7 @@ WITHDRAWN = {
     "--impactor": _PULSES,
     "--masses": _PULSES,
     "--drop-height": "leave it out, no model needs a drop height",
+    "--closed-form-only": "name the columns by --quantities, such as peak_force,contact_duration,impulse",
     "--level-free": "name features free of the gain by --features (relative_level_1000_hz,relative_level_1250_hz,...)",
     "--shuffle-labels": "shuffle the column label of a copy of the manifest instead",
     "--class-conditional": "use --coverage, which holds for the mixture of the training",
