@@ -591,7 +591,7 @@ _COMMANDS = r"""
 65 | train reference --from model.npz -o new.npz | reference: --from needs one table of labelled impacts
 65 | train m_group.csv --from model.npz --family linear -o new.npz | --from
 65 | predict model.npz | model.npz: must be a recording, it is a model; give it by --model
-2 | train reference --family sklearn.svm.SVC -o new.npz | SVC has no plain numbers
+2 | train reference --family sklearn.svm.SVC -o new.npz | --family
 65 | train good.csv -o new.npz | good.csv
 65 | train loose -o new.npz | a.csv
 65 | train void -o new.npz | void
@@ -749,12 +749,12 @@ _COMMANDS = r"""
 73 | invert two_taps.csv --modes modes.csv -o modes.csv | modes.csv
 73 | tap two_taps.csv -o modes.toml | modes.toml
 65 | check both.toml | modes or a panel
-2 | generate caving.toml --features-only -o new.h5 | --...-only
+2 | generate caving.toml --features-only -o new.h5 | leave out --features-only
 65 | generate caving.toml -o new.h5 --jobs 2 | --jobs
 65 | generate caving.toml -o new.h5 -n 3 | one recording
 65 | train caving.toml --features decay_time -o new.npz | stream
 2 | generate reference --features peak_force -o new.h5 | --features-only
-2 | generate reference --quantities impulse -o new.h5 | --closed-form-only
+2 | generate reference --closed-form-only -o new.h5 | --closed-form-only is withdrawn; name the columns by --quantities
 2 | generate reference --features-only --set dtype=float64 -o new.h5 | dtype
 2 | generate reference --features-only --set shard_signals=9 -o new.h5 | shard_signals
 2 | generate reference --features-only -o new | .h5
@@ -762,7 +762,7 @@ _COMMANDS = r"""
 65 | generate reference --features-only --features colour -o new.csv | 'colour'
 73 | generate reference --parameters-only -n 10 -o good.csv | --overwrite
 2 | generate reference.toml --features-only -o new.h5 --jobs 2 | --jobs
-2 | generate reference.toml --features-only --closed-form-only -o new.h5 | --features-only
+2 | generate reference.toml --features-only --quantities impulse -o new.h5 | --features-only
 2 | generate reference.toml --json -o new.h5 | --json
 66 | check refrence | refrence: no such scene
 66 | train referense -o new.npz | did you mean 'reference'

@@ -32,7 +32,7 @@ from cgid.identification.model.model import StoredModel
 from cgid.identification.model.model_file import signed
 from cgid.identification.prediction import identify_frames
 from cgid.identification.training.card import write_model
-from cgid.identification.training.classifier import FAMILIES, ImpactClassifier, named_classifier
+from cgid.identification.training.classifier import FAMILIES, ImpactClassifier
 from cgid.identification.training.metrics import evaluate
 from cgid.identification.training.rows import DEFAULT_FEATURES, FEW_FEATURES
 from cgid.identification.training.training import Training, hold_out, measure, train_on_specimens
@@ -246,26 +246,6 @@ def test_what_is_no_classifier_is_refused() -> None:
         ImpactClassifier(KNeighborsClassifier()).fit(features, labels, sample_weight=weights)
     with pytest.raises(InvalidValue, match="KNeighborsClassifier takes no sample_weight"):
         ImpactClassifier(KNeighborsClassifier(), class_weight="balanced").fit(features, labels)
-
-
-@pytest.mark.parametrize(
-    ("text", "reason"),
-    [
-        ("sklearn.neighbors.KNeighborsClassifier", "train_on_specimens"),
-        ("sklearn.ensemble.RandomForestClassifier(n_estimators=-3)", "n_estimators"),
-        ("sklearn.ensemble.RandomForestClassifier(5)", "give parameters by name, not 5"),
-        ("sklearn.ensemble.RandomForestClassifier(x", "none"),
-        ("sklearn.linear_model.LinearRegression", "class of classifiers"),
-        ("os.system(command='x')", "none"),
-        ("absent.Forest", "absent"),
-        ("RandomForestClassifier()", "the full path, such as sklearn.ensemble.RandomForestClassifier"),
-        ("forest", "none"),
-    ],
-)
-def test_names_of_classifiers_that_no_file_holds_are_refused(text: str, reason: str) -> None:
-    with pytest.raises(InvalidValue, match=reason):
-        named_classifier(text)
-    assert named_classifier("sklearn.svm.LinearSVC(C=0.1)").C == 0.1
 
 
 @pytest.mark.long

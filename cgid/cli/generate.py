@@ -24,9 +24,8 @@ from cgid.cli.output import print_json, progress_bar, say, warn
 from cgid.cli.site import keys
 from cgid.errors import InvalidValue
 
-#: Options for tables and their outputs; and the options for the columns, with the table that they need.
-_ONLY = {"features_only": "features", "closed_form_only": "closed-form", "parameters_only": "parameters"}
-_WHICH = {"features": "features_only", "quantities": "closed_form_only"}
+#: Options for tables and their outputs.
+_ONLY = {"features_only": "features", "quantities": "closed-form", "parameters_only": "parameters"}
 #: Options for stored signals.
 _OF_SIGNALS = ("dtype", "shard_signals", "compression", "jobs", "scheduler")
 #: Those among them that do not apply to recordings, and their defaults.
@@ -60,9 +59,9 @@ _OF_DATASETS = (*_OF_RECORDINGS, "shard_signals", "compression", "jobs", "schedu
 @click.option("--resume", is_flag=True, help="Continue an unfinished run, to the same bytes.")
 @click.option("--features-only", is_flag=True, help="Write a table of features instead of signals.")
 @click.option("--features", help="Tabulate only these features, separated by commas; by default those of a model.")
-@click.option("--closed-form-only", is_flag=True, help="Write a table of closed-form quantities, without pulses.")
 @click.option(
-    "--quantities", help="Tabulate only these quantities of --closed-form-only, separated by commas; by default all."
+    "--quantities",
+    help="Write a table of these quantities (peak_force,impulse) instead of signals, without computing pulses.",
 )
 @click.option("--parameters-only", is_flag=True, help="Write a table of the sampled parameters.")
 @click.option("--explain", is_flag=True, help="Print the plan: which stages would run, which would not, and why.")
@@ -71,7 +70,7 @@ _OF_DATASETS = (*_OF_RECORDINGS, "shard_signals", "compression", "jobs", "schedu
 def generate(context: click.Context, /, scene: str, **options: Any) -> None:
     """Make a dataset of signals from SCENE: a .toml file, or the name of a shipped one such as reference.
 
-    With --features-only, --closed-form-only or --parameters-only a table is written instead of signals.
+    With --features-only, --quantities or --parameters-only a table is written instead of signals.
     A scene that randomises its sampling rate makes no dataset: train on it directly, or tabulate its features. A scene
     with a stream makes recordings, each with the truth of its impacts.
     """
@@ -82,7 +81,8 @@ def generate(context: click.Context, /, scene: str, **options: Any) -> None:
     if loaded.stream is not None:
         if output != "frames":
             raise click.UsageError(
-                f"scene {loaded.name} is a stream of recordings, which has no tables; leave out every --...-only",
+                f"scene {loaded.name} is a stream of recordings, which has no tables; leave out --features-only, "
+                "--quantities and --parameters-only",
                 context,
             )
         _require_recordings(loaded, options)
@@ -104,12 +104,11 @@ def _checked_output(context: click.Context) -> str:
     """Return the requested output; refuse contradictory options before any work."""
     options = context.params
     given = given_flags(context)
-    only = [name for name in _ONLY if options[name]]
+    only = [name for name in _ONLY if name in given]
     if len(only) > 1:
         raise click.UsageError(f"{' and '.join(map(_flag, only))} exclude each other; give one of them", context)
-    for name, needed in _WHICH.items():
-        if name in given and needed not in only:
-            raise click.UsageError(f"{_flag(name)} needs {_flag(needed)}; give both or neither", context)
+    if "features" in given and "features_only" not in only:
+        raise click.UsageError("--features needs --features-only; give both or neither", context)
     require_one_executor(context)
     if options["as_json"] and not options["explain"]:
         raise click.UsageError("--json needs --explain: it prints the plan; give both or neither", context)

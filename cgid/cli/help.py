@@ -17,12 +17,12 @@ from cgid.recordings.site import KEYS
 _OTHERS, _PLANT = "Other", "Plant outputs"
 #: Heading -> the options below it; "command --option" if a command uses the name differently.
 _OPTIONS = {
-    "Task": "--labels --sample --list --explain --features-only --parameters-only --scene --template",
+    "Task": "--labels --sample --list --explain --features-only --quantities --parameters-only --scene --template",
     "Reading the recording": "--rate --unit --sensitivity --full-scale --channel --channels --same-beam "
     "--sample-format --from --to --events",
     "Answers": "--model --coal-until --labelled",
     "Model": "--family --by --window --sensor --features",
-    "Signals": "--signals --seed --quantities",
+    "Signals": "--signals --seed",
     "Calibration": "--dimension-error",
     "Tap test": "--hammer --modes --band --taps",
     "Output": "--output --summary --fractions --port --audacity --mirror --report --plot --plots --uff --write-site "
@@ -58,6 +58,7 @@ WITHDRAWN = {
     "--save": "the page saves the model beside the table of labels",
     "--no-lines": "give --set lines=false, or lines in [model] of a site file",
     "--drop-height": "leave it out, no model needs a drop height",
+    "--closed-form-only": "name the columns by --quantities, such as peak_force,contact_duration,impulse",
     "--level-free": "name features free of the gain by --features (relative_level_1000_hz,relative_level_1250_hz,...)",
     "--shuffle-labels": "shuffle the column label of a copy of the manifest instead",
     "--class-conditional": "use --set coverage=0.9, which holds for the mixture of the training",

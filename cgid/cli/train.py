@@ -57,27 +57,6 @@ def _beside_model(path: Path) -> list[Path]:
     return beside_model(path, plots=True)
 
 
-class ClassifierName(click.types.StringParamType):
-    """A family of classifiers, or the dotted name of one of scikit-learn, with parameters in brackets."""
-
-    choices = ("logistic", "boosting", "network", "linear")
-
-    def get_metavar(self, param: click.Parameter, ctx: click.Context | None = None) -> str:
-        """Return the families."""
-        return f"[{'|'.join(self.choices)}|CLASS]"
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        """Return the name of a family, or the classifier, or fail with a usage error."""
-        if value in self.choices:
-            return value
-        from cgid.identification.training.classifier import named_classifier
-
-        try:
-            return named_classifier(value)
-        except InvalidValue as error:
-            self.fail(f"must be {', '.join(self.choices)}, or a classifier of scikit-learn; {error}", param, ctx)
-
-
 @click.command(
     cls=Command,
     short_help="Train a model on recordings, on datasets, or on a scene.",
@@ -93,9 +72,8 @@ class ClassifierName(click.types.StringParamType):
 @click.option("--template", type=OUTPUT, metavar="FILE.csv", help="Write a manifest of the recordings to fill in.")
 @click.option(
     "--family",
-    type=ClassifierName(),
-    help="Choose the kind of classifier; by default logistic, for recordings linear. Also one of scikit-learn that a "
-    'model file can hold, such as "sklearn.ensemble.RandomForestClassifier(n_estimators=300)".',
+    type=click.Choice(["logistic", "boosting", "network", "linear"]),
+    help="Choose the kind of classifier; by default logistic, for recordings linear.",
 )
 @click.option("--features", "names", help="Use only these features, separated by commas.")
 @click.option(

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import ast
 import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import cache
-from importlib import import_module
 from typing import Any, ClassVar
 
 import numpy as np
@@ -38,7 +36,6 @@ from cgid.identification.model.families import (
     Neighbourhood,
     Network,
     Standardiser,
-    as_numbers,
     softmax,
     squares,
 )
@@ -484,33 +481,6 @@ def _require_weights(estimator: Any) -> None:
         raise InvalidValue(
             f"weights must be left out, {type(estimator).__name__} takes no sample_weight; use another family"
         )
-
-
-def named_classifier(text: str) -> Any:
-    """Return a classifier by its dotted name and parameters, as in "sklearn.svm.LinearSVC(C=0.1)".
-
-    Raises `InvalidValue` for any that a model file cannot hold.
-    """
-    try:
-        call = ast.parse(text, mode="eval").body
-        name, given = (call.func, call.keywords) if isinstance(call, ast.Call) else (call, [])
-        if isinstance(call, ast.Call) and call.args:
-            raise InvalidValue(f"give parameters by name, not {ast.unparse(call.args[0])} alone")
-        module, _, last = ast.unparse(name).rpartition(".")
-        if not module:
-            raise InvalidValue(f"give the full path, such as sklearn.ensemble.{last}")
-        settings = {str(one.arg): ast.literal_eval(one.value) for one in given}
-        kind = getattr(import_module(module), last)
-        if not issubclass(kind, ClassifierMixin):
-            raise InvalidValue("give a class of classifiers, its parameters by name")
-        classifier = kind(**settings)
-        trial = ImpactClassifier(classifier, calibration_folds=0).fit([[0.0, 1.0], [1.0, 0.5]] * 20, [0, 1] * 20)
-        is_stored = as_numbers(Fitted(trial.estimator_, 2, 2)) is not None
-    except (AttributeError, ImportError, InvalidValue, SyntaxError, TypeError, ValueError) as error:
-        raise InvalidValue(f"{text!r} is none ({' '.join(str(error).split())[:100]})") from None
-    if not is_stored:
-        raise InvalidValue(f"{last} has no plain numbers for a file; in Python, give it to train_on_specimens(family=)")
-    return classifier
 
 
 def _one_weight_a_row(sample_weight: ArrayLike, n_rows: int) -> Floats:
