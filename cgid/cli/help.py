@@ -27,7 +27,7 @@ _OPTIONS = {
     "Calibration": "--start-error --drift --participation-error --dimension-error --exact --impacts",
     "Tap test": "--hammer --modes --band --max-order --contact --taps --window-tau",
     "Output": "--output --summary --save --port --audacity --mirror --report --plot --plots --uff --overwrite --resume "
-    "--compression --shard-signals --json --clock --strict",
+    "--shard-signals --json --clock --strict",
     _PLANT: "--mqtt --modbus --prometheus --live --on-shut --on-open --on-blind",
     "Speed": "--jobs --scheduler",
     _OTHERS: "--help --version",
@@ -64,6 +64,7 @@ WITHDRAWN = {
     "--impactor": _PULSES,
     "--masses": _PULSES,
     "--drop-height": "leave it out, no model needs a drop height",
+    "--compression": "pack what cgid export writes by h5repack -f GZIP=4",
     "--closed-form-only": "name the columns by --quantities, such as peak_force,contact_duration,impulse",
     "--level-free": "name features free of the gain by --features (relative_level_1000_hz,relative_level_1250_hz,...)",
     "--shuffle-labels": "shuffle the column label of a copy of the manifest instead",
