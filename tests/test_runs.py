@@ -168,7 +168,6 @@ def test_what_is_whole_is_left_as_it_is(whole, path, make):
         ("n_signals", 500, 400),
         ("shard_signals", 50, 100),
         ("dtype", "float64", "float32"),
-        ("compression", "gzip", "none"),
     ],
 )
 def test_other_options_are_refused(path, name, value, first):
@@ -255,7 +254,6 @@ def test_one_file(tmp_path):
         ({"seed": 4}, "seed"),
         ({"n_signals": 10}, "n_signals"),
         ({"dtype": "float64"}, "dtype"),
-        ({"compression": "gzip"}, "compression"),
     ):
         with pytest.raises(CannotCreate, match=says):
             dataset(path, resume=True, **options)

@@ -4,19 +4,15 @@ import io
 import signal
 import subprocess
 import sys
-import zlib
 
 import h5py
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from cgid.errors import BadData
 from cgid.signals import Batch
-from cgid.store._packing import deflated, fletcher32
-from cgid.store.description import COMPRESSIONS
-from cgid.store.hdf5 import ShardBuilder, ShardMemory, ShardPlan, keywords
+from cgid.store._packing import fletcher32
+from cgid.store.hdf5 import ShardBuilder, ShardMemory, ShardPlan
 
 # ---- the checksum ----------------------------------------------------------------------------------------------------
 
@@ -48,14 +44,13 @@ def test_checksum_is_that_of_hdf5(size, kind):
 N, SAMPLES = 300, 1500
 
 
-def plan(dtype="float32", compression="none"):
+def plan(dtype="float32"):
     return ShardPlan(
         n_samples=SAMPLES,
         dtype=dtype,
         label_width=6,
         parameter_units={"radius": "m"},
         attributes={"format": "cgid-dataset", "note": "x" * 100},
-        compression=compression,
     )
 
 
@@ -72,18 +67,17 @@ def batch(first, last, dtype="float32"):
     )
 
 
-def build(cuts, dtype="float32", compression="none"):
-    builder = ShardBuilder(plan(dtype, compression), 0, N)
+def build(cuts, dtype="float32"):
+    builder = ShardBuilder(plan(dtype), 0, N)
     for first, last in zip((0, *cuts), (*cuts, N), strict=True):
         builder.add(batch(first, last, dtype))
     return bytes(builder.image())
 
 
 @pytest.mark.parametrize("dtype", ["float32", "float64"])
-@pytest.mark.parametrize("compression", COMPRESSIONS)
-def test_chunks_hold_what_was_added_however_it_was_cut(dtype, compression):
-    image = build((), dtype, compression)
-    assert all(build(cuts, dtype, compression) == image for cuts in [(1, 2, 299), (87,), (86, 88, 175)])
+def test_chunks_hold_what_was_added_however_it_was_cut(dtype):
+    image = build((), dtype)
+    assert all(build(cuts, dtype) == image for cuts in [(1, 2, 299), (87,), (86, 88, 175)])
     with h5py.File(io.BytesIO(image)) as file:
         signals = file["signals"]
         # Chunks that the number of signals is no multiple of.
@@ -94,12 +88,10 @@ def test_chunks_hold_what_was_added_however_it_was_cut(dtype, compression):
         np.testing.assert_array_equal(file["specimen"][:], np.arange(N))
 
 
-@pytest.mark.parametrize("compression", ["none", "zstd", "blosc2"])
-def test_chunks_are_byte_for_byte_what_hdf5_writes(compression):
-    with h5py.File(io.BytesIO(build((), compression=compression))) as file, h5py.File.in_memory() as other:
+def test_chunks_are_byte_for_byte_what_hdf5_writes():
+    with h5py.File(io.BytesIO(build(()))) as file, h5py.File.in_memory() as other:
         ours, chunks = file["signals"].id, file["signals"].chunks
-        packing = keywords(compression)
-        theirs = other.create_dataset("signals", data=batch(0, N).signals, chunks=chunks, fletcher32=True, **packing).id
+        theirs = other.create_dataset("signals", data=batch(0, N).signals, chunks=chunks, fletcher32=True).id
         other.flush()
         assert ours.get_num_chunks() == theirs.get_num_chunks() > 1
         for number in range(ours.get_num_chunks()):
@@ -107,9 +99,8 @@ def test_chunks_are_byte_for_byte_what_hdf5_writes(compression):
             assert ours.read_direct_chunk(place) == theirs.read_direct_chunk(place)
 
 
-@pytest.mark.parametrize("compression", COMPRESSIONS)
-def test_no_flipped_bit_of_a_packed_chunk_is_read_as_numbers(compression):
-    image = bytearray(build((), compression=compression))
+def test_no_flipped_bit_of_a_chunk_is_read_as_numbers():
+    image = bytearray(build(()))
     with h5py.File(io.BytesIO(image)) as file:
         start, size = (getattr(file["signals"].id.get_chunk_info(1), name) for name in ("byte_offset", "size"))
     rng = np.random.default_rng(1)
@@ -118,29 +109,6 @@ def test_no_flipped_bit_of_a_packed_chunk_is_read_as_numbers(compression):
         with h5py.File(io.BytesIO(image)) as file, pytest.raises(OSError, match=r"checksum|filter"):
             file["signals"][:]
         image[place] ^= 1 << bit
-
-
-# ---- deflate ---------------------------------------------------------------------------------------------------------
-
-
-@given(
-    planes=st.integers(1, 8).flatmap(
-        lambda itemsize: st.lists(st.binary(min_size=itemsize, max_size=itemsize), min_size=1, max_size=200)
-    ),
-    times=st.sampled_from([1, 40, 700]),
-)
-def test_any_zlib_unpacks_it(planes, times):
-    laid = np.frombuffer(b"".join(planes * times), np.uint8).reshape(len(planes[0]), -1)
-    stream = zlib.decompressobj()
-    assert stream.decompress(deflated(laid)) == laid.tobytes()
-    # The stream ends where it states, with the sum of all of it.
-    assert stream.eof
-    assert not stream.unused_data
-
-
-def test_what_cannot_be_packed_hardly_grows():
-    planes = np.random.default_rng(0).integers(0, 256, (4, 1 << 17), np.uint8)
-    assert len(deflated(planes)) < 1.0002 * planes.size
 
 
 def test_too_few_and_too_many_signals():

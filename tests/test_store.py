@@ -56,9 +56,6 @@ def made(tmp_path_factory):
     for shard_signals in (256, 300, 1000):
         generate(scene_of(), folder / f"cut{shard_signals}", N, 7, shard_signals=shard_signals)
     generate(scene_of(), folder / "jobs", N, 7, shard_signals=300, jobs=2)
-    generate(scene_of(), folder / "packed.h5", N, 7, compression="gzip")
-    generate(scene_of(), folder / "zstd", N, 7, compression="zstd", shard_signals=300)
-    generate(scene_of(), folder / "blosc2", N, 7, compression="blosc2", shard_signals=300, jobs=2)
     return folder
 
 
@@ -104,7 +101,7 @@ def assert_equal(found, expected):
 # ---- round trip ------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", ["one.h5", "cut256", "cut300", "cut1000", "jobs", "packed.h5", "zstd", "blosc2"])
+@pytest.mark.parametrize("name", ["one.h5", "cut256", "cut300", "cut1000", "jobs"])
 def test_what_comes_back_is_what_was_synthesised(made, name):
     batches = list(synthesise(scene_of(), N, 7))
     expected = {key: np.concatenate([getattr(b, key) for b in batches]) for key in ("signals", "labels", "specimen")}
@@ -113,10 +110,9 @@ def test_what_comes_back_is_what_was_synthesised(made, name):
     assert_equal(columns(made / name), expected)
 
 
-@pytest.mark.parametrize("compression", ["none", "gzip", "zstd", "blosc2"])
-def test_bytes_are_the_same_whoever_packs(tmp_path, compression):
+def test_bytes_are_the_same_whoever_packs(tmp_path):
     for jobs in (1, 2):
-        generate(scene_of(), tmp_path / str(jobs), 600, 7, shard_signals=300, compression=compression, jobs=jobs)
+        generate(scene_of(), tmp_path / str(jobs), 600, 7, shard_signals=300, jobs=jobs)
     for shard in ("shard-00000.h5", "shard-00001.h5"):
         assert (tmp_path / "1" / shard).read_bytes() == (tmp_path / "2" / shard).read_bytes()
 
@@ -138,7 +134,7 @@ def items(path):
         return datasets, attributes
 
 
-@pytest.mark.parametrize("name", ["one.h5", "cut300/shard-00003.h5", "packed.h5", "exported.h5"])
+@pytest.mark.parametrize("name", ["one.h5", "cut300/shard-00003.h5", "exported.h5"])
 def test_axes_are_named_as_in_netcdf4(made, tmp_path, name):
     """Each axis of each dataset has one scale, with a number, CLASS and NAME: what netCDF-4 readers look for."""
     path = export(made / "one.h5", tmp_path / name) if name == "exported.h5" else made / name
@@ -229,7 +225,7 @@ def test_junk_for_a_description(folder, junk):
         ("n_signals", 10**400),
         ("shard_signals", True),
         ("dtype", ["float32"]),
-        ("compression", "../x"),
+        ("compression", "gzip"),
         ("attributes", {"seed": [1]}),
     ],
 )

@@ -37,7 +37,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """One of everything, whole."""
     folder = tmp_path_factory.mktemp("whole")
     generate(SCENE, folder / "folder", N, 7, shard_signals=IN_SHARD)
-    generate(SCENE, folder / "packed", N, 7, shard_signals=IN_SHARD, compression="gzip")
+    generate(SCENE, folder / "double", N, 7, shard_signals=IN_SHARD, dtype="float64")
     generate(SCENE, folder / "one.h5", N, 7)
     generate_recordings(STREAM, folder / "recordings", 3, seed=3)
     generate_recordings(STREAM, folder / "recording.h5", seed=3)
@@ -81,8 +81,8 @@ def resumed(path: Path) -> bool:
     if path.name == "recordings":
         generate_recordings(STREAM, path, 3, seed=3, resume=True)
     else:
-        compression: Any = "gzip" if path.name == "packed" else "none"
-        generate(SCENE, path, N, 7, shard_signals=IN_SHARD, compression=compression, resume=True)
+        dtype: Any = "float64" if path.name == "double" else "float32"
+        generate(SCENE, path, N, 7, shard_signals=IN_SHARD, dtype=dtype, resume=True)
     return not verify(path).findings
 
 
@@ -203,7 +203,7 @@ def test_what_one_may_not_read_is_not_called_damaged_and_stays(
 # ---- what is made again ----------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", ["folder", "packed"])
+@pytest.mark.parametrize("name", ["folder", "double"])
 def test_shards_are_made_again_byte_for_byte(made: Path, copies: Path, name: str) -> None:
     folder = copies / name
     (folder / "shard-00000.h5").unlink()
@@ -226,7 +226,7 @@ def test_sums_that_are_wrong_make_nothing_again(made: Path, copies: Path, change
     elif change == "gone":
         sums.unlink()
     else:
-        sums.write_bytes((copies / "packed" / "SHA256SUMS").read_bytes())
+        sums.write_bytes((copies / "double" / "SHA256SUMS").read_bytes())
     assert problems(folder) == {"SHA256SUMS": "missing" if change == "gone" else "damaged"}
     assert resumed(folder)
     assert contents(folder) == contents(made / "folder")
@@ -283,12 +283,11 @@ def test_verify_names_the_command_that_makes_it_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Run as it is printed, it makes the damaged and the missing shard and no other, to the same bytes."""
-    (tmp_path / "foreign").mkdir()
-    monkeypatch.chdir(tmp_path / "foreign")
-    folder, single = Path("../a folder"), Path("../one.h5")
-    made = "generate reference -n 300 --seed 3 --set dtype=float64 --set shard_signals=100 --set compression=gzip -o"
-    assert run([*made.split(), str(folder)]) == 0
-    assert run(["generate", "reference", "-n", "20", "--seed", "3", "-o", str(single)]) == 0
+    monkeypatch.chdir(tmp_path)
+    made = "generate reference -n 300 --seed 3 --dtype float64 --shard-signals 100 -o"
+    assert run([*made.split(), "a folder"]) == 0
+    assert run(["generate", "reference", "-n", "20", "--seed", "3", "-o", "one.h5"]) == 0
+    folder, single = tmp_path / "a folder", tmp_path / "one.h5"
     before, single_before = contents(folder), single.read_bytes()
     (folder / "shard-00002.h5").unlink()
     flip(folder / "shard-00001.h5", 20_000)

@@ -1,13 +1,13 @@
-"""Full frames to the disk against h5py writing ready arrays with the same filters; breakdown of the time; peak memory.
+"""Full frames to the disk against h5py writing ready arrays with checksums; breakdown of the time; peak memory.
 
     python benchmarks/speed/store.py [--scene reference] [--signals 32768] [--rounds 5] [--jobs 2]
                                [--memory 10000 100000 1000000] [--folder DIR]
 
 Rates are medians of alternating rounds, in megabytes of signals in memory. h5py (one process) writes an existing array
-to one file, with fletcher32 and the filters of cgid's shards, and flushes it to the disk, as cgid does with every
-shard; `unflushed` is h5py's rate without the flush. `cgid` also makes the signals, hashes every shard, and writes a
-folder; its worker processes are warm. `reading` is h5py reading the shards. On a busy machine compare processor times,
-not rates. Needs psutil and hdf5plugin.
+to one file, with fletcher32 as in cgid's shards, and flushes it to the disk, as cgid does with every shard;
+`unflushed` is h5py's rate without the flush. `cgid` also makes the signals, hashes every shard, and writes a folder;
+its worker processes are warm. `reading` is h5py reading the shards. On a busy machine compare processor times, not
+rates. Needs psutil.
 """
 
 import argparse
@@ -30,8 +30,7 @@ import numpy as np
 from cgid import shipped
 from cgid.scene import generate, load_scene, synthesise
 from cgid.scene.synthesis.draws import parameter_units
-from cgid.store.description import COMPRESSIONS
-from cgid.store.hdf5 import ShardBuilder, ShardPlan, keywords
+from cgid.store.hdf5 import ShardBuilder, ShardPlan
 
 SHARD = 4096
 #: Shards of the run whose processor time is measured as a whole.
@@ -40,7 +39,7 @@ SHARDS = 4
 
 @dataclass
 class Times:
-    """Times of a filter in each round [s], and its size relative to memory."""
+    """Times in each round [s], and the size relative to memory."""
 
     h5py: list[float] = field(default_factory=list)
     unflushed: list[float] = field(default_factory=list)
@@ -55,14 +54,12 @@ def flush(path: Path) -> None:
         os.fsync(stream.fileno())
 
 
-def write_ready(path: Path, signals: Any, compression: str) -> tuple[float, float]:
+def write_ready(path: Path, signals: Any) -> tuple[float, float]:
     """Return the time of h5py to write existing signals, with and without flushing them to the disk [s]."""
     rows = max(1, (1 << 19) // signals[0].nbytes)
     start = time.perf_counter()
     with h5py.File(path, "w") as file:
-        file.create_dataset(
-            "signals", data=signals, chunks=(rows, signals.shape[1]), fletcher32=True, **keywords(compression)
-        )
+        file.create_dataset("signals", data=signals, chunks=(rows, signals.shape[1]), fletcher32=True)
     written = time.perf_counter() - start
     flush(path)
     return time.perf_counter() - start, written
@@ -81,35 +78,32 @@ def read(folder: Path) -> None:
             file["signals"][:]
 
 
-def take_turns(scene: Any, signals: Any, folder: Path, rounds: int, jobs: int) -> dict[str, Times]:
-    """Return the times of every filter; the first round, which compiles and starts workers, does not count."""
-    times = {compression: Times() for compression in COMPRESSIONS}
+def take_turns(scene: Any, signals: Any, folder: Path, rounds: int, jobs: int) -> Times:
+    """Return the times; the first round, which compiles and starts workers, does not count."""
+    taken = Times()
     for number in range(rounds + 1):
-        for compression, taken in times.items():
-            n_signals = len(signals) if number else SHARD * jobs
-            flushed, written = write_ready(folder / "ready.h5", signals[:n_signals], compression)
-            (folder / "ready.h5").unlink()
-            made = {}
-            for workers in (1, jobs):
-                output = folder / f"made-{workers}"
-                shutil.rmtree(output, ignore_errors=True)
-                made[workers] = seconds_of(
-                    lambda out=output, n=n_signals, workers=workers, packing=compression: generate(
-                        scene, out, n, jobs=workers, compression=packing
-                    )
-                )
-            if number:
-                taken.h5py.append(flushed)
-                taken.unflushed.append(written)
-                taken.one.append(made[1])
-                taken.several.append(made[jobs])
-                taken.reading.append(seconds_of(lambda out=output: read(out)))
-                stored = sum(shard.stat().st_size for shard in output.glob("shard-*.h5"))
-                taken.size = stored / (signals[0].nbytes * n_signals)
-    return times
+        n_signals = len(signals) if number else SHARD * jobs
+        flushed, written = write_ready(folder / "ready.h5", signals[:n_signals])
+        (folder / "ready.h5").unlink()
+        made = {}
+        for workers in (1, jobs):
+            output = folder / f"made-{workers}"
+            shutil.rmtree(output, ignore_errors=True)
+            made[workers] = seconds_of(
+                lambda out=output, n=n_signals, workers=workers: generate(scene, out, n, jobs=workers)
+            )
+        if number:
+            taken.h5py.append(flushed)
+            taken.unflushed.append(written)
+            taken.one.append(made[1])
+            taken.several.append(made[jobs])
+            taken.reading.append(seconds_of(lambda out=output: read(out)))
+            stored = sum(shard.stat().st_size for shard in output.glob("shard-*.h5"))
+            taken.size = stored / (signals[0].nbytes * n_signals)
+    return taken
 
 
-def stages(scene: Any, folder: Path, compression: str) -> dict[str, float]:
+def stages(scene: Any, folder: Path) -> dict[str, float]:
     """Return the processor time of each stage on one thread [us/signal], and the time waiting for the disk."""
     batches = list(synthesise(scene, SHARD, 1))
     plan = ShardPlan(
@@ -118,7 +112,6 @@ def stages(scene: Any, folder: Path, compression: str) -> dict[str, float]:
         label_width=max(map(len, scene.labels)),
         parameter_units=parameter_units(scene),
         attributes={"format": "cgid-dataset"},
-        compression=compression,
     )
     image: list[memoryview] = []
 
@@ -131,17 +124,15 @@ def stages(scene: Any, folder: Path, compression: str) -> dict[str, float]:
     path = folder / "stage.h5"
     work: dict[str, Callable[[], object]] = {
         "making the signals": lambda: [len(batch) for batch in synthesise(scene, SHARD, 1)],
-        "the shard in memory: chunks, filter, checksums": build,
+        "the shard in memory: chunks, checksums": build,
         "SHA-256": lambda: hashlib.sha256(image[0]),
         "writing": lambda: path.write_bytes(image[0]),
     }
     signals = np.concatenate([batch.signals for batch in batches])
     work |= {
         # Work done once per run counts for all of its shards.
-        "all of `generate`, one job": lambda: generate(
-            scene, folder / "whole", SHARDS * SHARD, compression=compression, overwrite=True
-        ),
-        "h5py, for an array that is there": lambda: write_ready(path, signals, compression),
+        "all of `generate`, one job": lambda: generate(scene, folder / "whole", SHARDS * SHARD, overwrite=True),
+        "h5py, for an array that is there": lambda: write_ready(path, signals),
     }
     took = {}
     for name, run in work.items():
@@ -186,29 +177,27 @@ def peak_memory(arguments: Sequence[str]) -> float:
     return sum(peaks.values()) * 1024 / 1e6
 
 
-def show_rates(times: dict[str, Times], megabytes: float, jobs: int) -> None:
+def show_rates(taken: Times, megabytes: float, jobs: int) -> None:
     print(
-        f"| filter | size | h5py | unflushed | cgid, 1 job | cgid, {jobs} jobs | beside h5py | reading |\n"
+        f"| samples | size | h5py | unflushed | cgid, 1 job | cgid, {jobs} jobs | beside h5py | reading |\n"
         + "|---" * 8
         + "|"
     )
-    for compression, taken in times.items():
-        h5py_rate, unflushed, one, several, reading = (
-            megabytes / statistics.median(getattr(taken, name))
-            for name in ("h5py", "unflushed", "one", "several", "reading")
-        )
-        ratio = statistics.median(ready / made for ready, made in zip(taken.h5py, taken.several, strict=True))
-        print(
-            f"| {compression} | {taken.size:.3f} | {h5py_rate:.0f} | {unflushed:.0f} | {one:.0f} | {several:.0f} "
-            f"| {ratio:.0%} | {reading:.0f} |"
-        )
+    h5py_rate, unflushed, one, several, reading = (
+        megabytes / statistics.median(getattr(taken, name))
+        for name in ("h5py", "unflushed", "one", "several", "reading")
+    )
+    ratio = statistics.median(ready / made for ready, made in zip(taken.h5py, taken.several, strict=True))
+    print(
+        f"| float32 | {taken.size:.3f} | {h5py_rate:.0f} | {unflushed:.0f} | {one:.0f} | {several:.0f} "
+        f"| {ratio:.0%} | {reading:.0f} |"
+    )
 
 
 def show_stages(scene: Any, folder: Path) -> None:
-    columns = {compression: stages(scene, folder, compression) for compression in COMPRESSIONS}
-    print(f"\n| processor time [us a signal] | {' | '.join(columns)} |\n|---" + "|---" * len(columns) + "|")
-    for stage in columns["none"]:
-        print(f"| {stage} | {' | '.join(f'{took[stage]:.1f}' for took in columns.values())} |")
+    print("\n| processor time [us a signal] | |\n|---|---|")
+    for stage, took in stages(scene, folder).items():
+        print(f"| {stage} | {took:.1f} |")
 
 
 def main() -> None:

@@ -27,12 +27,12 @@ from cgid.errors import InvalidValue
 #: Options for tables and their outputs.
 _ONLY = {"features_only": "features", "quantities": "closed-form", "parameters_only": "parameters"}
 #: Options for stored signals.
-_OF_SIGNALS = ("dtype", "shard_signals", "compression", "jobs", "scheduler")
+_OF_SIGNALS = ("dtype", "shard_signals", "jobs", "scheduler")
 #: Those among them that do not apply to recordings, and their defaults.
-_OF_MANY = {"jobs": 1, "scheduler": None, "shard_signals": 4096, "compression": "none"}
+_OF_MANY = {"jobs": 1, "scheduler": None, "shard_signals": 4096}
 #: Arguments of `generate_recordings` and `generate`.
 _OF_RECORDINGS = ("output", "n_signals", "seed", "overwrite", "resume", "dtype")
-_OF_DATASETS = (*_OF_RECORDINGS, "shard_signals", "compression", "jobs", "scheduler")
+_OF_DATASETS = (*_OF_RECORDINGS, "shard_signals", "jobs", "scheduler")
 
 
 @click.command(
@@ -54,7 +54,7 @@ _OF_DATASETS = (*_OF_RECORDINGS, "shard_signals", "compression", "jobs", "schedu
 )
 @seed_option
 @jobs_option
-@keys(dtype="float32", shard_signals=4096, compression="none", scheduler=None)
+@keys(dtype="float32", shard_signals=4096, scheduler=None)
 @overwrite_option
 @click.option("--resume", is_flag=True, help="Continue an unfinished run, to the same bytes.")
 @click.option("--features-only", is_flag=True, help="Write a table of features instead of signals.")

@@ -58,6 +58,7 @@ WITHDRAWN = {
     "--save": "the page saves the model beside the table of labels",
     "--no-lines": "give --set lines=false, or lines in [model] of a site file",
     "--drop-height": "leave it out, no model needs a drop height",
+    "--compression": "pack what cgid export writes by h5repack -f GZIP=4",
     "--closed-form-only": "name the columns by --quantities, such as peak_force,contact_duration,impulse",
     "--level-free": "name features free of the gain by --features (relative_level_1000_hz,relative_level_1250_hz,...)",
     "--shuffle-labels": "shuffle the column label of a copy of the manifest instead",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -32,99 +33,22 @@ class Key(NamedTuple):
 
     kind: str
     help: str
-    field: str = ""
+    field: str
 
 
-_EACH = {
-    "unit": Key("text", "Unit of the samples, where files do not state it: N, g, m/s^2, V, ..."),
-    "sensitivity": Key("text", 'Sensitivity of the sensor, for samples in volts: "10.2 mV/g", "2.3 mV/N", "3.1 pC/g".'),
-    "gain": Key("text", 'Gain before the recorder, which is divided out: 10, "x10", "20 dB", "1 mV/pC".'),
-    "full_scale": Key("text", 'Full scale of sound files or integers: "10 V", "50 g", "10 V at 24 bit".'),
-    "invert": Key("flag", "Whether the signal points downwards; impacts must point upwards."),
-}
-#: Keys of one channel, a table such as [channels.1]: its number, or its name in the file.
-CHANNEL_KEYS = {
-    "name": Key("text", "Name of the channel, such as that of its support, in all outputs."),
-    **_EACH,
-    "beam": Key("text", "Beam that the sensor is on; channels with the same one give one answer a rock."),
-}
-#: Keys of a site file, by section.
-KEYS: dict[str, dict[str, Key]] = {
-    "recorder": {
-        "rate": Key("number", "Sampling rate [Hz] that files lack, or state wrongly.", "sampling_rate"),
-        **_EACH,
-        "format": Key("text", "Format of recordings, such as WAV, or the reader of a package; by default detected."),
-        "variable": Key("text", "Array, table or group to read where files contain several."),
-        "channel": Key("texts", "Channels to read: their numbers or names."),
-        "dead_time": Key("number", "Ring-down time of an impact [ms], by default 2 for pulses and 5 for vibrations."),
-        "index": Key("whole", "Signal of a dataset to read, from 0, instead of all."),
-        "channels": Key("whole", "Number of channels of a raw stream.", "n_channels"),
-        "sample_format": Key("text", "Numbers of a raw stream: u8, s16le, s24le, s32le, f32le, ...; be: big-endian."),
-    },
-    "model": {
-        "model": Key("model", "Model that answers: a file, or a shipped one; by default chosen by the unit."),
-        "mass": Key("number", "Mass of the accelerated impactor [kg]: force = mass x acceleration."),
-        "miss_cost": Key("costs", "Cost of missing each label, by default 1: {gangue = 3}.", "costs"),
-        "coverage": Key("number", "Reject impacts whose prediction set at this coverage (0.9) is not a single label."),
-        "vote": Key("time", "Time over which windows vote [s], by default 0.5; with 0, no vote.", "vote_time"),
-        "lines": Key(
-            "flag", "Remove machine tones from accelerations of a beam always, or never; by default once detected."
-        ),
-    },
-    "decision": {
-        "window": Key("time", "Window of the gangue fraction [s], by default 10.", "share_time"),
-        "gangue": Key("texts", 'Labels that count as gangue, by default "gangue".'),
-        "dilution_cost": Key("number", "Cost of drawn gangue in units of lost coal, by default 1: when to shut."),
-        "cost_late": Key(
-            "number", "Loss of each second of drawing above the limit and unit of fraction above it, by default 1."
-        ),
-        "cost_early": Key(
-            "number", "Loss of each second shut below the limit and unit of fraction below it, by default 6."
-        ),
-        "hold": Key("time", "Hold SHUT or OPEN for at least this time [s], by default the length of the window."),
-        "coal_until": Key("time", 'Only coal falls for so long at the beginning, such as "30s".'),
-        "cycle_pause": Key("time", 'A pause of this length begins a new caving cycle, such as "120s".'),
-        "cycle_by": Key("text", "What begins a new caving cycle in monitor: a line on stdin, or a message by mqtt."),
-        "labelled": Key("path", "Manifest or table of events whose labelled coal is used in place of coal_until."),
-        "trained_seam": Key("flag", "Whether the seam is like that of the model's training."),
-        "blind_after": Key("time", "Time without valid samples after which a support is blind [s], by default 5."),
-        "give_up": Key("time", "End when no channel has been readable for this long [s]; by default go on."),
-    },
-    "outputs": {
-        "mqtt": Key("text", "Publish each line of monitor below mqtt://HOST[:PORT]/TOPIC (mqtts: TLS)."),
-        "modbus": Key("text", "Serve state, gangue fraction and counts as Modbus TCP registers: HOST:PORT."),
-        "prometheus": Key("text", "Serve metrics at /metrics: [HOST]:PORT."),
-        "live": Key("output", "Show waveform, gangue fraction and decision on a page: [HOST]:PORT, or FILE.html."),
-        "on_shut": Key("text", "Command at each SHUT; it gets the line on stdin."),
-        "on_open": Key("text", "Command at each OPEN."),
-        "on_blind": Key("text", "Command when a support is blind, or the stream stops without its end."),
-        "clock": Key("flag", "Give each JSON object the time when it was printed, as wall_time (UTC)."),
-    },
-    "scene": {"laws": Key("paths", "Modules with contact laws of your own: names, or files.")},
-    "datasets": {
-        "dtype": Key("text", "Type of stored samples: float32, float64."),
-        "shard_signals": Key("whole", "Signals in each shard of a folder, by default 4096."),
-        "compression": Key("text", "Compression of signals: none, gzip; zstd and blosc2 need the extra compression."),
-        "scheduler": Key("text", "Address of a dask cluster whose workers are used, such as tcp://192.168.0.7:8786."),
-    },
-    "training": {
-        "class_weights": Key("text", "Weights of the rows of each label: balanced, or coal=1,gangue=3."),
-        "test_share": Key("number", "Fraction of the specimens for the test, by default 0.25."),
-        "calibration_share": Key("number", "Fraction of the specimens for the prediction sets, by default 0.1."),
-        "hop": Key("time", "Time from one window to the next [s], by default half a window.", "hop_time"),
-    },
-    "calibration": {
-        "start_error": Key("share", "Deviation of a scene's natural frequencies, by default 1 %; of damping 10 times."),
-        "drift": Key("share", "The same for a scene calibrated before, by default 0.3 %."),
-        "participation_error": Key("share", "Deviation of participations; by default 0 %: they are not learned."),
-        "exact": Key("text", "Parts that are as the scene states them: sensor, filter, mounting, divided by commas."),
-        "impacts": Key("whole", "Most impacts to calibrate with, by default 300."),
-        "max_order": Key("whole", "Most modes in each narrow band of a tap test, by default 24."),
-        "contact": Key("number", "Contact time of a hammer that is not recorded [ms], by default 2."),
-        "window_tau": Key("number", "Time constant of an exponential window that is undone [ms]."),
-        "longest_contact": Key("number", "Longest contact that cgid invert looks for [ms], by default 6."),
-    },
-}
+def _keys() -> dict[str, dict[str, Key]]:
+    """Return the keys by section: each is a row of `site_keys.csv`."""
+    found: dict[str, dict[str, Key]] = {}
+    with Path(__file__).with_name("site_keys.csv").open(encoding="utf-8", newline="") as lines:
+        for row in csv.DictReader(lines):
+            found.setdefault(row["section"], {})[row["key"]] = Key(row["value"], row["meaning"], row["field"])
+    return found
+
+
+#: Keys of a site file, by section; those of one channel, a table such as [channels.1]: its number, or its name in the
+#: file.
+KEYS = _keys()
+CHANNEL_KEYS = KEYS.pop("channels")
 #: Keys that Python's settings have, by section.
 _SETTINGS = ("model", "decision")
 #: Keys of these sections that are not settings of a prediction.
@@ -404,7 +328,7 @@ def site_text(recording: RecordingFile, stated: Mapping[str, Any]) -> str:
         lines.append(f"{'' if key in stated else '# '}{key} = {text}  # {KEYS['recorder'][key].help}")
     for number, channel in enumerate(recording.channels, 1):
         lines += ["", f"[channels.{number}]", f'name = "{_plain(channel.name, number)}"  # {CHANNEL_KEYS["name"].help}']
-        lines.append(f'# sensitivity = "10.2 mV/g"  # {_EACH["sensitivity"].help}')
+        lines.append(f'# sensitivity = "10.2 mV/g"  # {CHANNEL_KEYS["sensitivity"].help}')
         lines.append(f'# beam = "A"  # {CHANNEL_KEYS["beam"].help}')
     lines += ["", "[model]", f'# model = "mine.npz"  # {KEYS["model"]["model"].help}', "", "[decision]"]
     lines.append(f'# coal_until = "30s"  # {KEYS["decision"]["coal_until"].help}')

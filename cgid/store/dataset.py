@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +10,7 @@ import numpy as np
 from cgid._lib.files import check_new, clear_half_written, require_room, whole_file
 from cgid.errors import BadData, CannotCreate, InvalidValue
 from cgid.signals import Batch
-from cgid.store.description import DIGEST, FORMAT, MAX_SHARD_SIZE
+from cgid.store.description import DIGEST, FORMAT, MAX_SHARD_SIZE, PLAIN
 from cgid.store.disk import hdf5_on_disk
 from cgid.store.folder import MAX_FILES, Description, describe
 from cgid.store.hdf5 import ShardBuilder, ShardMemory, ShardPlan, lay_out, say_kind
@@ -44,7 +43,7 @@ def describe_dataset(output: Path, plan: ShardPlan, n_signals: int, shard_signal
         shard_signals=shard_signals,
         n_samples=plan.n_samples,
         dtype=plan.dtype,
-        compression=plan.compression,
+        compression=PLAIN,
     )
 
 
@@ -68,7 +67,7 @@ def export(
     overwrite: bool = False,
     progress: Callable[[int], object] | None = None,
 ) -> Path:
-    """Write a dataset of any compression as one plain HDF5 file and return its path.
+    """Write a dataset as one plain HDF5 file and return its path.
 
     Memory does not grow with the number of signals.
 
@@ -125,13 +124,13 @@ def write_dataset(
     batches: Iterable[Batch],
     progress: Callable[[int], object] | None = None,
 ) -> None:
-    """Write a dataset uncompressed into an empty file; used within `cgid._lib.files.whole_file`."""
-    done, plain = 0, replace(plan, compression="none")
+    """Write a dataset into an empty file; used within `cgid._lib.files.whole_file`."""
+    done = 0
     with hdf5_on_disk(path) as output:
         for batch in batches:
             with output.step() as file:
                 if not done:
-                    say_kind(lay_out(file, plain, first, n_signals), batch)
+                    say_kind(lay_out(file, plan, first, n_signals), batch)
                 rows = slice(done, done + len(batch))
                 file["signals"][rows] = batch.signals
                 file["labels"][rows] = np.char.encode(batch.labels, "utf-8")

@@ -21,8 +21,8 @@ TABLE_FORMAT, TABLE_VERSION = "cgid-table", 1
 #: Largest shard [bytes]; a shard is built in memory.
 MAX_SHARD_SIZE = 2 << 30
 MAX_RECORDING = MAX_SHARD_SIZE
-#: See `cgid.store.hdf5`.
-COMPRESSIONS = ("none", "gzip", "zstd", "blosc2")
+#: The compression that a description of a dataset states.
+PLAIN = "none"
 #: Root attribute of a file: the SHA-256 of its description.
 DIGEST = "description_sha256"
 #: Errors of h5py, pandas and pyarrow on damaged files.

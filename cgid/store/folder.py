@@ -25,7 +25,7 @@ from typing import Any
 from cgid._lib.files import half_written
 from cgid._lib.validation import RATES
 from cgid.errors import BadData, CannotCreate, NoInput
-from cgid.store.description import COMPRESSIONS, FORMAT, RECORDING_FORMAT, require_schema
+from cgid.store.description import FORMAT, PLAIN, RECORDING_FORMAT, require_schema
 
 DESCRIPTION, SUMS, LOCK = "description.json", "SHA256SUMS", ".lock"
 FOLDER_VERSION = 3
@@ -55,7 +55,7 @@ _FIELDS: Mapping[str, Mapping[str, Callable[[Any], bool]]] = {
         "shard_signals": _is_count,
         "n_samples": _is_count,
         "dtype": ("float32", "float64").__contains__,
-        "compression": COMPRESSIONS.__contains__,
+        "compression": (PLAIN,).__contains__,
     },
     RECORDING_FORMAT: {
         "n_recordings": _is_count,

@@ -11,15 +11,13 @@ Datasets name their axes as netCDF-4 does: /signal (numbers of the signals) and 
 dimension scales of all that is above, so xarray (engine h5netcdf) opens a shard with dimensions and coordinates.
 
 A shard is built in memory, which is faster. Recordings and tables may exceed memory and are written to the disk
-directly (`hdf5_on_disk`). Only signals of shards are compressed: `gzip` is HDF5's shuffle and deflate, which h5dump,
-MATLAB and LabVIEW read; `zstd` and `blosc2` (filters 32015 and 32026 of HDF5's registry) need plugins, in Python
-hdf5plugin. `python benchmarks/speed/store.py` measures size and speed.
+directly (`hdf5_on_disk`). Nothing is compressed: noise does not shrink. `python benchmarks/speed/store.py` measures the
+speed.
 """
 
 from __future__ import annotations
 
 import weakref
-import zlib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -31,7 +29,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid._lib.files import whole_file
-from cgid.errors import BadData, InvalidValue, optional
+from cgid.errors import BadData, InvalidValue
 from cgid.signals import Batch
 from cgid.store.description import MAX_RECORDING, RECORDING_FORMAT, RECORDING_SCHEMA_VERSION
 from cgid.store.disk import VERSIONS, Hdf5OnDisk, hdf5_on_disk, undisturbed
@@ -71,42 +69,6 @@ def put_column(
     return column
 
 
-# ---- compression -----------------------------------------------------------------------------------------------------
-
-#: Compressions that need hdf5plugin.
-BY_PLUGIN = ("zstd", "blosc2")
-
-
-def keywords(compression: str) -> dict[str, Any]:
-    """Return the arguments for h5py's `create_dataset`; raises as `require`."""
-    if compression == "none":
-        return {}
-    if compression == "gzip":
-        return {"compression": "gzip", "compression_opts": 4, "shuffle": True}
-    plugin = _plugin(compression)
-    if compression == "zstd":
-        return {"shuffle": True, **plugin.Zstd(clevel=1)}  # level 3 packs noise less well and takes longer
-    return dict(plugin.Blosc2(cname="lz4", clevel=5, filters=plugin.Blosc2.BITSHUFFLE))
-
-
-def require(compression: str) -> None:
-    """Raise `MissingExtra` if the library of a compression is not installed."""
-    if compression in BY_PLUGIN:
-        _plugin(compression)
-
-
-def library(compression: str) -> str:
-    """Return name and version of the library that determines the packed bytes, "" if none."""
-    if compression in BY_PLUGIN:
-        return f"hdf5plugin {_plugin(compression).version}"
-    return f"zlib {zlib.ZLIB_RUNTIME_VERSION}" if compression == "gzip" else ""
-
-
-def _plugin(compression: str) -> Any:
-    """Return hdf5plugin, which registers its filters with HDF5 on import."""
-    return optional("hdf5plugin", f"compression {compression!r} needs", "compression", hint=", or choose gzip")
-
-
 # ---- shards ----------------------------------------------------------------------------------------------------------
 
 
@@ -119,10 +81,9 @@ class ShardPlan:
     label_width: int
     parameter_units: Mapping[str, str]
     attributes: Mapping[str, Any]
-    compression: str = "none"
 
     def size(self, n_signals: int) -> int:
-        """Return the size of this many signals before compression [bytes]."""
+        """Return the size of this many signals [bytes]."""
         return n_signals * self.n_samples * np.dtype(self.dtype).itemsize
 
 
@@ -131,9 +92,7 @@ def lay_out(file: h5py.File, plan: ShardPlan, first: int, n_signals: int) -> h5p
     put_attributes(file, {**plan.attributes, "first_signal": first})
     shape = (n_signals, plan.n_samples)
     chunks = (_chunk_rows(plan, n_signals), plan.n_samples)
-    signals = file.create_dataset(
-        "signals", shape, plan.dtype, chunks=chunks, fletcher32=True, **keywords(plan.compression)
-    )
+    signals = file.create_dataset("signals", shape, plan.dtype, chunks=chunks, fletcher32=True)
     put_column(file, "labels", n_signals, f"S{plan.label_width}")
     put_column(file, "specimen", n_signals, "uint64")
     for name, unit in plan.parameter_units.items():
@@ -234,7 +193,7 @@ class ShardBuilder:
         row = plan.size(1)
         rows = _chunk_rows(plan, n_signals)
         self._memory = memory or ShardMemory()
-        self._memory.clear(plan.size(n_signals) + _ABOUT if plan.compression == "none" else 0)
+        self._memory.clear(plan.size(n_signals) + _ABOUT)
         with undisturbed():
             self._file = h5py.File(self._memory, "w", libver=VERSIONS)
             # HDF5 writes to the memory on closing, which must not wait until the interpreter exits.
@@ -266,22 +225,13 @@ class ShardBuilder:
         """Write the full or the last chunk."""
         rows = len(self._chunk_signals)
         first = (self._filled - 1) // rows * rows
-        filled = self._filled - first
-        if self._plan.compression in BY_PLUGIN:
-            with undisturbed():
-                self._signals[first : self._filled] = self._chunk_signals[:filled]  # HDF5 calls its plugin
-                self._signals.flush()  # so that chunks are stored in the order of the signals, despite HDF5's cache
-            return
         # Reading datasets does not need numba.
-        from cgid.store._packing import close_chunk, deflated_chunk
+        from cgid.store._packing import close_chunk
 
-        self._chunk_signals[filled:] = 0
-        packed = self._chunk
-        if self._plan.compression != "none":
-            packed = deflated_chunk(self._chunk_signals.reshape(-1))
-        close_chunk(packed)
+        self._chunk_signals[self._filled - first :] = 0
+        close_chunk(self._chunk)
         with undisturbed():
-            self._signals.id.write_direct_chunk((first, 0), packed)
+            self._signals.id.write_direct_chunk((first, 0), self._chunk)
 
     def image(self) -> memoryview:
         """Return the content of the finished file, without a copy."""

@@ -213,7 +213,7 @@ def _is_made(output: Path, description: Description, overwrite: bool) -> bool:
     if about.get(DIGEST) != description.sha256:
         required = {**description.content["attributes"], **description.content}
         # In this order, since everything else depends on the versions and the scene.
-        names = ("seed", "n_signals", "dtype", "compression", "scene_name", "scene_sha256", "versions")
+        names = ("seed", "n_signals", "dtype", "scene_name", "scene_sha256", "versions")
         name = next((name for name in names if about.get(name, required.get(name)) != required.get(name)), "n_samples")
         raise CannotCreate(
             f"{output}: {name} must be that of the existing file, {about.get(name, 'another')!s:.80}, got "

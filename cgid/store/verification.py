@@ -22,7 +22,7 @@ from cgid.store.folder import (
     read_folder,
     require_not_former,
 )
-from cgid.store.gates import attributes_of, codes_of, opened
+from cgid.store.gates import attributes_of, opened
 from cgid.store.headers import KINDS, damaged_rows, header_of
 from cgid.store.reading import require_own
 from cgid.store.table import TABLE_SUFFIXES, read_table
@@ -30,12 +30,10 @@ from cgid.store.table import TABLE_SUFFIXES, read_table
 __all__ = ["Verified", "remedy", "verify"]
 
 _NOUNS = {FORMAT: "dataset", RECORDING_FORMAT: "recording", TABLE_FORMAT: "table"}
-#: By HDF5's numbers of filters; see `cgid.store.hdf5`.
-_COMPRESSIONS = {1: "gzip", 32015: "zstd", 32026: "blosc2"}
 #: Problems without damage.
 _HARMLESS = ("leftover", "foreign")
 #: Fields of a description that are options of `cgid generate`.
-_OPTIONS = ("dtype", "shard_signals", "compression")
+_OPTIONS = ("dtype", "shard_signals")
 _FILE = r"(shard|recording)-\d{5,}\.h5"
 _TEXTS = (DESCRIPTION, SUMS)
 
@@ -59,10 +57,7 @@ def examine_file(path: str | Path) -> Examined:
                 return Examined("", f"{source}: this HDF5 file must be a dataset, a recording or a table of cgid", {})
             header = header_of(file, source, kind)
             if kind == FORMAT:
-                packed = next(
-                    (_COMPRESSIONS[code] for code in codes_of(file["signals"]) if code in _COMPRESSIONS), "none"
-                )
-                about |= {"n_signals": header.n_signals, "dtype": header.dtype, "compression": packed}
+                about |= {"n_signals": header.n_signals, "dtype": header.dtype}
             fault = damaged_rows(file, kind, source)
     except BadData as error:
         fault = str(error)

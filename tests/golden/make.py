@@ -48,7 +48,7 @@ def make_data(folder: Path) -> None:
     version = json.loads((whole / "description.json").read_text())["schema_version"]
     whole = whole.rename(folder / f"folder-{version}")
     generate(scene, folder / "single.h5", N_SIGNALS, SEED)
-    generate(scene, folder / "gzip.h5", N_SIGNALS, SEED, compression="gzip", dtype="float64")
+    # gzip.h5 is of an earlier development version, which could compress: such files are read as before.
     assert len(Dataset(whole)) == N_SIGNALS
     what = ["--features-only", "--features", "peak_force", "-n", str(N_SIGNALS), "--seed", str(SEED)]
     for ending in ("h5", "csv", "parquet"):

@@ -31,9 +31,9 @@ from cgid.scene.synthesis.plan import Plan
 from cgid.scene.synthesis.synthesis import columns_of, synthesise
 from cgid.signals import Batch
 from cgid.store.dataset import describe_dataset, shard_content
-from cgid.store.description import COMPRESSIONS, DIGEST, FORMAT, SCHEMA_VERSION
+from cgid.store.description import DIGEST, FORMAT, SCHEMA_VERSION
 from cgid.store.folder import Description, sha256_of
-from cgid.store.hdf5 import ShardMemory, ShardPlan, library, require
+from cgid.store.hdf5 import ShardMemory, ShardPlan
 from cgid.store.reading import Dataset
 from cgid.store.run import Run, begun, check_output, is_single_file, require_description
 from cgid.store.table import TableHeader, check_table_output, table_writer
@@ -73,7 +73,6 @@ def generate(  # noqa: PLR0913
     jobs: int = 1,
     dtype: Literal["float32", "float64"] = "float32",
     shard_signals: int = SHARD_SIGNALS,
-    compression: Literal["none", "gzip", "zstd", "blosc2"] = "none",
     overwrite: bool = False,
     resume: bool = False,
     scheduler: str | None = None,
@@ -93,10 +92,6 @@ def generate(  # noqa: PLR0913
         Type of the samples.
     shard_signals : int
         Signals per shard of a folder; does not affect the signals.
-    compression : {"none", "gzip", "zstd", "blosc2"}
-        gzip takes two to three times as long. It saves a seventh of noisy signals and nearly all of noiseless ones,
-        and every HDF5 reader supports it. zstd and blosc2 (lz4) need the extra `compression` to write and to read. The
-        bytes depend on the version of the compression library, which the attribute `versions` records.
     overwrite : bool
         Whether to replace an old dataset. A folder is no dataset until all of its shards are replaced.
     resume : bool
@@ -121,7 +116,7 @@ def generate(  # noqa: PLR0913
     ClusterFailed
         The scheduler does not answer, has no workers, or lost them.
     MissingExtra
-        dask.distributed or the compression library is not installed.
+        dask.distributed is not installed.
     WriteFailed
         The disk is full. Finished shards stay; the run can be resumed.
     InvalidValue
@@ -136,17 +131,16 @@ def generate(  # noqa: PLR0913
             f"scene {scene.name}: randomise.sampling_rate must be left out for a dataset, which has one sampling rate, "
             f"got {low:g} to {high:g} Hz; train on the scene itself (cgid train SCENE -o MODEL)"
         )
-    require(validation.choice("compression", compression, COMPRESSIONS))
     path = check_output(output, FORMAT, overwrite or resume)
     next(synthesise(scene, 1, seed))  # raises errors of the scene or the seed before anything is written
     if n_signals > MAX_SIGNALS:
         raise InvalidValue(f"n_signals must be at most {MAX_SIGNALS}, got {n_signals}; make several datasets")
     validation.choice("dtype", dtype, ("float32", "float64"))
-    plan, description = planned(path, scene, seed, n_signals, shard_signals, dtype, compression)
+    plan, description = planned(path, scene, seed, n_signals, shard_signals, dtype)
     single = is_single_file(path)
     # More workers than shards or processors would only cost memory.
     jobs = min(jobs, description.n_files, os.cpu_count() or 1)
-    if not single and compression == "none":
+    if not single:
         # Existing files are kept or replaced by as much.
         size = plan.size(n_signals) - sum(file.stat().st_size for file in path.glob("shard-*.h5"))
         require_room(path, path.parent, size, "signals", "free some space, or make fewer signals")
@@ -160,28 +154,25 @@ def generate(  # noqa: PLR0913
 
 
 def planned(
-    path: Path, scene: Scene, seed: int, n_signals: int, shard_signals: int, dtype: str, compression: str
+    path: Path, scene: Scene, seed: int, n_signals: int, shard_signals: int, dtype: str
 ) -> tuple[ShardPlan, Description]:
     """Return the plan of the shards of a dataset and its description; raises as `describe_dataset`."""
-    attributes = {"format": FORMAT, "schema_version": SCHEMA_VERSION} | attributes_of(scene, seed, compression)
+    attributes = {"format": FORMAT, "schema_version": SCHEMA_VERSION} | attributes_of(scene, seed)
     plan = ShardPlan(
         n_samples=scene.sampling.samples,
         dtype=dtype,
         label_width=max(len(label.encode()) for label in scene.labels),
         parameter_units=parameter_units(scene),
         attributes=in_order(attributes),
-        compression=compression,
     )
     description = describe_dataset(path, plan, n_signals, shard_signals)
     return replace(plan, attributes={**plan.attributes, DIGEST: description.sha256}), description
 
 
-def attributes_of(scene: Scene, seed: int, compression: str = "none") -> dict[str, Any]:
+def attributes_of(scene: Scene, seed: int) -> dict[str, Any]:
     """Return the root attributes of a dataset: scene, seed, and the versions and processor that its bytes depend on."""
     packages = ", ".join(f"{name} {version(name)}" for name in ("numpy", "scipy", "numba", "h5py"))
     packages += f", {_processor()}"
-    if compression != "none":
-        packages += f", {library(compression)}"
     instructions = {
         "seed": seed,
         "scene_name": scene.name,
