@@ -283,11 +283,12 @@ def test_verify_names_the_command_that_makes_it_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Run as it is printed, it makes the damaged and the missing shard and no other, to the same bytes."""
-    monkeypatch.chdir(tmp_path)
-    made = "generate reference -n 300 --seed 3 --dtype float64 --shard-signals 100 -o"
-    assert run([*made.split(), "a folder"]) == 0
-    assert run(["generate", "reference", "-n", "20", "--seed", "3", "-o", "one.h5"]) == 0
-    folder, single = tmp_path / "a folder", tmp_path / "one.h5"
+    (tmp_path / "foreign").mkdir()
+    monkeypatch.chdir(tmp_path / "foreign")
+    folder, single = Path("../a folder"), Path("../one.h5")
+    made = "generate reference -n 300 --seed 3 --set dtype=float64 --set shard_signals=100 -o"
+    assert run([*made.split(), str(folder)]) == 0
+    assert run(["generate", "reference", "-n", "20", "--seed", "3", "-o", str(single)]) == 0
     before, single_before = contents(folder), single.read_bytes()
     (folder / "shard-00002.h5").unlink()
     flip(folder / "shard-00001.h5", 20_000)
