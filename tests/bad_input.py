@@ -600,8 +600,6 @@ _COMMANDS = r"""
 65 | train junk -o new.npz | junk/coal/a.wav
 65 | train two_manifests -o new.npz | two_manifests
 2 | train m_same.csv | -o
-73 | train loose --template t.txt | t.txt
-73 | train loose --template m_same.csv | m_same.csv
 65 | events constant.csv -o e.csv | constant.csv
 2 | events no_unit.csv -o e.csv | no_unit.csv
 2 | events full_scale.wav -o e.csv | full_scale.wav
@@ -637,6 +635,8 @@ _COMMANDS = r"""
 65 | label good.csv --labels coal,<b> | --labels
 2 | label good.csv --save m.txt | --save is withdrawn
 2 | predict good.csv --strict | --strict is withdrawn
+2 | train loose --template t.csv | --template is withdrawn
+2 | features good.csv --keep-baseline | --keep-baseline is withdrawn
 2 | plot good.csv -o new.png --kind pulse | --kind is withdrawn
 2 | predict good.csv --set hold=5 | --set hold=VALUE
 66 | label good.csv --model gone.npz | gone.npz
@@ -810,10 +810,8 @@ _COMMANDS = r"""
 73 | export two.h5 -o truncated.h5 | truncated.h5
 73 | features good.csv -o ./good.csv --overwrite | one of the inputs
 73 | predict good.csv --report good.csv | one of the inputs
-73 | train m_same.csv -o new.npz --from model.npz --template m_same.csv --overwrite | one of the inputs
 73 | generate reference.toml -o reference.toml --overwrite | one of the inputs
 73 | events good.csv -o m_same.csv --overwrite | 2 labels
-73 | train good.csv --template m_same.csv --overwrite | 2 labels
 73 | export two.h5 -o new.csv | new.csv
 65 | export truncated.h5 -o new.h5 | truncated.h5
 66 | export-model gone.npz --to c -o new.c | gone.npz

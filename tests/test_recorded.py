@@ -422,26 +422,6 @@ def test_real_recordings_are_taken_for_what_they_are(real_data: Path) -> None:
         assert held.has_single_impacts == single
 
 
-def test_a_template_lists_a_folder_to_label(folder: Path, tmp_path: Path, capsys: Any) -> None:
-    for name in ("coal/0.npy", "gangue/1.npy", "2.npy"):
-        (tmp_path / name).parent.mkdir(exist_ok=True)
-        (tmp_path / name).write_bytes((folder / Path(name).name).read_bytes())
-    table = tmp_path / "t.csv"
-    assert run(["train", str(tmp_path), "--template", str(table), "--rate", str(RATE), "--unit", "g"]) == 0
-    assert f"3 recordings; fill in the label of 1, then cgid train {table}" in capsys.readouterr().err
-    rows = {row["path"]: row for row in rows_in(table)}
-    assert {name: row["label"] for name, row in rows.items()} == {
-        "coal/0.npy": "coal",
-        "gangue/1.npy": "gangue",
-        "2.npy": "",
-    }
-    assert rows["2.npy"]["content"] == f"{RATE} Hz, g, 1 channel, 1 s"
-    assert run(["train", str(tmp_path), "--template", str(table)]) == 73
-    table.unlink()
-    assert run(["train", str(tmp_path), "--template", str(table)]) == 2
-    assert {row["content"] for row in rows_in(table)} == {"cannot be read"}
-
-
 # -- groups -----------------------------------------------------------------------------------------------
 
 

@@ -1,4 +1,4 @@
-"""`cgid events`: find the impacts in recordings and write a manifest with a row for each; `cgid train --template`."""
+"""`cgid events`: find the impacts in recordings and write a manifest with a row for each."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ import numpy as np
 from cgid._lib.terminal import counted
 from cgid.cli.help import Command
 from cgid.cli.options import OUTPUT, PATH, overwrite_option, require_no_input_written
-from cgid.cli.output import FileErrors, say, say_error, warn
+from cgid.cli.output import FileErrors, say, warn
 from cgid.cli.reading import CHAIN, ReadingOptions, reading_options
 from cgid.errors import CgidError, InvalidValue, MissingOption
 from cgid.units import quantity_of
@@ -193,52 +193,3 @@ def _rows(
         given |= {"channel": channel, "same_beam": channel if len(rows) > 1 else ""}
         cells += [given | row for row in interval_rows([rock for rock in rocks if rock[0].channel in rows], unit)]
     yield from sorted(cells, key=lambda row: float(row["time_s"]))
-
-
-# -- one row per recording --------------------------------------------------------------------------------
-
-
-def write_template(data: tuple[str, ...], path: Path, reading: ReadingOptions, *, overwrite: bool) -> int:
-    """Write a manifest with a row for each recording, with a label if its folder is one."""
-    from cgid._lib.files import check_new, write_whole
-    from cgid.identification.training.manifest import (
-        manifest_text,
-        path_from,
-        recordings_in,
-        require_labels_kept,
-        row_of,
-    )
-
-    every = [(Path(item), recordings_in(Path(item)) if Path(item).is_dir() else [Path(item)]) for item in data]
-    require_no_input_written(file for _, files in every for file in files)
-    check_new(path, "a manifest", (".csv",), overwrite=overwrite)
-    rows, code = [], 0
-    for item, files in every:
-        folder = item if item.is_dir() else item.parent
-        for file in files:
-            content, failed = _content(file, reading)
-            code = code or failed
-            given = {"rate": reading.sampling_rate, "unit": reading.unit, "content": content}
-            rows.append({**row_of(file, folder), "path": path_from(path.parent, file), **given})
-    require_labels_kept(path, rows)
-    text = manifest_text(rows, ("group", "rate", "unit") if code else ("group",))
-    write_whole(path, text.encode("utf-8" if text.isascii() else "utf-8-sig"), overwrite=overwrite)
-    empty = sum(not row["label"] for row in rows)
-    fill = f"fill in the label of {empty}, then " if empty else "now "
-    train = shlex.join(["cgid", "train", str(path), "-o", "mine.npz"])
-    say(f"wrote {path}: {counted(len(rows), 'recording')}; {fill}{train}", err=True)
-    return code
-
-
-def _content(file: Path, reading: ReadingOptions) -> tuple[str, int]:
-    """Return a description of a recording, or why it is unreadable, and an exit code."""
-    from cgid.recordings import open_recording
-
-    try:
-        recording = open_recording(file, **reading.common)
-    except CgidError as error:
-        say_error(error)
-        return "cannot be read", error.exit_code
-    n_channels, unit = len(recording.channels), recording.channels[0].unit or "unit unknown"
-    length = "" if recording.duration is None else f", {recording.duration:.6g} s"
-    return f"{recording.sampling_rate:g} Hz, {unit}, {counted(n_channels, 'channel')}{length}", 0

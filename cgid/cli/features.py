@@ -33,7 +33,6 @@ _MAX_REPORTED = 3
     "--list", "as_list", is_flag=True, help="Print the table of features and banks: unit, definition, source, kind."
 )
 @click.option("--features", "names", help="Measure only these features or banks, separated by commas.")
-@click.option("--keep-baseline", is_flag=True, help="Keep the baseline instead of subtracting it.")
 @output_options
 @reading_options()
 @json_option
@@ -41,7 +40,6 @@ def features(
     files: tuple[str, ...],
     as_list: bool,
     names: str | None,
-    keep_baseline: bool,
     output: str | None,
     overwrite: bool,
     as_json: bool,
@@ -59,7 +57,7 @@ def features(
         raise click.UsageError("give at least one FILE, or --list for the table of features")
     selected = None if names is None else choose([name.strip() for name in names.split(",")])
     table = TableOutput(output, overwrite=overwrite, as_json=as_json)
-    rows = _FeatureRows(table, as_json, not keep_baseline, selected, datasets=any(map(is_dataset, files)))
+    rows = _FeatureRows(table, as_json, selected, datasets=any(map(is_dataset, files)))
 
     errors = FileErrors(one_output=True)
     with table:
@@ -94,7 +92,6 @@ class _FeatureRows:
 
     table: TableOutput
     as_json: bool
-    remove_baseline: bool
     names: tuple[str, ...] | None
     datasets: bool
 
@@ -172,7 +169,6 @@ class _FeatureRows:
                 batch.sampling_rate,
                 selected,
                 pre_trigger=batch.pre_trigger,
-                remove_baseline=self.remove_baseline,
                 invalid="nan",
                 beam=through,
             )
@@ -221,7 +217,6 @@ class _FeatureRows:
                         part.sampling_rate,
                         selected,
                         pre_trigger=part.pre_trigger,
-                        remove_baseline=self.remove_baseline,
                         detection_limit=event.detection_limit,
                     )[0].tolist()
             except BadData as error:
@@ -267,8 +262,7 @@ class _FeatureRows:
 
     def _report(self, name: str, sampling_rate: float, what: str) -> None:
         if not self.as_json:
-            baseline = "removed" if self.remove_baseline else "kept"
-            say(f"{name}: {sampling_rate:.8g} Hz, {what}, baseline {baseline}", err=True)
+            say(f"{name}: {sampling_rate:.8g} Hz, {what}, baseline removed", err=True)
 
     def _print(
         self, source: str, columns: list[Column], values: list[float], about: dict[str, Any], problem: str = ""
@@ -277,7 +271,7 @@ class _FeatureRows:
         row = {"source": source, "channel": "1", **about, "problem": problem or None}
         if self.as_json:
             by_name = {column.name: value for column, value in zip(columns, values, strict=True)}
-            row |= {"baseline_removed": self.remove_baseline, "features": by_name}
+            row["features"] = by_name
             print_json(row | {"units": {column.name: column.unit for column in columns}}, version=FEATURES_VERSION)
         else:
             by_name = {column.title: value for column, value in zip(columns, values, strict=True)}

@@ -17,7 +17,7 @@ from cgid.recordings.site import KEYS
 _OTHERS, _PLANT = "Other", "Plant outputs"
 #: Heading -> the options below it; "command --option" if a command uses the name differently.
 _OPTIONS = {
-    "Task": "--labels --sample --list --explain --features-only --quantities --parameters-only --scene --template",
+    "Task": "--labels --sample --list --explain --features-only --quantities --parameters-only --scene",
     "Reading the recording": "--rate --unit --sensitivity --full-scale --channel --channels --same-beam "
     "--sample-format --from --to --events",
     "Answers": "--model --coal-until --labelled",
@@ -55,6 +55,8 @@ WITHDRAWN = {
     "--masses": _PULSES,
     "--strict": "the exit code tells that a file failed, and its line says why",
     "--kind": "motion and sound are vibrations, everything else is a pulse, by --unit",
+    "--template": "write a table with the columns path and label, a row a recording, or name folders by their labels",
+    "--keep-baseline": "in Python, cgid.extract takes samples with their baseline",
     "--save": "the page saves the model beside the table of labels",
     "--no-lines": "give --set lines=false, or lines in [model] of a site file",
     "--drop-height": "leave it out, no model needs a drop height",

@@ -294,8 +294,9 @@ class Hints(Diagnosis):
         """Return the steps to train a model on parts of this recording; none if train cannot read it."""
         table, model = _unused("parts", ".csv"), _unused("mine", ".npz")
         return (
-            shlex.join(["cgid", "train", self._source, *self._options, "--template", table]),
-            InWords(f"fill in {table}: a row for each part, with its start_s, end_s and label"),
+            InWords(
+                f"write {table} with the columns path, start_s, end_s and label, a row for each part of the recording"
+            ),
             shlex.join(["cgid", "train", table, *self._options, "--by", "window", "-o", model]),
             self._predict_with(model),
         )

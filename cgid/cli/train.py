@@ -18,7 +18,6 @@ from cgid.cli.answering import prediction_by, warn_of_chance
 from cgid.cli.help import Command
 from cgid.cli.options import (
     MODEL,
-    OUTPUT,
     SCENE,
     OutputName,
     given_flags,
@@ -69,7 +68,6 @@ def _beside_model(path: Path) -> list[Path]:
     type=OutputName(_beside_model),
     help="Write this model file, ending in .npz; the model card is written next to it as .md.",
 )
-@click.option("--template", type=OUTPUT, metavar="FILE.csv", help="Write a manifest of the recordings to fill in.")
 @click.option(
     "--family",
     type=click.Choice(["logistic", "boosting", "network", "linear"]),
@@ -120,7 +118,6 @@ def train(
     /,
     data: tuple[str, ...],
     output: str | None,
-    template: str | None,
     plots: bool,
     overwrite: bool,
     as_json: bool,
@@ -133,9 +130,9 @@ def train(
     coal/a.wav, gangue/b.wav. A scene is a .toml file or the name of a shipped one; its signals are not written to disk.
 
     A manifest is a .csv file with the columns path and label (and as needed start, end, group, channel, rate,
-    unit, variable, format, sensitivity, gain, full_scale, invert, same_beam), or a .toml file with a
+    unit, variable, format, sensitivity, gain, full_scale, invert, same_beam, site), or a .toml file with a
     [[recording]] for each file, which may list intervals = [{ start, end, label }]. cgid events writes one with a row
-    for each impact, --template one with a row for each recording; fill in the labels. A group (a recording, a day, a
+    for each impact; fill in the labels. A group (a recording, a day, a
     support) is never on both sides of a split; each group in turn judges what was chosen and trained on the others.
     Scenes and datasets given with recordings are used for training, too, with their level and spectrum moved to those
     of the recordings.
@@ -153,10 +150,6 @@ def train(
     from cgid.identification.training.card import check_model_output, write_model
     from cgid.measure.features import choose
 
-    if template is not None:
-        from cgid.cli.events import write_template
-
-        return write_template(data, Path(template), reading, overwrite=overwrite)
     if output is None:
         raise click.UsageError("Missing option '-o' / '--output'.", context)
     path = check_model_output(Path(output), plots=plots, overwrite=overwrite)
