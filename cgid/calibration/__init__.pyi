@@ -1,7 +1,5 @@
 from cgid.calibration.forces import ImpactForce as ImpactForce
 from cgid.calibration.forces import forces_in as forces_in
-from cgid.calibration.gain import Calibration as Calibration
-from cgid.calibration.gain import calibrated as calibrated
 from cgid.calibration.modes import SiteCalibration as SiteCalibration
 from cgid.calibration.modes import calibrate as calibrate
 from cgid.calibration.modes import usable_impacts as usable_impacts
