@@ -709,7 +709,7 @@ _COMMANDS = r"""
 65 | tap two_taps.csv -o new.csv --band 900 100 | band
 65 | tap two_taps.csv -o new.csv --band 100 20000 | --band
 65 | tap two_taps.csv -o new.csv --band 6000 7000 | 6000
-65 | tap two_taps.csv -o new.csv --max-order 0 | --max-order
+2 | tap two_taps.csv -o new.csv --max-order 9 | --max-order is withdrawn; leave
 65 | tap two_taps.csv -o new.csv --contact -1 | contact
 65 | tap two_taps.csv -o new.csv --taps tap_times.csv | 7.5 s
 65 | tap two_taps.csv -o new.csv --taps tap_table.csv | tap_table.csv
@@ -717,7 +717,7 @@ _COMMANDS = r"""
 65 | tap two_taps.csv -o new.csv --sensor 0.1,0.1 | --taps
 65 | tap hammered.csv --hammer 2 -o new.csv --taps two_places.csv | --sensor
 65 | tap hammered.csv --hammer 2 -o new.csv --taps two_places.csv --sensor here | --sensor
-65 | tap hammered.csv --hammer 2 -o new.csv --taps two_places.csv --sensor 0.1,0.1 --window-tau 30 | --window-tau
+65 | tap hammered.csv --hammer 2 -o new.csv --taps two_places.csv --sensor 0.1,0.1 --uff new.uff | --uff
 65 | tap hammered.csv --hammer 2 -o new.csv --taps two_places.csv --sensor 0.1,0.1 | 6 places
 65 | tap hammered.csv --hammer 2 -o new.csv --taps places.csv --sensor 0.1,0.1 | got 3 for 2 taps
 65 | tap hammered.csv --hammer 2 -o new.csv --taps late_places.csv --sensor 0.1,0.1 | 7.5 s
@@ -725,7 +725,7 @@ _COMMANDS = r"""
 65 | tap hammered.csv --hammer 2 -o new.csv --taps nowhere.csv --sensor 0.1,0.1 | nowhere.csv, line 2
 65 | tap two_taps.csv -o new.csv --scene reference | reference
 65 | tap two_taps.csv -o new.csv --start-error 0 | --start-error
-65 | tap two_taps.csv -o new.csv --window-tau 0 | --window-tau
+2 | tap two_taps.csv -o new.csv --window-tau 30 | --window-tau is withdrawn; record
 65 | tap two_taps.csv -o new.csv --uff new.uff | --hammer
 73 | tap two_taps.csv -o new.csv --uff new.txt | .uff
 73 | tap two_taps.csv -o modes.csv | modes.csv

@@ -25,7 +25,7 @@ _OPTIONS = {
     "--cycle-by --labelled --trained-seam --blind-after",
     "Signals": "--signals --seed --laws --dtype --test-share --calibration-share",
     "Calibration": "--start-error --drift --participation-error --dimension-error --exact --impacts",
-    "Tap test": "--hammer --modes --band --max-order --contact --taps --window-tau",
+    "Tap test": "--hammer --modes --band --contact --taps",
     "Output": "--output --summary --save --port --audacity --mirror --report --plot --plots --uff --overwrite --resume "
     "--shard-signals --json --clock --strict",
     _PLANT: "--mqtt --modbus --prometheus --live --on-shut --on-open --on-blind",
@@ -64,6 +64,8 @@ WITHDRAWN = {
     "--impactor": _PULSES,
     "--masses": _PULSES,
     "--drop-height": "leave it out, no model needs a drop height",
+    "--max-order": "leave it out, --band keeps fewer modes",
+    "--window-tau": "record taps without a window, decays may last",
     "--compression": "pack what cgid export writes by h5repack -f GZIP=4",
     "--closed-form-only": "name the columns by --quantities, such as peak_force,contact_duration,impulse",
     "--level-free": "name features free of the gain by --features (relative_level_1000_hz,relative_level_1250_hz,...)",

@@ -54,13 +54,6 @@ _COARSE = 0.3
     "--band", nargs=2, type=float, metavar="LOW HIGH", help="Keep natural frequencies between LOW and HIGH [Hz]."
 )
 @click.option(
-    "--max-order",
-    type=int,
-    default=24,
-    show_default=True,
-    help="Fit at most this many modes in each of the narrow bands.",
-)
-@click.option(
     "--contact",
     type=float,
     default=2.0,
@@ -75,7 +68,6 @@ _COARSE = 0.3
     "are the place of each tap.",
 )
 @click.option("--sensor", metavar="X,Y", help="Set the place of the sensor of a roving hammer [m].")
-@click.option("--window-tau", type=float, metavar="MS", help="Undo an exponential window of this time constant [ms].")
 @click.option("--scene", "scene_name", type=SCENE, help="Write the modes of this scene's beam, corrected by the taps.")
 @click.option(
     "--start-error",
@@ -96,11 +88,9 @@ def tap(
     output: str,
     hammer: str | None,
     band: tuple[float, float] | None,
-    max_order: int,
     contact: float,
     table: str | None,
     sensor: str | None,
-    window_tau: float | None,
     scene_name: str | None,
     start_error: str,
     picture: str | None,
@@ -130,7 +120,7 @@ def tap(
         raise InvalidValue("--uff must be used with a hammer channel, whose force the response is over; give --hammer")
     drawing = None if picture is None else new_picture(picture, overwrite=overwrite)
     times, places = (None, None) if table is None else read_taps(table)
-    _require_roving(places is not None, hammer, sensor, window_tau, uff)
+    _require_roving(places is not None, hammer, sensor, uff)
     modes = None if scene_name is None else _modes_of(scene_name)
     error = share_of("--start-error", start_error)
     if not 0 < error <= 0.1:
@@ -139,10 +129,9 @@ def tap(
     splice = Splice(spans, rate, recording, times, 0 if places is None else len(places))
     with progress_bar(100, "%", "finding modes") as progress:
         options: dict[str, Any] = {"hammer": splice.force, "times": splice.inside(times), "quantity": quantity}
-        options |= {"band": band or None, "max_order": max_order, "source": recording, "progress": progress}
+        options |= {"band": band or None, "source": recording, "progress": progress}
         if places is None:
-            options |= {"contact": contact * 1e-3, "window_tau": None if window_tau is None else window_tau * 1e-3}
-            test = tap_test(splice.response, rate, **options)
+            test = tap_test(splice.response, rate, contact=contact * 1e-3, **options)
         else:
             assert sensor is not None
             test = roving_test(splice.response, rate, places=places, sensor=point_of(sensor), **options)
@@ -178,17 +167,14 @@ def _later(hammer: Any, recording: Any) -> int:
     return count
 
 
-def _require_roving(
-    roving: bool, hammer: str | None, sensor: str | None, window_tau: float | None, uff: str | None
-) -> None:
+def _require_roving(roving: bool, hammer: str | None, sensor: str | None, uff: str | None) -> None:
     """Raise `InvalidValue` unless the options fit a table of places, or one without."""
     if roving and (hammer is None or sensor is None):
         raise InvalidValue("--taps with places must be used with --hammer and --sensor; give its channel and its place")
     if not roving and sensor is not None:
         raise InvalidValue("--sensor must be used with a table of places; give --taps with the columns x_m and y_m")
-    if roving and (window_tau is not None or uff is not None):
-        flag = "--uff" if window_tau is None else "--window-tau"
-        raise InvalidValue(f"{flag} must be left out with a table of places, it is for taps at one place")
+    if roving and uff is not None:
+        raise InvalidValue("--uff must be left out with a table of places, it is for taps at one place")
 
 
 def _modes_of(name: str) -> Modes:
