@@ -523,6 +523,7 @@ _COMMANDS = r"""
 2 | predict good.csv --drop-height 1.5 | --drop-height is withdrawn; leave it out
 2 | train reference --drop-height -o new.npz | --drop-height is withdrawn; leave it out
 2 | generate reference --compression gzip -o new.h5 | --compression is withdrawn; pack
+2 | plot good.csv -o new.png --kind vibration | --kind is withdrawn; state
 2 | predict good.csv --sensor left | --sensor is withdrawn; leave it out
 65 | predict good.csv --miss-cost granite=2 | granite
 73 | predict good.csv -o rows.txt | rows.txt

@@ -18,7 +18,7 @@ _OPTIONS = {
     "Task": "--labels --sample --list --explain --features-only --quantities --parameters-only --scene --template",
     "Reading the recording": "--rate --unit --sensitivity --gain --full-scale --channel --channels --same-beam "
     "--sample-format --variable --format --index --invert --keep-baseline --lines --dead-time --give-up --from --to "
-    "--events --kind",
+    "--events",
     "Model": "--model --mass --sensor --family --by --hop --features --class-weights",
     "Decision": "--miss-cost --coverage --vote",
     "Gangue fraction": "--window --gangue --dilution-cost --cost-late --cost-early --hold --coal-until --cycle-pause "
@@ -64,6 +64,7 @@ WITHDRAWN = {
     "--impactor": _PULSES,
     "--masses": _PULSES,
     "--drop-height": "leave it out, no model needs a drop height",
+    "--kind": "state the quantity by --unit, motion and sound are vibrations",
     "--max-order": "leave it out, --band keeps fewer modes",
     "--window-tau": "record taps without a window, decays may last",
     "--compression": "pack what cgid export writes by h5repack -f GZIP=4",

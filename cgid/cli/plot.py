@@ -28,7 +28,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from cgid.identification.detection import Event
-    from cgid.measure.features.table import ImpactKind
     from cgid.plots.recording import Mark
     from cgid.recordings import Channel, RecordingFile
 
@@ -48,11 +47,6 @@ if TYPE_CHECKING:
     help="Write this picture, ending in .png, .svg or .pdf.",
 )
 @click.option("--events/--no-events", default=True, show_default=True, help="Mark the detected impacts.")
-@click.option(
-    "--kind",
-    type=click.Choice(["pulse", "vibration"]),
-    help="Set the type of impacts; by default motion and sound are vibrations, everything else pulses.",
-)
 @click.option("--from", "begin", type=float, default=0.0, metavar="SECONDS", help="Plot only after this time.")
 @click.option("--to", "end", type=float, metavar="SECONDS", help="Plot only before this time.")
 @same_beam_option
@@ -63,7 +57,6 @@ def plot(
     file: str,
     output: str,
     events: bool,
-    kind: ImpactKind | None,
     begin: float,
     end: float | None,
     same_beam: tuple[str, ...],
@@ -98,7 +91,7 @@ def plot(
             "drawn; choose with --channel"
         )
     stream = OverviewStream(recording.sampling_rate, len(channels), recording.source)
-    finder = _Finder(recording.sampling_rate, channels, kind, gap, begin) if events else None
+    finder = _Finder(recording.sampling_rate, channels, gap, begin) if events else None
     for block in _between(recording, begin, end):
         drawn = -block[: len(channels)] if reading.invert else block[: len(channels)]
         stream.feed(drawn)
@@ -133,13 +126,12 @@ def plot(
 
 
 class _Finder:
-    """Find the impacts of each channel as pulses or vibrations, by its quantity if `kind` is None."""
+    """Find the impacts of each channel as pulses or vibrations, by its quantity."""
 
     def __init__(
         self,
         sampling_rate: float,
         channels: Sequence[Channel],
-        kind: ImpactKind | None,
         dead_time: float | None,
         begin: float,
     ) -> None:
@@ -150,7 +142,7 @@ class _Finder:
         self._detectors = [
             (
                 channel.name,
-                ImpactDetector(sampling_rate, 1, kind=kind or kind_for(channel.quantity), dead_time=dead_time),
+                ImpactDetector(sampling_rate, 1, kind=kind_for(channel.quantity), dead_time=dead_time),
             )
             for channel in channels
         ]
