@@ -523,6 +523,7 @@ _COMMANDS = r"""
 2 | predict good.csv --drop-height 1.5 | --drop-height is withdrawn; leave it out
 2 | train reference --drop-height -o new.npz | --drop-height is withdrawn; leave it out
 2 | generate reference --compression gzip -o new.h5 | --compression is withdrawn; pack
+2 | plot good.csv -o new.png --kind vibration | --kind is withdrawn; state
 2 | predict good.csv --sensor left | --sensor is withdrawn; leave it out
 65 | predict good.csv --set miss_cost=granite=2 | granite
 73 | predict good.csv -o rows.txt | rows.txt
@@ -637,7 +638,6 @@ _COMMANDS = r"""
 2 | predict good.csv --strict | --strict is withdrawn
 2 | train loose --template t.csv | --template is withdrawn
 2 | features good.csv --keep-baseline | --keep-baseline is withdrawn
-2 | plot good.csv -o new.png --kind pulse | --kind is withdrawn
 2 | predict good.csv --set hold=5 | --set hold=VALUE
 66 | label good.csv --model gone.npz | gone.npz
 2 | label good.csv --port 0 | --port
@@ -712,7 +712,7 @@ _COMMANDS = r"""
 65 | tap two_taps.csv -o new.csv --band 900 100 | band
 65 | tap two_taps.csv -o new.csv --band 100 20000 | --band
 65 | tap two_taps.csv -o new.csv --band 6000 7000 | 6000
-65 | tap two_taps.csv -o new.csv --set max_order=0 | max_order
+2 | tap two_taps.csv -o new.csv --max-order 9 | --max-order is withdrawn; leave
 65 | tap two_taps.csv -o new.csv --set contact=-1 | contact
 65 | tap two_taps.csv -o new.csv --taps tap_times.csv | 7.5 s
 65 | tap two_taps.csv -o new.csv --taps tap_table.csv | tap_table.csv
@@ -720,7 +720,7 @@ _COMMANDS = r"""
 65 | tap two_taps.csv -o new.csv --sensor 0.1,0.1 | --taps
 65 | tap hammered.csv --hammer 2 -o new.csv --taps two_places.csv | --sensor
 65 | tap hammered.csv --hammer 2 -o new.csv --taps two_places.csv --sensor here | --sensor
-65 | tap hammered.csv --hammer 2 -o new.csv --taps two_places.csv --sensor 0.1,0.1 --set window_tau=30 | window_tau
+65 | tap hammered.csv --hammer 2 -o new.csv --taps two_places.csv --sensor 0.1,0.1 --uff new.uff | --uff
 65 | tap hammered.csv --hammer 2 -o new.csv --taps two_places.csv --sensor 0.1,0.1 | 6 places
 65 | tap hammered.csv --hammer 2 -o new.csv --taps places.csv --sensor 0.1,0.1 | got 3 for 2 taps
 65 | tap hammered.csv --hammer 2 -o new.csv --taps late_places.csv --sensor 0.1,0.1 | 7.5 s
@@ -728,7 +728,7 @@ _COMMANDS = r"""
 65 | tap hammered.csv --hammer 2 -o new.csv --taps nowhere.csv --sensor 0.1,0.1 | nowhere.csv, line 2
 65 | tap two_taps.csv -o new.csv --scene reference | reference
 65 | tap two_taps.csv -o new.csv --set start_error=0 | start_error
-65 | tap two_taps.csv -o new.csv --set window_tau=0 | window_tau
+2 | tap two_taps.csv -o new.csv --window-tau 30 | --window-tau is withdrawn; record
 65 | tap two_taps.csv -o new.csv --uff new.uff | --hammer
 73 | tap two_taps.csv -o new.csv --uff new.txt | .uff
 73 | tap two_taps.csv -o modes.csv | modes.csv

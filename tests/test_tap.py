@@ -398,19 +398,6 @@ def test_a_tap_that_the_others_do_not_explain_is_left_out(kind):
     np.testing.assert_allclose(test.modes.participation(), PARTICIPATION[:5], rtol=0.02)
 
 
-@pytest.mark.parametrize("tau", [0.03, 0.06])
-def test_an_exponential_window_is_undone(tau):
-    response, force, times = taps(4, gap=0.6, seed=1)
-    starts = np.round(times * RATE).astype(int)
-    for first, last in zip(starts, [*(starts[1:] - 30), response.size], strict=True):
-        response[first:last] *= np.exp(-np.arange(last - first) / RATE / tau)
-    test = tap_test(response[None], RATE, hammer=force, band=(60.0, 560.0), window_tau=tau)
-    near = np.abs(np.log(test.modes.frequency[:, None] / FREQUENCY[:5])).argmin(axis=0)
-    assert test.modes.frequency.size <= 6
-    np.testing.assert_allclose(test.modes.frequency[near], FREQUENCY[:5], rtol=3e-4)
-    np.testing.assert_allclose(test.modes.damping_ratio[near], DAMPING[:5], rtol=0.05)
-
-
 def test_a_weak_mode_on_the_flank_of_a_strong_one_is_found():
     modes = (np.array([480.0, 652.5, 655.0]), np.array([4e-3, 4e-3, 1e-3]), np.array([-0.9, -0.12, 0.8]) * 1e-3)
     response, force, _ = taps(3, gap=0.7, seed=3, modes=modes)

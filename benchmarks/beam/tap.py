@@ -8,7 +8,7 @@
 2. Two modes 1 and 2 % apart alone, at several dampings: how often both are found, and what is stated then.
 3. A panel of steel by finite elements (`independent_modes.py`), all dampings alike: how many of its modes are found.
 4. What a tap test does wrong: a soft hammer that stays on for longer than stated, places that differ from tap to tap,
-   one tap, two sensors; a hammer on another module, exponential windows, one bad tap of five.
+   one tap, two sensors; a hammer on another module, one bad tap of five.
 5. Recordings of 10 s, ten minutes and an hour: processor time and memory (Linux).
 6. A hammer blow on a bolted steel beam, three accelerometers, 12.8 kHz, 5 s: github.com/mattiacenedese/BRBtesting, Chen
    et al., Mechanical Systems and Signal Processing 166 (2022) 108401. Files of that repository; not part of cgid.
@@ -18,7 +18,6 @@
 from __future__ import annotations
 
 import argparse
-import itertools
 import resource
 import subprocess
 import sys
@@ -203,22 +202,12 @@ def mistakes(seeds: int) -> None:
 
 
 def recorders(seeds: int) -> None:
-    """Print what the test says of late hammers, exponential windows and a bad tap, and its errors."""
+    """Print what the test says of late hammers and a bad tap, and its errors."""
 
     def late(samples: int) -> Callable[[int], Recorded]:
         def make(seed: int) -> Recorded:
             response, force, _ = taps(5, seed=seed, noise=0.01)
             return response, np.roll(force, samples), {}
-
-        return make
-
-    def windowed(tau: float) -> Callable[[int], Recorded]:
-        def make(seed: int) -> Recorded:
-            response, force, times = taps(5, seed=seed, noise=1e-3)
-            starts = [*np.round(times * RATE).astype(int), response.size]
-            for first, last in itertools.pairwise(starts):
-                response[first : last - 30] *= np.exp(-np.arange(last - 30 - first) / RATE / tau)
-            return response, force, {"window_tau": tau}
 
         return make
 
@@ -230,7 +219,6 @@ def recorders(seeds: int) -> None:
         return make
 
     cases = {f"hammer {1e3 * n / RATE:.3g} ms late": late(n) for n in (0, 2, 128, 512)}
-    cases |= {f"window of {1e3 * tau:g} ms": windowed(tau) for tau in (0.03, 0.06)}
     cases |= {f"one tap of five: {kind}": bad(kind) for kind in FLAWS}
     print(f"\n| what | delay [ms] | taps left out | {HEAD}\n|{'---|' * 13}")
     for name, make in cases.items():

@@ -14,7 +14,7 @@ only products of columns: the Gram matrix of each tap.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,8 +26,6 @@ from cgid.measure.modal.modes import LINE_DAMPING, resonator_poles
 #: The mass line is a mode at this fraction of the lowest frequency of the band, the stiffness lines are at these
 #: multiples of the highest: modes near the band bend the response more than those far away. Their damping ratio.
 _BELOW, _ABOVE = 0.1, (1.5, 4.0)
-#: A windowed vibration is used for this many time constants of the window.
-_WINDOWS = 2.0
 #: Bins of a tap processed at once.
 _BINS = 4096
 #: Complex participations leave at most this fraction of the energy that real ones leave.
@@ -50,14 +48,6 @@ class Blow:
     response: Floats  # (n_samples,), of one sensor
     force: Floats  # (n,) [N], at the first samples; 0 afterwards
     earlier: Sequence[tuple[int, Floats]] = ()  # forces before, and how many samples earlier they begin
-
-    def without_window(self, samples: float, lead: int) -> Blow:
-        """Return the same without an exponential window of this time constant, as far as it leaves a signal.
-
-        It begins with the tap, `lead` samples after the first.
-        """
-        at = np.arange(min(self.response.size, round(_WINDOWS * samples))) - lead
-        return replace(self, response=self.response[: at.size] * np.exp(np.maximum(at, 0) / samples))
 
 
 def spectra_of(blows: Sequence[Blow], bins: Indices) -> tuple[Complex, Complex]:

@@ -15,7 +15,7 @@ standard deviations include changes of the beam from tap to tap.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -93,17 +93,6 @@ class Poles:
             chart=self.chart,
             apart=self.apart,
         )
-
-    def without_window(self, tau: float) -> Poles:
-        """Return the modes without the damping that an exponential window of this time constant [s] adds."""
-        pole = self.pole + 1 / tau
-        damped = np.flatnonzero(pole.real < -MIN_DAMPING * np.abs(pole))
-        found = self.taken(damped)
-        ratio = found.pole.real / pole[damped].real
-        deviation = np.stack([found.deviation[0], found.deviation[1] * ratio])
-        apart = self.apart + 1 / tau
-        apart = apart[apart.real < -MIN_DAMPING * np.abs(apart)]
-        return replace(found, pole=pole[damped], deviation=deviation, apart=apart)
 
 
 def poles_of(

@@ -68,10 +68,6 @@ _LEAST = 1e-12
 RINGS = 30.0
 #: A second force within a tap test is a tap above this fraction of the largest; below it the hammer's channel vibrates.
 _FLOOR = 0.05
-#: A windowed decay is used for this many time constants of the window: later it is rounding, not noise.
-_WINDOWS = 3.0
-#: An exponential window begins within this time of the force, one standard deviation [s].
-_BEGIN = 0.1e-3
 #: Delays of taps within this time are one [s]; so is none. Phases of fewer modes show none.
 _SAME_DELAY, _MIN_PHASES = 1.5e-3, 3
 #: No delay is taken if it leaves less than this fraction of the energy that the delay of the phases leaves.
@@ -224,7 +220,7 @@ def save_table(path: str | Path, table: str, note: str, overwrite: bool) -> Path
     return path
 
 
-def tap_test(  # noqa: PLR0913
+def tap_test(
     response: Floats,
     sampling_rate: float,
     *,
@@ -234,7 +230,6 @@ def tap_test(  # noqa: PLR0913
     max_order: int = 24,
     contact: float = CONTACT,
     times: Sequence[float] | None = None,
-    window_tau: float | None = None,
     source: str = "signal",
     progress: Callable[[int], object] | None = None,
 ) -> TapTest:
@@ -257,8 +252,6 @@ def tap_test(  # noqa: PLR0913
         Contact time of the hammer, if there is no hammer channel.
     times : sequence of float, optional [s]
         Use only the taps at these times.
-    window_tau : float, optional [s]
-        Time constant of an exponential window that the recorder has put on each tap.
     source : str
         Name of the recording in errors.
     progress : callable, optional
@@ -278,8 +271,6 @@ def tap_test(  # noqa: PLR0913
     quantity = validation.choice("quantity", quantity, tuple(DERIVATIVES))
     max_order = validation.count("max_order", max_order)
     contact = validation.number("contact", contact, "s", validation.not_negative)
-    if window_tau is not None:
-        window_tau = validation.number("window_tau", window_tau, "s", validation.positive)
     force, hits, delay = None, None, 0.0
     if hammer is not None:
         force, hits = hammer_force(hammer, sampling_rate, source)
@@ -289,8 +280,6 @@ def tap_test(  # noqa: PLR0913
     while True:
         used = usable(taps, source)
         length = min(min(tap.stop - tap.start for tap in used), LONGEST)
-        if window_tau is not None:
-            length = min(length, round(_WINDOWS * window_tau * sampling_rate))
         low, high = band_of(band, length / sampling_rate, sampling_rate, source)
         if force is not None and hits is not None:
             blows = blows_of(response[0], force, hits, used, sampling_rate, 0.0)
@@ -301,7 +290,6 @@ def tap_test(  # noqa: PLR0913
         with threadpool_limits(1, "blas"):  # the matrices are small: threads would wait for each other
             poles = poles_of(decays, sampling_rate, (low, high), max_order, progress)
         progress = None
-        poles = poles if window_tau is None else poles.without_window(window_tau)
         if not poles.pole.size:
             raise BadData(
                 f"{source}: the decays must contain a mode, none is found between {low:.4g} and {high:.4g} Hz in "
@@ -314,11 +302,7 @@ def tap_test(  # noqa: PLR0913
             response_modes, unexplained, measured = modes, None, None
             break
         pole = np.concatenate([poles.pole, lines_of((low, high))])
-        reach = RINGS / np.abs(pole.real).min() if window_tau is None else 0.0
-        blows = blows_of(response[0], force, hits, used, sampling_rate, reach)
-        if window_tau is not None:
-            lead = max(round(_AFTER * sampling_rate), 2)
-            blows = [blow.without_window(window_tau * sampling_rate, lead) for blow in blows]
+        blows = blows_of(response[0], force, hits, used, sampling_rate, RINGS / np.abs(pole.real).min())
         rest, alike = remaining_delay(poles, blows, used, sampling_rate, DERIVATIVES[quantity])
         gram = gram_of(blows, pole, sampling_rate, DERIVATIVES[quantity], (low, high), rest)
         if abs(rest) > 1 / sampling_rate:  # phases may be those of damping in places
@@ -338,8 +322,6 @@ def tap_test(  # noqa: PLR0913
         deviation = np.zeros((3, pole.size))
         deviation[:2, : poles.pole.size] = poles.deviation
         deviation[2, fit.kept] = _relative_deviation(fit, poles, len(used))
-        if window_tau is not None:
-            deviation[2, fit.kept] = np.hypot(deviation[2, fit.kept], _BEGIN / window_tau)
         kept_modes = fit.kept[fit.kept < poles.pole.size]
         modes = _modes(pole[kept_modes], fit.value[: kept_modes.size], deviation[:, kept_modes], scaled=True)
         if poles.apart.size > poles.pole.size:

@@ -60,17 +60,15 @@ _COARSE = 0.3
 @overwrite_option
 @json_option
 @reading_options()
-@keys(max_order=24, contact=2.0, window_tau=None, start_error="1 %")
+@keys(contact=2.0, start_error="1 %")
 def tap(
     recording: str,
     output: str,
     hammer: str | None,
     band: tuple[float, float] | None,
-    max_order: int,
     contact: float,
     table: str | None,
     sensor: str | None,
-    window_tau: float | None,
     scene_name: str | None,
     start_error: str,
     picture: str | None,
@@ -100,7 +98,7 @@ def tap(
         raise InvalidValue("--uff must be used with a hammer channel, whose force the response is over; give --hammer")
     drawing = None if picture is None else new_picture(picture, overwrite=overwrite)
     times, places = (None, None) if table is None else read_taps(table)
-    _require_roving(places is not None, hammer, sensor, window_tau, uff)
+    _require_roving(places is not None, hammer, sensor, uff)
     modes = None if scene_name is None else _modes_of(scene_name)
     error = share_of("--start-error", start_error)
     if not 0 < error <= 0.1:
@@ -109,10 +107,9 @@ def tap(
     splice = Splice(spans, rate, recording, times, 0 if places is None else len(places))
     with progress_bar(100, "%", "finding modes") as progress:
         options: dict[str, Any] = {"hammer": splice.force, "times": splice.inside(times), "quantity": quantity}
-        options |= {"band": band or None, "max_order": max_order, "source": recording, "progress": progress}
+        options |= {"band": band or None, "source": recording, "progress": progress}
         if places is None:
-            options |= {"contact": contact * 1e-3, "window_tau": None if window_tau is None else window_tau * 1e-3}
-            test = tap_test(splice.response, rate, **options)
+            test = tap_test(splice.response, rate, contact=contact * 1e-3, **options)
         else:
             assert sensor is not None
             test = roving_test(splice.response, rate, places=places, sensor=point_of(sensor), **options)
@@ -148,17 +145,14 @@ def _later(hammer: Any, recording: Any) -> int:
     return count
 
 
-def _require_roving(
-    roving: bool, hammer: str | None, sensor: str | None, window_tau: float | None, uff: str | None
-) -> None:
+def _require_roving(roving: bool, hammer: str | None, sensor: str | None, uff: str | None) -> None:
     """Raise `InvalidValue` unless the options fit a table of places, or one without."""
     if roving and (hammer is None or sensor is None):
         raise InvalidValue("--taps with places must be used with --hammer and --sensor; give its channel and its place")
     if not roving and sensor is not None:
         raise InvalidValue("--sensor must be used with a table of places; give --taps with the columns x_m and y_m")
-    if roving and (window_tau is not None or uff is not None):
-        flag = "--uff" if window_tau is None else "--window-tau"
-        raise InvalidValue(f"{flag} must be left out with a table of places, it is for taps at one place")
+    if roving and uff is not None:
+        raise InvalidValue("--uff must be left out with a table of places, it is for taps at one place")
 
 
 def _modes_of(name: str) -> Modes:
