@@ -21,6 +21,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from scipy.io import wavfile
 
+import cgid
 from cgid.errors import BadData, CgidError, InvalidValue, NoInput
 from cgid.recordings import RecordingFile, is_dataset, open_recording, read_recording
 from cgid.recordings.recording import MAX_CHANNELS
@@ -306,6 +307,17 @@ def test_lost_rows_are_a_gap(write, monkeypatch, piece):
     np.testing.assert_array_equal(found, expected)
     assert recording.sampling_rate == pytest.approx(800, rel=1e-9)
     assert "21 samples in 2 gaps of the times are missing, the first before 0.15 s" in recording.warnings[0]
+
+
+def test_a_recording_with_lost_samples_is_read_as_the_error_says(write):
+    file = write("t (s),F (N),G (N)\n" + "".join(f"{k / 800},{k},{2 * k}\n" for k in range(90) if k not in (20, 21)))
+    with pytest.raises(BadData, match=rf"{re.escape(str(file))}.*sample 20 is nan") as told:
+        read_recording(file)
+    (way,) = re.findall(r"cgid\.open_recording\(.*\)", str(told.value))
+    found = eval(way.replace("...", "file"), {"cgid": cgid, "file": file})
+    expected = np.where(np.isin(np.arange(90), (20, 21)), np.nan, np.arange(90.0))
+    np.testing.assert_array_equal(found, [expected, 2 * expected])
+    np.testing.assert_array_equal(open_recording(file).samples(30), found[:, 30:])
 
 
 def test_lowest_numbers_of_a_converter_are_a_gap_unless_samples_come_near():

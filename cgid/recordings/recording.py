@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -480,7 +481,7 @@ class RecordingFile:
             first += block.shape[1]
             yield block
 
-    def samples(self, start: int, stop: int) -> NDArray[Any]:
+    def samples(self, start: int = 0, stop: int | None = None) -> NDArray[Any]:
         """Return the samples from index `start` to before `stop`, fewer at the end of the recording.
 
         WAV, NPY, NPZ, HDF5, TDMS, FLAC and other lossless sound are read there only; other formats in one pass up to
@@ -489,7 +490,7 @@ class RecordingFile:
         Parameters
         ----------
         start, stop : int
-            From 0; `start` at most `stop`.
+            From 0; `start` at most `stop`. None: to the end.
 
         Returns
         -------
@@ -504,7 +505,7 @@ class RecordingFile:
             As `blocks`.
         """
         start = whole("start", start, 0)
-        stop = whole("stop", stop, start)
+        stop = sys.maxsize if stop is None else whole("stop", stop, start)
         if self.n_samples is not None:
             stop = min(stop, self.n_samples)
         parts, left = [np.empty((len(self._selected), 0), np.float32)], stop - start
@@ -538,7 +539,7 @@ class RecordingFile:
         """
         signals, faults = self.signals_and_faults()
         if faults:
-            raise faults[0]
+            raise BadData(f"{faults[0]}, or take its samples with nan by cgid.open_recording(...).samples()")
         return signals
 
     def signals_and_faults(self) -> tuple[list[Signal], list[BadData]]:
