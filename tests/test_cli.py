@@ -214,7 +214,7 @@ def test_check_warns_of_a_radius_without_its_unit(tmp_path: Path, capsys: pytest
     [
         (("predict", "sample.csv", "--unit", "2=N"), "--unit"),
         (("predict", "sample.csv", "--set", "channels.3.gain=2"), "--set channels"),
-        (("calibrate", "sample_acceleration.csv", "--scene", "caving", "-ox.toml", "--drift=9"), "--drift"),
+        (("calibrate", "sample_acceleration.csv", "--scene", "caving", "-ox.toml", "--set", "drift=9"), "--set drift"),
     ],
 )
 def test_an_error_names_the_option_that_caused_it(

@@ -119,14 +119,14 @@ def calibrate(
     scene = load_scene(scene_name)
     warn_of_one_place(scene)
     errors: dict[str, Any] = {
-        "start_error": share_of("--start-error", start_error),
-        "drift": share_of("--drift", drift),
-        "participation_error": share_of("--participation-error", participation_error),
+        "start_error": share_of("start_error", start_error),
+        "drift": share_of("drift", drift),
+        "participation_error": share_of("participation_error", participation_error),
     }
     parts = tuple(filter(None, (part.strip() for part in exact.split(","))))
     for part in parts:
-        validation.choice("--exact", part, PARTS)
-    validation.whole("--impacts", impacts, FEWEST)
+        validation.choice("exact", part, PARTS)
+    validation.whole("impacts", impacts, FEWEST)
     check_numbers(**errors, max_impacts=impacts)
     check_sensors(scene, points, scene.sampling.sampling_rate, errors["participation_error"])
     of_dimensions = dimensions.dimension_errors(scene, _of_each(dimension_error))

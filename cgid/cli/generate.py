@@ -121,7 +121,7 @@ def _checked_output(context: click.Context) -> str:
     for name in _OF_SIGNALS:
         if only and name in given:
             raise click.UsageError(
-                f"{_flag(name)} is for signals, {_flag(only[0])} keeps none; leave one of them out", context
+                f"{given[name]} is for signals, {_flag(only[0])} keeps none; leave one of them out", context
             )
     if not options["explain"]:
         _require_file(context, bool(only))
@@ -243,7 +243,7 @@ def _require_recordings(scene: Any, options: dict[str, Any]) -> None:
     for name, default in _OF_MANY.items():
         if options[name] != default:
             raise InvalidValue(
-                f"{_flag(name)} is for datasets, scene {scene.name} is a stream of recordings; leave it out"
+                f"{name} is for datasets, scene {scene.name} is a stream of recordings; leave it out"
             )
 
 

@@ -201,9 +201,11 @@ def monitor(
     from cgid.recordings.live import live_stream
 
     site = reading.site
-    models, settings = settings_of(reading, model_path, coal_until=coal_until, batch=1)
+    models, settings = settings_of(reading, model_path, coal_until=coal_until, batch=1, same_beam=reading.same_beam)
     settings = replace(settings, share_step=settings.shares.window / STEPS)
     clock, cycle_by, labelled = bool(site.get("clock")), site.get("cycle_by"), site.get("labelled")
+    if site.given.get("clock") and not as_json:
+        raise click.UsageError("clock is for lines of JSON; give --json, too")
     stated = Chain.of(**reading.chain)
     _require_cycles(cycle_by, stream, settings, outputs)
     table_of_coal = None if labelled is None else read_manifest(labelled)
@@ -219,8 +221,7 @@ def monitor(
             chain=stated,
             site=site,
         )
-        given = tuple(tuple(one.split("+")) for one in reading.same_beam) or live.beams
-        settings = replace(settings, same_beam=given)
+        settings = replace(settings, same_beam=settings.same_beam or live.beams)
         with TableOutput() as table:
             lines = AnswerLines(as_json, table, live=True, clock=clock, listener=listener)
             _follow(live, models, settings, lines, listener, cycle_by, table_of_coal)

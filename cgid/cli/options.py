@@ -141,8 +141,7 @@ def given_flags(context: click.Context) -> dict[str, str]:
     options = {option.name or "": max(option.opts, key=len) for option in context.command.params}
     line = click.core.ParameterSource.COMMANDLINE
     found = {name: flag for name, flag in options.items() if context.get_parameter_source(name) is line}
-    keys = {key: field_of(key) for key in the_site().given}
-    return found | {field: f"--set {key}" for key, field in keys.items() if field in context.params}
+    return found | {field_of(key): f"--set {key}" for key in the_site().given}
 
 
 def refuse(context: click.Context, flags: str, reason: str) -> None:

@@ -22,6 +22,8 @@ if TYPE_CHECKING:
     from cgid.recordings.site import Site
 
 
+#: Keys that datasets state.
+_OF_RECORDINGS = ("rate", "unit", "format", "variable", "channel", "sensitivity", "gain", "full_scale")
 #: Maximum dead time [ms]; no ring-down lasts longer.
 MAX_DEAD_TIME = 1e4
 
@@ -125,6 +127,8 @@ class ReadingOptions:
         if not is_dataset(path):
             return False
         given: dict[str, Any] = {f"--{name.replace('_', '-')}": value for name, value in self.chain.items()}
+        given["--same-beam"] = self.same_beam or None
+        given |= {f"--set {key}": value for key, value in self.site.given.items() if key in _OF_RECORDINGS}
         if self.index is None:
             given |= {"--rate": self.sampling_rate, "--unit": self.unit, "--channel": self.channel or None}
         for flag, value in given.items():

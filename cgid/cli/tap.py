@@ -100,9 +100,9 @@ def tap(
     times, places = (None, None) if table is None else read_taps(table)
     _require_roving(places is not None, hammer, sensor, uff)
     modes = None if scene_name is None else _modes_of(scene_name)
-    error = share_of("--start-error", start_error)
+    error = share_of("start_error", start_error)
     if not 0 < error <= 0.1:
-        raise InvalidValue(f"--start-error must be above 0 and at most 10 %, got {error:g}")
+        raise InvalidValue(f"start_error must be above 0 and at most 10 %, got {error:g}")
     spans, rate, quantity = read_with_hammer(recording, hammer, reading, Splice.OVERLAP)
     splice = Splice(spans, rate, recording, times, 0 if places is None else len(places))
     with progress_bar(100, "%", "finding modes") as progress:

@@ -43,7 +43,9 @@ if TYPE_CHECKING:
     from cgid.store import Dataset
 
 #: Options for recordings only, for datasets and scenes only, and for training rather than correction.
-_OF_RECORDINGS = "--by --window --hop --rate --unit --channel --sensitivity --full-scale"
+_OF_RECORDINGS = (
+    "--by --window --hop --rate --unit --channel --gain --sensitivity --full-scale --format --invert --dead-time"
+)
 _OF_DATASETS = "--test-share --calibration-share --start-error --sensor"
 _OF_TRAINING = (
     "--features --family --class-weights --by --window --hop --test-share --calibration-share --start-error --signals"
@@ -261,7 +263,7 @@ def _from_signals(data: list[str], options: dict[str, Any]) -> tuple[Any, list[A
     from cgid.scene import Scene
 
     given = options["start_error"]
-    sources = _sources(data, None if given is None else share_of("--start-error", given))
+    sources = _sources(data, None if given is None else share_of("start_error", given))
     scene = sources[0] if len(sources) == 1 and isinstance(sources[0], Scene) else None
     points = _points_of_one_beam(scene, options)
     if points and scene is not None:
@@ -432,7 +434,7 @@ def _class_weights(text: str | None) -> dict[str, float] | str | None:
             weights[label.strip()] = float(number)
         except ValueError:
             raise InvalidValue(
-                f"--class-weights must be balanced, or such as coal=1,gangue=3 for labels, got {text!r}"
+                f"class_weights must be balanced, or such as coal=1,gangue=3 for labels, got {text!r}"
             ) from None
     return weights
 
@@ -473,7 +475,7 @@ def _sources(data: list[str], start_error: float | None = None) -> list[Any]:
     made = next((item for item in data if not _means_scene(item)), None)
     if start_error is not None and made is not None:
         raise InvalidValue(
-            f"{made}: --start-error must be left out, the signals of a dataset exist already; give its scene"
+            f"{made}: start_error must be left out, the signals of a dataset exist already; give its scene"
         )
     sources: list[Any] = [load_scene(item) if _means_scene(item) else Dataset(item) for item in data]
     if start_error is None:

@@ -26,7 +26,9 @@ _PLANT = {
 plant_options = bundle(
     "outputs",
     lambda **given: {
-        name: value for name, line in given.items() if (value := the_site().get(name) if line is None else line)
+        name: value
+        for name, line in given.items()
+        if (value := the_site().get(name) if line is None else line) is not None
     },
     _PLANT,
 )

@@ -443,8 +443,8 @@ def _not_electrical(name: str, unit: str | None, what: str) -> InvalidValue | Mi
             "--set full_scale='10 V'"
         )
     return InvalidValue(
-        f"{name}: a {what} is for samples in volts or coulombs, they are in {unit} ({quantity_of(unit)}); leave out "
-        f"--{what}, or name the channel that it is for, as in --{what} 2=VALUE"
+        f"{name}: a {what} is for samples in volts or coulombs, they are in {unit} ({quantity_of(unit)}); leave it "
+        f"out, or name the channel that it is for, as in --set channels.2.{what}=VALUE"
     )
 
 

@@ -73,7 +73,7 @@ class Format:
         if variable is not None and not self.takes_variable:
             raise InvalidValue(
                 f"{source}: a {self.name} file holds one recording, there is no variable {variable!r}; leave out "
-                "--set variable=NAME"
+                "variable"
             )
         module, _, function = self.reader.partition(":")
         read = getattr(import_module(f"cgid.recordings.{module}"), function)

@@ -249,7 +249,7 @@ class Site:
             try:
                 PARTS[key].of(value)
             except InvalidValue as error:
-                raise InvalidValue(f"{name}: {error}") from None
+                raise InvalidValue(f"{error}" if name == key else f"{name}: {error}") from None
         return value
 
     def _path(self, text: str, folder: Path, name: str) -> str:
