@@ -563,12 +563,11 @@ _COMMANDS = r"""
 65 | features good.csv --features nose | nose
 65 | features good.csv --features window_level | good.csv
 65 | train one.h5 -o new.npz | at least 2 labels
-65 | train reference.toml -n 600 --set calibration_share=0.9 -o new.npz | 0.9
+2 | train reference.toml -n 600 --calibration-share 0.9 -o new.npz | --calibration-share is withdrawn
 65 | train m_device.csv -o new.npz | /dev/null
 65 | train m_label.toml -o new.npz | m_label.toml
 65 | train m_group.csv --by impact -o new.npz | at least 2 groups
 65 | train m_both.csv -o new.npz | good.csv
-65 | train m_group.csv --set test_share=0.5 -o new.npz | test_share
 65 | train m_empty.csv -o new.npz | m_empty.csv: some row must have a label, none of 2 has
 65 | train m_overlap.csv -o new.npz | twice.csv
 65 | train m_group.csv --by window --window 0 -o new.npz | --window

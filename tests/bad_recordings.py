@@ -207,7 +207,7 @@ RECORDING_CASES: tuple[tuple[str, tuple[str, ...], int, tuple[str, ...]], ...] =
         ("volts.csv", "voltage [V]", "--set sensitivity='10.2 mV/g'"),
     ),
     ("volts without a sensitivity, measured", ("features", "volts.csv"), 2, ("--set sensitivity='10.2 mV/g'",)),
-    ("volts without a sensitivity, live", ("monitor", "half.raw", *_RAW[:-1], "V"), 2, ("half.raw", "--set sensitivity")),
+    ("volts without a sensitivity, live", ("monitor", "half.raw", *_RAW[:-1], "V"), 2, ("half.raw", "--set sens")),
     ("volts without a sensitivity, labelled", ("train", "unsensed.csv", *_MODEL_FREE), 65, ("volts.csv", "--set sens")),
     ("charge without a sensitivity", ("predict", "charge.csv"), 2, ("charge [pC]", "--set sensitivity='3.1 pC/g'")),
     ("charge without a gain", ("predict", *_SENSED, "3.1 pC/g"), 2, ("3.1 pC/g", "--set gain='1 mV/pC'")),
@@ -260,7 +260,7 @@ RECORDING_CASES: tuple[tuple[str, tuple[str, ...], int, tuple[str, ...]], ...] =
     ("full scale zero", ("predict", "counts.wav", "--full-scale", "0 V"), 65, ("--full-scale must be above 0",)),
     ("full scale of 99 bits", ("predict", "volts.csv", "--full-scale", "10 V at 99 bit"), 65, ("--full-scale", "99")),
     ("full scale in words", ("predict", "counts.wav", "--full-scale", "10 stone"), 65, ("'10 V'", "'10 stone'")),
-    ("full scale without a unit", ("predict", "counts.wav", "--full-scale", "10"), 2, ("unit", "--set full_scale='10 V'")),
+    ("full scale without a unit", ("predict", "counts.wav", "--full-scale", "10"), 2, ("unit", "full_scale=")),
     ("full scale of floats", ("predict", "volts.csv", "--full-scale", "10 V"), 65, ("leave it out", "10 V at 24 bit")),
     (
         "full scale of unsigned",

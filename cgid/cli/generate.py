@@ -242,9 +242,7 @@ def _require_recordings(scene: Any, options: dict[str, Any]) -> None:
     """Raise `InvalidValue` for options that do not apply to recordings."""
     for name, default in _OF_MANY.items():
         if options[name] != default:
-            raise InvalidValue(
-                f"{name} is for datasets, scene {scene.name} is a stream of recordings; leave it out"
-            )
+            raise InvalidValue(f"{name} is for datasets, scene {scene.name} is a stream of recordings; leave it out")
 
 
 def _make_recordings(scene: Any, output: str, n_signals: int, **options: Any) -> None:

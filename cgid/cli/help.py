@@ -49,11 +49,14 @@ _TEXTS = {
     "--dimension-error": "ERROR",
 }
 _PULSES = "use cgid features FILE --features fitted_peak,fitted_width,fitted_restitution for the pulse of each impact"
+_SHARES = "use cgid.train_on_specimens(dataset, test_share=, calibration_share=) in Python"
 #: Option that no command has any more -> what to use instead.
 WITHDRAWN = {
     "--impactor": _PULSES,
     "--masses": _PULSES,
     "--strict": "the exit code tells that a file failed, and its line says why",
+    "--test-share": _SHARES,
+    "--calibration-share": _SHARES,
     "--template": "write a table with the columns path and label, a row a recording, or name folders by their labels",
     "--keep-baseline": "in Python, cgid.extract takes samples with their baseline",
     "--save": "the page saves the model beside the table of labels",

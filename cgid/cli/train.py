@@ -46,10 +46,8 @@ if TYPE_CHECKING:
 _OF_RECORDINGS = (
     "--by --window --hop --rate --unit --channel --gain --sensitivity --full-scale --format --invert --dead-time"
 )
-_OF_DATASETS = "--test-share --calibration-share --start-error --sensor"
-_OF_TRAINING = (
-    "--features --family --class-weights --by --window --hop --test-share --calibration-share --start-error --signals"
-)
+_OF_DATASETS = "--start-error --sensor"
+_OF_TRAINING = "--features --family --class-weights --by --window --hop --start-error --signals"
 
 
 def _beside_model(path: Path) -> list[Path]:
@@ -110,7 +108,7 @@ def _beside_model(path: Path) -> list[Path]:
 @reading_options("same_beam")
 @seed_option
 @jobs_option
-@keys(class_weights=None, test_share=0.25, calibration_share=0.1, hop_time=None, start_error=None, scheduler=None)
+@keys(class_weights=None, hop_time=None, start_error=None, scheduler=None)
 @click.option("--plots", is_flag=True, help="Plot confusion matrix, reliability diagram and ROC curve (extra plot).")
 @overwrite_option
 @json_option
@@ -271,7 +269,7 @@ def _from_signals(data: list[str], options: dict[str, Any]) -> tuple[Any, list[A
 
         scene = moved(scene, points[0])
         sources, options = [scene], {**options, "sensors": []}
-    given = _given(options, *_COMMON, "test_share", "calibration_share")
+    given = _given(options, *_COMMON)
     n_signals = options["n_signals"]
     if scene is not None and not (options["features"] or options["sensors"]):
         from cgid.identification.model.model import stored
