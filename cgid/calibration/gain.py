@@ -10,7 +10,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from cgid._lib import validation
-from cgid._lib.validation import Floats
+from cgid._lib.validation import Floats, rates_agree
 from cgid.errors import BadData, InvalidValue
 from cgid.physics.contact.impact import Impact
 from cgid.physics.structure.response import Resonance, Response
@@ -100,7 +100,7 @@ def _aligned(scene: Scene, at: Floats, motion: Signal, cause: Any, filtered: boo
     validation.instance("motion", motion, Signal)
     validation.instance("cause", cause, Signal, Impact)
     sensor, rate, filters, band = scene.sensor, scene.sampling.sampling_rate, scene.sensor.filters, True
-    if motion.quantity != sensor.quantity or abs(motion.sampling_rate / rate - 1) > 1e-6:
+    if motion.quantity != sensor.quantity or not rates_agree(motion.sampling_rate, rate):
         raise InvalidValue(
             f"{motion.name}: motion must be {sensor.quantity} at {rate:g} Hz, as in scene {scene.name}, got "
             f"{motion.quantity or 'no unit'} at {motion.sampling_rate:g} Hz; change the scene, or resample"
@@ -144,7 +144,7 @@ def _aligned(scene: Scene, at: Floats, motion: Signal, cause: Any, filtered: boo
 def _hammered(force: Signal, motion: Signal) -> Floats:
     """Return a hammer's force, 0 before and after its contact."""
     rate, n = motion.sampling_rate, motion.samples.size
-    if force.quantity != "force" or (force.sampling_rate, force.samples.size) != (rate, n):
+    if force.quantity != "force" or force.samples.size != n or not rates_agree(force.sampling_rate, rate):
         raise InvalidValue(f"{force.name}: force must be in N, of {n} samples at {rate:g} Hz as its motion; it is not")
     samples = np.asarray(force.in_si().samples, np.float64)
     samples = samples - np.median(samples)

@@ -15,7 +15,7 @@ from threadpoolctl import threadpool_limits
 
 from cgid._lib import validation
 from cgid._lib.files import check_new, write_together
-from cgid._lib.validation import Floats
+from cgid._lib.validation import Floats, rates_agree
 from cgid.calibration.chain import PARTS, SensorChain, learn_chain, outside
 from cgid.calibration.dimensions import (
     SENSOR,
@@ -564,7 +564,7 @@ def check_scene(scene: Scene, sampling_rate: float) -> None:
             f"scene {scene.name}: must have a [tail_beam] and a sensor of motion on it to be calibrated; add them"
         )
     rate = scene.sampling.sampling_rate
-    if abs(sampling_rate / rate - 1) > 1e-3:
+    if not rates_agree(sampling_rate, rate):
         raise BadData(
             f"the recording must be sampled at {rate:g} Hz like scene {scene.name}, whose modes reach "
             f"{beam_modes(scene).frequency.max():.4g} Hz, got {sampling_rate:g} Hz; set sampling.sampling_rate and "

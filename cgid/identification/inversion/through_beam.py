@@ -9,7 +9,7 @@ from fractions import Fraction
 import numpy as np
 from numpy.typing import NDArray
 
-from cgid._lib.validation import Floats
+from cgid._lib.validation import Floats, rates_agree
 from cgid.identification.inversion.beam_responses import Observations
 from cgid.identification.inversion.contact import Contact, ContactFit
 from cgid.identification.inversion.inversion import MORE_THAN_ONE, ForceEstimate, Inversion
@@ -20,9 +20,9 @@ from cgid.measure.modal.beam import SPAN_TIME, TOUCH, Beam
 
 #: Maximum time of the onset before the first sample above the noise [s]: the travel time of waves.
 REACH = 1.2e-3
-#: Relative tolerance of equal sampling rates; with others, the band up to this fraction of the lower rate is used, as
-#: far as the recorder passes this much.
-_SAME_RATE, _TOP, _PASSED = 1e-6, 0.41, 1e-3
+#: At another sampling rate the band up to this fraction of the lower one is used, as far as the recorder passes this
+#: much.
+_TOP, _PASSED = 0.41, 1e-3
 _MAX_RATIO = 1000
 #: An onset this close to the ends of the table of forces is searched this much further [samples].
 _EDGE, _BESIDE = 0.35, 4
@@ -142,7 +142,7 @@ class ThroughBeam:
     ) -> tuple[ForceEstimate, Contact, Floats]:
         """Return force, pulse, and misfit of each filter (n, 2), infinite if not tried; `again` tries other onsets."""
         rate, own = vibrations.sampling_rate, self.beam.sampling_rate
-        if not rate > own * (1 + _SAME_RATE):
+        if rate <= own or rates_agree(rate, own):
             filters = np.broadcast_to([True, False], filters.shape)
         rows = [np.flatnonzero(column) for column in filters.T]
         parts = [
@@ -206,7 +206,7 @@ class ThroughBeam:
         quiet = vibrations.n_quiet.astype(np.float64)
         first = vibrations.first.astype(np.float64)
         limit = None
-        if abs(rate / own - 1) > _SAME_RATE:
+        if not rates_agree(rate, own):
             frames = self.resampled(frames, rate, filters)
             quiet, first = quiet * own / rate, first * own / rate
             limit = _TOP * min(rate, own)

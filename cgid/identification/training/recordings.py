@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid._lib.files import require_regular
-from cgid._lib.validation import Floats
+from cgid._lib.validation import Floats, rates_agree
 from cgid.errors import BadData, CgidError, InvalidValue, MissingOption, NoInput
 from cgid.identification.detection.detector import ImpactDetector
 from cgid.identification.detection.events import Event, frames_alike
@@ -312,7 +312,7 @@ def reference_spectra(files: Sequence[AnnotatedFile], labelled: AnnotatedFile, w
         rate = file.recording.sampling_rate
         for annotation, blocks in annotated_blocks(file, labelled.unit):
             spectra_of_sensor = spectra.setdefault(annotation.sensor, [MeanSpectrum(rate) for _ in range(n_channels)])
-            if spectra_of_sensor[0].sampling_rate != rate:
+            if not rates_agree(spectra_of_sensor[0].sampling_rate, rate):
                 raise BadData(f"{source}: the reference runs of a sensor must have one sampling rate; remove one")
             for _, windows in windows_of(blocks, rate, window_time, window_time):
                 is_complete = complete_windows(windows)
