@@ -27,7 +27,7 @@ from cgid.calibration.dimensions import (
 )
 from cgid.calibration.learning import Heard, ImpactFrames, Learned, MovedSensor, evidence_of, rings
 from cgid.errors import BadData, InvalidValue
-from cgid.identification.detection.detector import ImpactDetector
+from cgid.identification.detection.ear import Ear
 from cgid.identification.inversion.contact import MISSHAPEN
 from cgid.identification.inversion.inversion import Inversion
 from cgid.identification.inversion.through_beam import REACH, clipped_samples
@@ -640,13 +640,13 @@ def _simulated_events(scene: Scene) -> Iterator[Event]:
     """Yield the usable impacts that a detector finds in recordings of a stream."""
     left = round(_MAX_STREAM * scene.sampling.sampling_rate)
     for number in range(_RECORDINGS):
-        detector, events = ImpactDetector(scene.sampling.sampling_rate, kind="vibration"), []
+        ear, events = Ear(scene.sampling.sampling_rate, kind="vibration", lines=False), []
         for samples, _ in parts_of_recording(scene, _SEED, number, dtype="float32"):
-            events += detector.feed(samples[np.newaxis])
+            events += ear.feed(samples[np.newaxis]).events
             left -= samples.size
             if left <= 0:
                 break
-        yield from usable_impacts(events + detector.finish())[0]
+        yield from usable_impacts(events + ear.finish().events)[0]
         if left <= 0:
             return
 
