@@ -30,9 +30,10 @@ from cgid.errors import BadData, InvalidValue
 from cgid.identification.detection.ear import Ear
 from cgid.identification.inversion.contact import MISSHAPEN
 from cgid.identification.inversion.inversion import Inversion
-from cgid.identification.inversion.through_beam import REACH, clipped_samples
+from cgid.identification.inversion.through_beam import REACH
 from cgid.measure.features.vibration import VibrationBatch
 from cgid.measure.fit.ar_noise import ar_noise_of
+from cgid.measure.frames import clipped_samples
 from cgid.measure.modal.beam import SPAN_TIME, Beam, corrected
 from cgid.measure.modal.modes import Modes, text_of_table
 from cgid.scene.file.schema import Scene, load_scene, parse_scene
