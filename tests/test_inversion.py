@@ -490,6 +490,16 @@ def test_other_rates_tell_the_same(rate: float) -> None:
     assert low < ratio < high, ratio
 
 
+@pytest.mark.parametrize("off", [9e-5, -9e-5])
+def test_the_clock_of_another_recorder_tells_the_same(off: float) -> None:
+    batch, _, contact = blows()
+    other = VibrationBatch(batch.signals, batch.sampling_rate * (1 + off), pre_trigger=batch.pre_trigger)
+    pulse = tail_beam().look(other)[1]
+    z = np.log(pulse.peak / contact.peak) / np.sqrt(contact.covariance[:, 0, 0])
+    assert np.median(np.abs(z)) < 0.1
+    assert np.quantile(np.abs(z), 0.95) < 1
+
+
 # -- the fitted pulse ---------------------------------------------------------------------------------------------
 
 

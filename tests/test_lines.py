@@ -50,7 +50,8 @@ def without(samples: NDArray[np.floating], *, size: int | None = None, rate: flo
     """Return channels without their lines, fed in blocks of a size."""
     size = size or max(samples.shape[1], 1)
     blocks = (samples[:, first : first + size] for first in range(0, samples.shape[1], size))
-    return np.concatenate([samples[:, :0], *Lines(len(samples), rate).taken_out(blocks)], axis=1)
+    lines = Lines(len(samples), rate)
+    return np.concatenate([samples[:, :0], *map(lines.feed, blocks), lines.finish()], axis=1)
 
 
 def loud() -> tuple[Floats, Floats]:
@@ -107,8 +108,9 @@ def test_no_sample_waits_for_more_than_half_a_second(rate: float) -> None:
             assert fed == 0 or fed - given <= FRAME_TIME * rate
             fed += round(0.03 * rate)
 
-    for block in lines.taken_out(blocks()):
+    for block in map(lines.feed, blocks()):
         given += block.shape[1]
+    given += lines.finish().shape[1]
     assert given == fed
 
 
@@ -116,7 +118,7 @@ def test_future_samples_do_not_matter() -> None:
     samples = loud()[0]
     until = round(5 * RATE)
     known = until - round(FRAME_TIME * RATE)
-    early = next(iter(Lines(2, RATE).taken_out([samples[:, :until]])))
+    early = Lines(2, RATE).feed(samples[:, :until])
     assert early.shape[1] >= known
     np.testing.assert_array_equal(early, without(samples)[:, : early.shape[1]])
 
@@ -192,7 +194,8 @@ def test_clipped_samples_stay_equal() -> None:
 def told(samples: Floats) -> list[int]:
     lines = Lines(1, RATE)
     found = []
-    for _ in lines.taken_out(samples[None, first : first + 6400] for first in range(0, samples.size, 6400)):
+    for first in range(0, samples.size, 6400):
+        lines.feed(samples[None, first : first + 6400])
         found += lines.told()
     return found
 
@@ -263,8 +266,8 @@ def test_a_machine_that_is_known_to_run_is_taken_out_from_the_begin() -> None:
     samples = noise(4) + tone(n, 297.0)
     first = slice(0, round(RATE))
     heard, known = (
-        np.concatenate(list(Lines(1, RATE, from_begin=one).taken_out([samples[None]])), axis=1)[0]
-        for one in (False, True)
+        np.concatenate([lines.feed(samples[None]), lines.finish()], axis=1)[0]
+        for lines in (Lines(1, RATE), Lines(1, RATE, from_begin=True))
     )
     np.testing.assert_array_equal(heard[first], samples[first])
     assert known[first].std() < 0.3 * samples[first].std()
@@ -287,16 +290,15 @@ def test_a_machine_is_heard_each_time_it_begins() -> None:
     samples[1] += tone(n, 297.0)
     samples[2] += (np.arange(n) / RATE > start) * tone(n, 297.0)
     lines, heard = Lines(3, RATE), list[tuple[int, float]]()
-    for block in lines.taken_out(samples[:, first : first + 6400] for first in range(0, n, 6400)):
-        assert block.shape[0] == 3
+    for first in range(0, n, 6400):
+        assert lines.feed(samples[:, first : first + 6400]).shape[0] == 3
         heard += lines.heard().items()
     (first, at), (second, later) = heard
     assert (first, second) == (1, 2)
     assert at == HEARD_AFTER
     assert start < later < start + HEARD_AFTER + FRAME_TIME
     known = Lines(3, RATE, from_begin=True)
-    for _ in known.taken_out([samples]):
-        pass
+    known.feed(samples)
     assert not known.heard()
 
 
@@ -333,3 +335,19 @@ def test_a_recording_that_is_one_tone_becomes_silent() -> None:
 def test_predicting_imports_no_scipy() -> None:
     code = "import sys, cgid.recordings.lines; assert not {'scipy', 'sklearn'} & set(sys.modules)"
     subprocess.run([sys.executable, "-c", code], check=True)
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_a_machine_whose_tones_wander_is_heard(seed: int) -> None:
+    n = round(6 * RATE)
+    wander = 2.0 * np.sin(2 * np.pi * 0.7 * np.arange(n) / RATE)
+    impacts = noise(6, seed) + rings(n, 8.0, seed=seed)[0]
+
+    def heard(*tones: float) -> dict[int, float]:
+        lines = Lines(1, RATE)
+        lines.feed((impacts + sum(tone(n, f + wander, 5.0) for f in tones))[None])
+        return lines.heard()
+
+    assert heard() == {}
+    assert heard(147.0, 412.0) == {}
+    assert heard(147.0, 412.0, 1030.0)[0] <= HEARD_AFTER + FRAME_TIME

@@ -80,7 +80,7 @@ def test_signals_bring_their_rate_unit_and_name() -> None:
     assert table["channel"].value_counts().to_dict() == {"left": 6, "right": 6}
     assert set(cgid.predict([signal, replace(signal, source="b.csv")])["channel"]) == {str(SAMPLE), "b.csv"}
     for wrong, rate, says in (
-        ([signal, replace(signal, sampling_rate=1e5)], None, "the sampling rate must be one to 0.1 %"),
+        ([signal, replace(signal, sampling_rate=1e5)], None, "the sampling rate must be one to 0.01 %"),
         ([signal, replace(signal, samples=signal.samples[:-1])], None, "channels of one length"),
         ([signal, sample()], None, "got a ndarray among Signals"),
     ):

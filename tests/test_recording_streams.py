@@ -225,7 +225,7 @@ def test_a_given_rate_is_used_instead_of_a_wrong_one_of_the_header_and_told(writ
         assert recording.sampling_rate == 1024
         assert ["Hz; 1024 Hz is used, as given" in warning for warning in recording.warnings][-1:] == [True]
     if b"\xe8\x03" in content:
-        assert open_recording(path, sampling_rate=1000.5).warnings == ()
+        assert open_recording(path, sampling_rate=1000.05).warnings == ()
     else:
         with pytest.raises(BadData, match="states 0 Hz; give it with --rate HZ"):
             open_recording(path)

@@ -13,7 +13,7 @@ from scipy import signal
 
 from cgid.errors import BadData, InvalidValue
 from cgid.identification.inversion.inversion import ForceEstimate, Inversion, Observations
-from cgid.identification.inversion.through_beam import ThroughBeam, clipped_samples
+from cgid.identification.inversion.through_beam import ThroughBeam
 from cgid.identification.model.model import StoredModel
 from cgid.identification.prediction import Answer, PredictionSettings, identify, identify_frames
 from cgid.identification.prediction.stream import identify_blocks
@@ -21,6 +21,7 @@ from cgid.identification.training import train_on_specimens
 from cgid.identification.training.rows import BEAM_FEATURES
 from cgid.measure.features.extraction import extract_array
 from cgid.measure.features.vibration import VibrationBatch
+from cgid.measure.frames import clipped_samples
 from cgid.measure.modal.beam import Beam
 from cgid.scene import load_scene, parse_scene, synthesise, varied
 from cgid.scene.synthesis.impacts import beam_modes

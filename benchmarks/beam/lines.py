@@ -348,7 +348,8 @@ def narrow(damping: float, n: int, seed: int) -> str:
         del content["background"]["hum"]
         signal, _ = record(parse_scene(content | {"name": "narrow modes"}), seed, number)
         samples, begun = signal.samples.astype(np.float32)[None], time.process_time()
-        left = np.concatenate(list(Lines(1, signal.sampling_rate).taken_out([samples])), axis=1)
+        lines = Lines(1, signal.sampling_rate)
+        left = np.concatenate([lines.feed(samples), lines.finish()], axis=1)
         cost.append(time.process_time() - begun)
         changed.append(bool((left != samples).any()))
     return f"| {damping:g} | {sum(changed)} of {n} | {np.mean(cost):.2f} |"

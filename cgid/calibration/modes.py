@@ -15,7 +15,7 @@ from threadpoolctl import threadpool_limits
 
 from cgid._lib import validation
 from cgid._lib.files import check_new, write_together
-from cgid._lib.validation import Floats
+from cgid._lib.validation import Floats, rates_agree
 from cgid.calibration.chain import PARTS, SensorChain, learn_chain, outside
 from cgid.calibration.dimensions import (
     SENSOR,
@@ -27,12 +27,13 @@ from cgid.calibration.dimensions import (
 )
 from cgid.calibration.learning import Heard, ImpactFrames, Learned, MovedSensor, evidence_of, rings
 from cgid.errors import BadData, InvalidValue
-from cgid.identification.detection.detector import ImpactDetector
+from cgid.identification.detection.ear import Ear
 from cgid.identification.inversion.contact import MISSHAPEN
 from cgid.identification.inversion.inversion import Inversion
-from cgid.identification.inversion.through_beam import REACH, clipped_samples
+from cgid.identification.inversion.through_beam import REACH
 from cgid.measure.features.vibration import VibrationBatch
 from cgid.measure.fit.ar_noise import ar_noise_of
+from cgid.measure.frames import clipped_samples
 from cgid.measure.modal.beam import SPAN_TIME, Beam, corrected
 from cgid.measure.modal.modes import Modes, text_of_table
 from cgid.scene.file.schema import Scene, load_scene, parse_scene
@@ -564,7 +565,7 @@ def check_scene(scene: Scene, sampling_rate: float) -> None:
             f"scene {scene.name}: must have a [tail_beam] and a sensor of motion on it to be calibrated; add them"
         )
     rate = scene.sampling.sampling_rate
-    if abs(sampling_rate / rate - 1) > 1e-3:
+    if not rates_agree(sampling_rate, rate):
         raise BadData(
             f"the recording must be sampled at {rate:g} Hz like scene {scene.name}, whose modes reach "
             f"{beam_modes(scene).frequency.max():.4g} Hz, got {sampling_rate:g} Hz; set sampling.sampling_rate and "
@@ -640,13 +641,13 @@ def _simulated_events(scene: Scene) -> Iterator[Event]:
     """Yield the usable impacts that a detector finds in recordings of a stream."""
     left = round(_MAX_STREAM * scene.sampling.sampling_rate)
     for number in range(_RECORDINGS):
-        detector, events = ImpactDetector(scene.sampling.sampling_rate, kind="vibration"), []
+        ear, events = Ear(scene.sampling.sampling_rate, kind="vibration", lines=False), []
         for samples, _ in parts_of_recording(scene, _SEED, number, dtype="float32"):
-            events += detector.feed(samples[np.newaxis])
+            events += ear.feed(samples[np.newaxis]).events
             left -= samples.size
             if left <= 0:
                 break
-        yield from usable_impacts(events + detector.finish())[0]
+        yield from usable_impacts(events + ear.finish().events)[0]
         if left <= 0:
             return
 

@@ -35,7 +35,7 @@ from cgid.calibration.frequency_response import FrequencyResponse
 from cgid.calibration.joint import Blow, Participations, fitted, gram_of, lines_of
 from cgid.calibration.poles import Complexes, Poles, poles_of
 from cgid.errors import BadData, InvalidValue
-from cgid.identification.detection.detector import ImpactDetector
+from cgid.identification.detection.ear import Ear
 from cgid.identification.detection.events import Event
 from cgid.measure.modal.finite import Stretch
 from cgid.measure.modal.modes import COMPLEX_COLUMNS, LINE_DAMPING, Modes, residues, text_of_table
@@ -418,9 +418,11 @@ def events_in(
     response: Floats, sampling_rate: float, source: str, *, apart: bool = True, beats: list[Event] | None = None
 ) -> list[Event]:
     """Return the impacts detected by the sensors; those of taps must lie `apart`. `beats` gets what is left out."""
-    detector = ImpactDetector(sampling_rate, len(response), kind="vibration", joint=True)
-    first = round(_LOOK * sampling_rate)
-    events = detector.feed(response[:, :first])
+    ear, first = (
+        Ear(sampling_rate, len(response), kind="vibration", joint=True, lines=False),
+        round(_LOOK * sampling_rate),
+    )
+    events = ear.feed(response[:, :first]).events
     separation = np.median(np.diff([event.onset for event in events])) / sampling_rate if len(events) > 1 else np.inf
     if apart and separation < DOUBLE:
         raise BadData(
@@ -428,9 +430,9 @@ def events_in(
             f"between {counted(len(events), 'impact')}; record hammer taps with silence between them, or list the taps "
             "in a table (--taps)"
         )
-    events += detector.feed(response[:, first:]) + detector.finish()
+    events += ear.feed(response[:, first:]).events + ear.finish().events
     if not events:
-        raise BadData(f"{source}: a recording of taps must contain one, {detector.why_silent()}")
+        raise BadData(f"{source}: a recording of taps must contain one, {ear.why_silent()}")
     sudden = [event for event in events if _jump(response, event.onset, sampling_rate) > JUMP] or events
     if beats is not None:
         onsets = {event.onset for event in sudden}
@@ -499,12 +501,12 @@ def remaining_delay(
 def hammer_force(hammer: Floats, sampling_rate: float, source: str) -> tuple[Floats, list[Event]]:
     """Return the force during impacts, 0 between them, and the impacts; raises `BadData` if there is none."""
     for sign in (1.0, -1.0):
-        detector = ImpactDetector(sampling_rate, kind="pulse")
-        hits = detector.feed(sign * hammer) + detector.finish()
-        if hits and not detector.is_upside_down():
+        ear = Ear(sampling_rate, kind="pulse", factor=sign)
+        hits = ear.feed(hammer[None]).events + ear.finish().events
+        if hits and not ear.is_upside_down():
             break
     else:
-        raise BadData(f"{source}: the hammer channel must contain a tap, {detector.why_silent(unit='N')}")
+        raise BadData(f"{source}: the hammer channel must contain a tap, {ear.why_silent(unit='N')}")
     peaks = np.array([np.max(sign * hammer[hit.onset : hit.end + 1], initial=0.0) for hit in hits])
     hits = [hit for hit, peak in zip(hits, peaks, strict=True) if peak >= _FLOOR * peaks.max()]
     baseline = np.median(hammer)

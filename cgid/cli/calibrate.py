@@ -11,6 +11,7 @@ import numpy as np
 
 from cgid._lib import validation
 from cgid._lib.terminal import counted
+from cgid._lib.validation import rates_agree
 from cgid.cli.help import Command
 from cgid.cli.options import (
     OUTPUT,
@@ -167,7 +168,7 @@ def _frames(
     n_found, rate, every = 0, 0.0, dict.fromkeys(("overlapping", "clipped", "cut"), 0)
     for path in recordings:
         recording = reading.recording(path)
-        if rate and abs(recording.sampling_rate / rate - 1) > 1e-6:
+        if rate and not rates_agree(recording.sampling_rate, rate):
             raise BadData(f"{path}: all recordings must have one sampling rate, got {recording.sampling_rate:g} Hz")
         rate = recording.sampling_rate
         events = _found(recording, scene, reading, max(n_sensors, 1))

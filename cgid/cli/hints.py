@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from cgid._lib.validation import rates_agree
 from cgid.cli.answering import untold_beams
 from cgid.identification.model.world import Misfit, MisfitPart
 from cgid.identification.prediction.diagnosis import (
@@ -303,7 +304,7 @@ class Hints(Diagnosis):
 
     def _calibration(self, *, is_of_scene: bool) -> tuple[str, ...]:
         """Return the steps to calibrate this recording's beam; none if the shipped scene does not suit."""
-        if not self._has_usable(CALIBRATED) or abs(self._rate / SCENE_RATE - 1) > 1e-3:
+        if not self._has_usable(CALIBRATED) or not rates_agree(self._rate, SCENE_RATE):
             return ()
         name = _unused("site", ".toml", "-modes.csv", ".npz")
         # From another beam the modes of the shipped one are sought for minutes in vain.

@@ -256,7 +256,8 @@ def _channels(recording: Any, as_json: bool, beams: tuple[tuple[str, ...], ...])
     A long recording has no median, which needs all samples, but a mean.
     """
     # A channel with samples that are no numbers is described by the others; the rest of the recording may be sound.
-    from cgid.identification.detection.detector import INVERT_HINT, ImpactDetector
+    from cgid.identification.detection.detector import INVERT_HINT
+    from cgid.identification.detection.ear import Ear
     from cgid.identification.prediction.same_beam import Detected, RockAssigner, grouped
     from cgid.measure.features.extraction import kind_for
 
@@ -269,7 +270,7 @@ def _channels(recording: Any, as_json: bool, beams: tuple[tuple[str, ...], ...])
     median = np.full(len(names), np.nan)
     # A channel of unknown quantity may contain pulses or vibrations.
     is_known = [channel.quantity not in (None, "level") for channel in names]
-    detectors = [ImpactDetector(rate, kind=kind_for(channel.quantity), gaps=True) for channel in names]
+    ears = [Ear(rate, kind=kind_for(channel.quantity)) for channel in names]
     impacts: list[list[Detected]] = [[] for _ in names]
     n_clipped, n_full = [0] * len(names), np.zeros(len(names), int)
 
@@ -281,7 +282,7 @@ def _channels(recording: Any, as_json: bool, beams: tuple[tuple[str, ...], ...])
         n_samples, dtype = n_samples + block.shape[1], block.dtype.name
         for row, samples in enumerate(block):
             if is_known[row]:
-                add(row, detectors[row].feed(samples))
+                add(row, ears[row].feed(samples[None]).events)
             there = samples[np.isfinite(samples)]
             n_read[row] += there.size
             n_full[row] += np.sum(np.abs(there) >= _FULL) if names[row].quantity == "level" else 0
@@ -295,9 +296,9 @@ def _channels(recording: Any, as_json: bool, beams: tuple[tuple[str, ...], ...])
         raise BadData(f"{recording.source}: samples must be finite, none is; check sensor, cable and sample format")
     lowest[n_read == 0] = highest[n_read == 0] = total[n_read == 0] = np.nan
     described = {}
-    for row, (channel, detector) in enumerate(zip(names, detectors, strict=True)):
-        add(row, detector.finish())
-        if is_known[row] and not impacts[row] and INVERT_HINT in detector.why_silent():
+    for row, (channel, ear) in enumerate(zip(names, ears, strict=True)):
+        add(row, ear.finish().events)
+        if is_known[row] and not impacts[row] and INVERT_HINT in ear.why_silent():
             warn(f"{channel_name(recording.source, channel.name)}: no impact: {INVERT_HINT}")
         stated = (
             "--set full_scale='500 g'" if channel.quantity == "level" else "--unit, such as --unit N or --unit m/s^2"

@@ -109,34 +109,31 @@ class _Finder:
         dead_time: float | None,
         begin: float,
     ) -> None:
-        from cgid.identification.detection import ImpactDetector
+        from cgid.identification.detection.ear import Ear
         from cgid.measure.features.extraction import kind_for
 
         self._rate, self._begin = sampling_rate, begin
-        self._detectors = [
-            (
-                channel.name,
-                ImpactDetector(sampling_rate, 1, kind=kind_for(channel.quantity), dead_time=dead_time),
-            )
+        self._ears = [
+            (channel.name, Ear(sampling_rate, kind=kind_for(channel.quantity), dead_time=dead_time))
             for channel in channels
         ]
         self._marks: list[Mark] = []
 
     def feed(self, block: NDArray[Any]) -> None:
         """Take the next samples, (n_channels, n_samples)."""
-        for row, (name, detector) in enumerate(self._detectors):
-            self._keep(name, detector.feed(block[[row]]))
+        for row, (name, ear) in enumerate(self._ears):
+            self._keep(name, ear.feed(block[[row]]).events)
 
     def finish(self) -> list[Mark]:
         """Return a mark for each impact, in order of time."""
-        for name, detector in self._detectors:
-            self._keep(name, detector.finish())
+        for name, ear in self._ears:
+            self._keep(name, ear.finish().events)
         return sorted(self._marks, key=lambda mark: mark.time)
 
     def upside_down(self) -> list[str]:
         """Return the channels without pulses that fall where they should rise."""
         with_impacts = {mark.channel for mark in self._marks}
-        return [name for name, detector in self._detectors if name not in with_impacts and detector.is_upside_down(0)]
+        return [name for name, ear in self._ears if name not in with_impacts and ear.is_upside_down()]
 
     def _keep(self, channel: str, events: Iterable[Event]) -> None:
         from cgid.plots.recording import Mark

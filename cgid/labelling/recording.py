@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from cgid._lib.validation import Floats
 from cgid.errors import BadData, CgidError, NoInput, Stopped
-from cgid.identification.detection.detector import ImpactDetector
+from cgid.identification.detection.ear import Ear
 from cgid.identification.detection.events import Event
 from cgid.identification.training.rows import SAME_IMPACT, Rows
 from cgid.labelling.table import Cells
@@ -113,22 +113,28 @@ class LabelledRecording:
         from cgid.identification.training.recordings import digest_of
 
         recording, is_first = self.file.recording, not self.ended
-        detector = ImpactDetector(
-            self.rate, len(recording.channels), kind=self.kind, dead_time=self.dead_time, gaps=True
-        )
-        waiting, rest = list[Event](), np.empty((len(recording.channels), 0), np.float32)
+        n_channels, upright = len(recording.channels), self.file.upright
+        rest = np.empty((n_channels, 0), np.float32)
+        # What is listed is heard as in `predict`; what is measured, as in a training with these features.
+        measuring = self.cuttings[name].ear(self.file)
+        ears = [(measuring, list[Event](), True, is_first)]
+        if is_first and measuring.lines is None and self.kind == "vibration":
+            listing = Ear(self.rate, n_channels, kind=self.kind, dead_time=self.dead_time, factor=upright)
+            ears = [(listing, [], False, True), (measuring, [], True, False)]
         for block in recording.blocks_with_gaps():
             if stopped():
                 raise Stopped("the page was closed")
             if is_first:
                 rest = self._shown(np.concatenate([rest, block.astype(np.float32)], axis=1))
                 self.n_read += block.shape[1]
-            events = waiting + detector.feed(self.file.upright * block)
-            waiting = self._found(events, detector.known_until, name, stopped, shown=is_first)
+            for ear, waiting, *takes in ears:
+                events, until, _ = ear.feed(block)
+                waiting[:] = self._found(waiting + events, until, name, stopped, *takes)
         self.require_unchanged()
         if is_first and rest.shape[1]:
             self._put(rest[:, None, :])
-        self._found(waiting + detector.finish(), np.inf, name, stopped, shown=is_first)
+        for ear, waiting, *takes in ears:
+            self._found(waiting + ear.finish().events, np.inf, name, stopped, *takes)
         if not self.file.digest:  # reading it again takes seconds, so after all that is shown
             self.file = replace(self.file, digest=digest_of(self.file.annotations[0].path))
         self.measured.add(name)
@@ -151,7 +157,13 @@ class LabelledRecording:
             self.highest[:, at : at + n] = np.nan_to_num(np.fmax.reduce(bins, axis=2))
 
     def _found(
-        self, events: list[Event], known_until: float, name: str, stopped: Callable[[], bool], *, shown: bool
+        self,
+        events: list[Event],
+        known_until: float,
+        name: str,
+        stopped: Callable[[], bool],
+        measured: bool,
+        shown: bool,
     ) -> list[Event]:
         """Take the impacts that are whole, each of any channels at one time, and return the others."""
         from cgid.identification.training.impact_table import interval_rows
@@ -162,7 +174,7 @@ class LabelledRecording:
         while 0 < n < len(times) and times[n] - times[n - 1] <= SAME_IMPACT:
             n -= 1
         taken, left = events[:n], events[n:]
-        for k in range(0, n, _AT_ONCE):
+        for k in range(0, n if measured else 0, _AT_ONCE):
             if stopped():
                 raise Stopped("the page was closed")
             # The last one of these is of another rock than what is left.

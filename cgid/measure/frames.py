@@ -20,6 +20,8 @@ MINIMUM_FRAME = 6
 LARGEST = 1e150
 #: An impact must exceed this many standard deviations of the noise.
 DETECTION_LIMIT = 5.0
+#: Samples at a limit are equal within this, and are at least this many.
+_SAME, _SHARED, _TOLERANCE = 1e-6, 2, 0.01
 
 
 class ProblemKind(Enum):
@@ -57,6 +59,25 @@ def frames_of(samples: ArrayLike, pre_trigger: int | None = None) -> NDArray[Any
     if pre_trigger is not None:
         validation.whole("pre_trigger", pre_trigger, 0, frames.shape[1] - 1)
     return frames
+
+
+def clipped_samples(frames: Floats, shared: int = _SHARED) -> NDArray[np.bool_] | None:
+    """Return which samples (n, n_samples) are at the limit of their recorder; None if there are none."""
+    # A limit is a value that `shared` samples have in common at the top or the bottom, at least half as large as the
+    # other side; the other side then has the same limit, even if only one sample reaches it.
+    high, low = frames.max(axis=1), frames.min(axis=1)
+    near_top = frames >= (high - _SAME * np.abs(high))[:, None]
+    near_bottom = frames <= (low + _SAME * np.abs(low))[:, None]
+    beyond, limits = np.zeros(len(frames), bool), np.zeros((2, len(frames)), bool)
+    top, bottom = (high, low, near_top, limits[0]), (low, high, near_bottom, limits[1])
+    for extreme, other, at, limited in (top, bottom, top):
+        limit = (np.count_nonzero(at, axis=1) >= shared) & (np.abs(extreme) >= 0.5 * np.abs(other)) & (high > low)
+        limit |= beyond & (np.abs(extreme + other) <= _TOLERANCE * np.abs(extreme))
+        beyond |= limit
+        limited |= limit
+    if not beyond.any():
+        return None
+    return np.asarray((near_top & limits[0][:, None]) | (near_bottom & limits[1][:, None]))
 
 
 def no_impact(why: str) -> Problem:

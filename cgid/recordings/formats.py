@@ -260,7 +260,7 @@ def open_recording(
         The file; "-" is the standard input.
     sampling_rate : float, optional
         [Hz]; required if the file does not state it. If both do, this one is used, with a warning if they differ
-        by more than 0.1 %.
+        by more than 0.01 %.
     unit : str, optional
         Unit of the numbers if the file does not state it; nothing is converted. "1=N, beam=m/s^2" gives those of single
         channels, by number or name.

@@ -13,7 +13,6 @@ Without a machine, samples stay as they are, unless one is known to run from the
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
@@ -38,6 +37,10 @@ _LOWEST, _WIDTH = 20.0, 4.0
 #: .94 with .1 % (in two of twelve minutes with 16 to 30 rocks a second, more); with tones .99. After so many frames
 #: without any (a minute), no machine runs.
 _N_STEADY, _STEADY, _COHERENT, _N_SILENT = 8, 0.7, 0.96, 240
+#: Tones that wander keep no phase: so many distinct lines, this far apart [Hz], that keep this share of their mean
+#: power in all but one of the frames are a machine, too. The three steadiest lines keep .88 of it in streams with
+#: wandering tones, at most .68 without tones where modes have .1 % of damping or more.
+_N_DISTINCT, _APART, _LASTING = 3, 24.0, 0.75
 #: In a recording with a machine from the start, lines go from the frame that begins so late on [s].
 HEARD_AFTER = (_N_STEADY - 1) * FRAME_TIME / 2
 #: Lines with less than this share of the power are not worth it.
@@ -84,10 +87,10 @@ class _Channel:
         self.mean, self.n_frames = None, 0
         self.spectra.clear()
 
-    def hears(self, spectrum: NDArray[np.complex128], lines: NDArray[np.intp], width: int) -> bool:
+    def hears(self, spectrum: NDArray[np.complex128], lines: NDArray[np.intp], width: int, apart: int) -> bool:
         """Take the spectrum of the next frame and its lines; return whether a machine runs.
 
-        A line is followed back from frame to frame by up to `width` frequencies.
+        A line is followed back from frame to frame by up to `width` frequencies; distinct ones are `apart`.
         """
         self.spectra.append(spectrum.astype(np.complex64))
         self.silent += 1
@@ -101,11 +104,14 @@ class _Channel:
                 # The phase in the middle of the frame does not depend on the frequency.
                 tone[number] = found[np.arange(at.size), best] * (1 - 2 * (at % 2))
             power = np.square(np.abs(tone))
-            steady = np.partition(power, 1, axis=0)[1] >= _STEADY * power.mean(axis=0)
+            kept = np.partition(power, 1, axis=0)[1] / power.mean(axis=0)
+            lasting = np.sort(lines[kept >= _LASTING])
+            n_distinct = np.count_nonzero(np.diff(lasting, prepend=-apart) >= apart)
             advance = tone[1:] * tone[:-1].conj()
             change = np.exp(1j * np.angle(advance[1:] * advance[:-1].conj()))
             alike = 2 * np.abs(np.sum(change * np.sqrt(power[2:] * power[:-2]), axis=0))
-            if (steady & (alike >= _COHERENT * (power[2:] + power[:-2]).sum(axis=0))).any():
+            is_tone = (kept >= _STEADY) & (alike >= _COHERENT * (power[2:] + power[:-2]).sum(axis=0))
+            if is_tone.any() or n_distinct >= _N_DISTINCT:
                 self.silent = 0
         self.is_out = self.is_out and self.silent <= _N_SILENT
         return self.silent <= _N_SILENT
@@ -142,28 +148,27 @@ class Lines:
         self._around = max(round(_AROUND / bin_width), 8)
         near, far = (max(round(value / bin_width), number) for value, number in zip(_BESIDE, (2, 3), strict=True))
         self._beside = np.concatenate([np.arange(-far, 1 - near), np.arange(near, far + 1)])
-        self._width = max(round(_WIDTH / bin_width), 1)
+        self._width, self._apart = max(round(_WIDTH / bin_width), 1), round(_APART / bin_width)
         self._channels = [_Channel() for _ in range(n_channels)]
+        self._rest: NDArray[Any] = np.empty((n_channels, 0), np.float32)
 
-    def taken_out(self, blocks: Iterable[NDArray[Any]]) -> Iterator[NDArray[Any]]:
-        """Yield the samples of blocks (n_channels, n_samples), nan where missing, without their lines."""
-        rest: NDArray[Any] | None = None
-        for block in blocks:
-            if block.ndim != 2 or len(block) != len(self._channels) or block.dtype.kind not in "fiu":
-                yield block  # the detector says what is wrong with it
-                continue
-            if block.dtype not in (np.float32, np.float64):
-                block = block.astype(np.float64)
-            rest = block if rest is None else np.concatenate([rest, block], axis=1)
-            done = []
-            while rest.shape[1] >= self.length:
-                done.append(self._next(rest[:, : self.length]))
-                rest = rest[:, self._hop :]
-            if done:
-                rest = rest.copy()  # a view would keep a long block in memory
-                yield np.concatenate(done, axis=1)
-        if rest is not None and rest.shape[1]:
-            yield self._last(rest)
+    def feed(self, block: NDArray[Any]) -> NDArray[Any]:
+        """Take the next samples (n_channels, n), nan where missing; return those that are known without their lines."""
+        if block.ndim != 2 or len(block) != len(self._channels) or block.dtype.kind not in "fiu":
+            return block  # the detector says what is wrong with it
+        if block.dtype not in (np.float32, np.float64):
+            block = block.astype(np.float64)
+        rest = np.concatenate([self._rest, block], axis=1)
+        done = [rest[:, :0]]
+        while rest.shape[1] >= self.length:
+            done.append(self._next(rest[:, : self.length]))
+            rest = rest[:, self._hop :]
+        self._rest = rest.copy() if len(done) > 1 else rest  # a view would keep a long block in memory
+        return np.concatenate(done, axis=1)
+
+    def finish(self) -> NDArray[Any]:
+        """Return the samples that are left at the end of the recording."""
+        return self._last(self._rest)
 
     def told(self) -> list[int]:
         """Return the channels whose lines are unsteady, once each."""
@@ -261,7 +266,7 @@ class Lines:
             size = np.sqrt(now)
             mean = size if one.mean is None else one.mean + max(_LATEST, 1 / (one.n_frames + 1)) * (size - one.mean)
             found = self._lines(now, np.square(mean) if one.n_frames >= _N_MEAN else None)
-            if number == 0 and not (one.hears(spectrum, found, self._width) or self._from_begin):
+            if number == 0 and not (one.hears(spectrum, found, self._width, self._apart) or self._from_begin):
                 break
             bands = self._bands(found)
             share = now[bands].sum() / max(now[self._first :].sum(), _TINY)

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from cgid._lib.terminal import counted
-from cgid._lib.validation import RATE_TOLERANCE
+from cgid._lib.validation import STATED_RATE
 from cgid.errors import BadData
 from cgid.recordings.recording import MAX_CHANNELS, Blocks, Remark
 from cgid.recordings.text import Body, Piece, assembled, encoding_and_end, n_lines, whole_lines
@@ -319,7 +319,7 @@ class _Rows(Body):
             raise BadData(f"{name} must have the channels and the rate of the one before, it has others; {hint}")
         if step is None:
             return
-        span, allowed = count * step, max(_GAP * step, RATE_TOLERANCE * count * step) + _STAMP
+        span, allowed = count * step, max(_GAP * step, STATED_RATE * count * step) + _STAMP
         starts = [one.number_of("X0", channel) or 0.0 for one in (segment, following)]
         moments = [one.start_time(channel) for one in (segment, following)]
         passed = [starts[1] - starts[0]]

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cgid._lib.validation import rates_agree, require_rate, whole
+from cgid._lib.validation import STATED_RATE, rates_agree, require_rate, whole
 from cgid.errors import BadData, CgidError, InvalidValue, MissingOption, NoInput, optional
 from cgid.recordings.chain import Chain, scaled
 from cgid.recordings.gaps import Gaps
@@ -290,13 +290,15 @@ def _numbered(index: int, name: str) -> str:
     return f"{index + 1} ({name})" if name else str(index + 1)
 
 
-def require_one_rate(first: tuple[float, str], second: tuple[float, str], source: str) -> None:
+def require_one_rate(
+    first: tuple[float, str], second: tuple[float, str], source: str, tolerance: float = STATED_RATE
+) -> None:
     """Raise `BadData` unless two sampling rates [Hz] of a recording agree; each comes with its origin."""
-    if not rates_agree(first[0], second[0]):
+    if not rates_agree(first[0], second[0], tolerance):
         other = "" if first[1] == second[1] else f"{second[1]} states "
         raise BadData(
-            f"{source}: the sampling rate must be one to 0.1 %, {first[1]} states {first[0]:.10g} Hz and "
-            f"{other}{second[0]:.10g} Hz; correct one"
+            f"{source}: the sampling rate must be one to {100 * tolerance:g} %, {first[1]} states {first[0]:.10g} Hz "
+            f"and {other}{second[0]:.10g} Hz; correct one"
         )
 
 

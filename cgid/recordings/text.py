@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid._lib.terminal import counted
-from cgid._lib.validation import rates_agree
+from cgid._lib.validation import STATED_RATE, rates_agree
 from cgid.errors import BadData
 from cgid.recordings.recording import (
     MAX_CHANNELS,
@@ -537,7 +537,7 @@ def _measured_rate(
         rate = rate_of(rows[:, at] * factor, body.source)
         rates.append(rate if last is None else refined_rate(rate, rows[0, at] * factor, last[at] * factor))
     for (earlier, a), (later, b) in pairwise(zip(times, rates, strict=True)):
-        if not rates_agree(a, b):
+        if not rates_agree(a, b, STATED_RATE):
             raise BadData(
                 f"{body.source}: the sampling rate must be one to 0.1 %, time column {columns[earlier].name!r} gives "
                 f"{a:.10g} Hz and {columns[later].name!r} {b:.10g} Hz; export the channels of one rate only"
@@ -555,6 +555,6 @@ def _agreed_rate(stated: Sequence[float], measured: float | None, source: str) -
                 require_one_rate((stated[0], "the header"), (rate, "the header"), source)
         return stated[0]
     # Of several stated rates, such as before and after decimation, one must agree with the times.
-    if min(stated) > 0 and not any(rates_agree(measured, rate) for rate in stated):
+    if min(stated) > 0 and not any(rates_agree(measured, rate, STATED_RATE) for rate in stated):
         require_one_rate((stated[0], "the header"), (measured, "the time column"), source)
     return measured

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid._lib.validation import Floats
-from cgid.identification.detection.detector import ImpactDetector
+from cgid.identification.detection.ear import Ear
 from cgid.identification.detection.events import Event
 from cgid.identification.detection.windows import WINDOW_TIME, windows_of
 from cgid.measure.features.table import ImpactKind
@@ -75,26 +75,30 @@ def silence_of(
 ) -> Silence:
     """Return the counts of a recording within intervals [s]; raises as its `blocks` and the detector."""
     rate = recording.sampling_rate
-    detector = ImpactDetector(rate, len(recording.channels), kind=kind, dead_time=dead_time, joint=True, gaps=True)
+    # With tones, as in a training on labelled recordings.
+    factor = -1.0 if invert else 1.0
+    ear = Ear(rate, len(recording.channels), kind=kind, dead_time=dead_time, joint=True, factor=factor, lines=False)
     events: list[Event] = []
     max_samples = left = round(MAX_SEARCH_TIME * rate)
 
-    def seen() -> Iterator[NDArray[np.floating]]:
+    def begun() -> Iterator[NDArray[np.floating]]:
         nonlocal left
         for block in recording.blocks_with_gaps(joint=True):
-            part = -block[:, :left] if invert else block[:, :left]
-            events.extend(detector.feed(part))
-            yield part
+            yield block[:, :left]
             left -= block.shape[1]
             if left <= 0:
                 break
 
+    def seen() -> Iterator[NDArray[np.floating]]:
+        for found, _, samples in ear.heard(begun()):
+            events.extend(found)
+            yield samples
+
     parts = [(first, windows.var(axis=2)) for first, windows in windows_of(seen(), rate, WINDOW_TIME, WINDOW_TIME)]
-    events += detector.finish()
     intervals = [(start, min(end, (max_samples - left) / rate)) for start, end in intervals]
     inside = [sum(start <= event.time < end for event in events) for start, end in intervals]
     # At low rates, the frame of an impact lasts longer.
-    cut_time = max(CUT_TIME, detector.n_samples / rate)
+    cut_time = max(CUT_TIME, ear.n_samples / rate)
     cut = [n in (1, 2) and end - start <= cut_time for n, (start, end) in zip(inside, intervals, strict=True)]
     found = Silence(n_impacts=sum(inside), n_intervals=len(intervals), n_cut=sum(cut))
     if not parts:

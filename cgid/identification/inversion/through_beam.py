@@ -9,20 +9,21 @@ from fractions import Fraction
 import numpy as np
 from numpy.typing import NDArray
 
-from cgid._lib.validation import Floats
+from cgid._lib.validation import Floats, rates_agree
 from cgid.identification.inversion.beam_responses import Observations
 from cgid.identification.inversion.contact import Contact, ContactFit
 from cgid.identification.inversion.inversion import MORE_THAN_ONE, ForceEstimate, Inversion
 from cgid.identification.inversion.ring_down import RingDown
 from cgid.measure.features.vibration import VibrationBatch
 from cgid.measure.fit.ar_noise import ARNoise, ar_noise_of
+from cgid.measure.frames import clipped_samples
 from cgid.measure.modal.beam import SPAN_TIME, TOUCH, Beam
 
 #: Maximum time of the onset before the first sample above the noise [s]: the travel time of waves.
 REACH = 1.2e-3
-#: Relative tolerance of equal sampling rates; with others, the band up to this fraction of the lower rate is used, as
-#: far as the recorder passes this much.
-_SAME_RATE, _TOP, _PASSED = 1e-6, 0.41, 1e-3
+#: At another sampling rate the band up to this fraction of the lower one is used, as far as the recorder passes this
+#: much.
+_TOP, _PASSED = 0.41, 1e-3
 _MAX_RATIO = 1000
 #: An onset this close to the ends of the table of forces is searched this much further [samples].
 _EDGE, _BESIDE = 0.35, 4
@@ -44,29 +45,8 @@ _REMEMBERED = 4096
 _BY_NOISE = 1.28
 #: Minimum and maximum number of samples before onset to estimate ring-down.
 _MIN_QUIET, _MAX_QUIET = 64, 256
-#: Samples at a limit are equal within this, and are at least this many.
-_SAME, _SHARED, _TOLERANCE = 1e-6, 2, 0.01
 #: Minimum noise over the signal: of white noise, and of what an autoregression leaves, for single precision.
 _FLOOR, _LEAST = 1e-3, 1e-6
-
-
-def clipped_samples(frames: Floats, shared: int = _SHARED) -> NDArray[np.bool_] | None:
-    """Return which samples (n, n_samples) are at the limit of their recorder; None if there are none."""
-    # A limit is a value that `shared` samples have in common at the top or the bottom, at least half as large as the
-    # other side; the other side then has the same limit, even if only one sample reaches it.
-    high, low = frames.max(axis=1), frames.min(axis=1)
-    near_top = frames >= (high - _SAME * np.abs(high))[:, None]
-    near_bottom = frames <= (low + _SAME * np.abs(low))[:, None]
-    beyond, limits = np.zeros(len(frames), bool), np.zeros((2, len(frames)), bool)
-    top, bottom = (high, low, near_top, limits[0]), (low, high, near_bottom, limits[1])
-    for extreme, other, at, limited in (top, bottom, top):
-        limit = (np.count_nonzero(at, axis=1) >= shared) & (np.abs(extreme) >= 0.5 * np.abs(other)) & (high > low)
-        limit |= beyond & (np.abs(extreme + other) <= _TOLERANCE * np.abs(extreme))
-        beyond |= limit
-        limited |= limit
-    if not beyond.any():
-        return None
-    return np.asarray((near_top & limits[0][:, None]) | (near_bottom & limits[1][:, None]))
 
 
 class ThroughBeam:
@@ -142,7 +122,7 @@ class ThroughBeam:
     ) -> tuple[ForceEstimate, Contact, Floats]:
         """Return force, pulse, and misfit of each filter (n, 2), infinite if not tried; `again` tries other onsets."""
         rate, own = vibrations.sampling_rate, self.beam.sampling_rate
-        if not rate > own * (1 + _SAME_RATE):
+        if rate <= own or rates_agree(rate, own):
             filters = np.broadcast_to([True, False], filters.shape)
         rows = [np.flatnonzero(column) for column in filters.T]
         parts = [
@@ -206,7 +186,7 @@ class ThroughBeam:
         quiet = vibrations.n_quiet.astype(np.float64)
         first = vibrations.first.astype(np.float64)
         limit = None
-        if abs(rate / own - 1) > _SAME_RATE:
+        if not rates_agree(rate, own):
             frames = self.resampled(frames, rate, filters)
             quiet, first = quiet * own / rate, first * own / rate
             limit = _TOP * min(rate, own)

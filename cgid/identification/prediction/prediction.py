@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from cgid._lib import validation
+from cgid._lib.validation import SAME_RATE
 from cgid.errors import BadData, InvalidValue, MissingOption
 from cgid.identification.model.model import Model, StoredModel, stored
 from cgid.identification.prediction.answers import Answer, answer_columns
@@ -299,7 +300,7 @@ def _require_alike(signals: Sequence[Any], sampling_rate: float | None) -> list[
     rate = first.sampling_rate
     for one in signals:
         require_stated(one, sampling_rate)
-        require_one_rate((rate, first.name), (one.sampling_rate, one.name), one.source)
+        require_one_rate((rate, first.name), (one.sampling_rate, one.name), one.source, SAME_RATE)
         if len(one.samples) != len(first.samples):
             raise BadData(
                 f"{one.name}: Signals must be channels of one length, got {len(one.samples)} samples after "

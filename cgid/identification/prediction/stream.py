@@ -10,7 +10,6 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
-from itertools import chain
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -18,7 +17,7 @@ from numpy.typing import NDArray
 
 from cgid._lib.validation import Floats
 from cgid.errors import BadData, CgidError, InvalidValue
-from cgid.identification.detection.detector import ImpactDetector
+from cgid.identification.detection.ear import Ear
 from cgid.identification.detection.events import Event
 from cgid.identification.detection.windows import measure_windows, windows_of
 from cgid.identification.model.model import StoredModel
@@ -154,22 +153,16 @@ def _impacts(
         names = answering_channels(model, channels, settings.same_beam)
         same_beam = SameBeam(model, channels, settings, sampling_rate, source) if settings.same_beam else None
         together = Together(sampling_rate, ((row,) for row in range(len(channels)))) if len(channels) > 1 else None
-        detector = ImpactDetector(
-            sampling_rate, len(channels), kind=kind, dead_time=settings.dead_time, joint=joint, gaps=True
-        )
-        require_measurable(model.measured, sampling_rate, detector.n_samples, model.beam)
         # A model of labelled recordings has learned with their tones.
-        lines = None
-        if settings.lines is not False and beam is not None:
-            from cgid.recordings.lines import Lines
-
-            lines = Lines(len(channels), sampling_rate, from_begin=bool(settings.lines))
-        for block in chain(blocks if lines is None else lines.taken_out(blocks), [None]):
-            ended = block is None
-            events = detector.finish() if block is None else detector.feed(block)
+        tones = False if beam is None else settings.lines
+        ear = Ear(sampling_rate, len(channels), kind=kind, dead_time=settings.dead_time, joint=joint, lines=tones)
+        require_measurable(model.measured, sampling_rate, ear.n_samples, model.beam)
+        lines, n_heard = ear.lines, 0
+        for events, until, block in ear.heard(blocks):
+            ended, n_heard = until == np.inf, n_heard + block.shape[1]
             silent -= set(range(len(channels))) if joint and events else {event.channel for event in events}
             waiting += (replace(event, channel=0) for event in events) if joint else events
-            loud = warned if quiet is None or block is None else quiet.loud(block) - silent
+            loud = warned if quiet is None else quiet.loud(block) - silent
             heard = [f"{named(row)}: {_NEVER_QUIET}" for row in sorted(loud - warned)]
             heard += [f"{named(row)}: {_QUIET_AGAIN}" for row in sorted(warned - loud)]
             heard += [f"{named(row)}: {_UNSTEADY}" for row in (() if lines is None else lines.told())]
@@ -177,21 +170,18 @@ def _impacts(
             warned = loud
             if not (ended or heard or notes or deaf or not waiting or len(waiting) >= settings.batch):
                 continue
-            until: float = detector.known_until
             said: Sequence[str] = ()
             wrong_beams: Sequence[str] = ()
             if same_beam is None:
                 answers, _ = measured_events(waiting, model, settings, names, beam)
                 wrong_beams = () if together is None else tuple(together.feed(waiting, channels))
             else:
-                answers, begin, said = same_beam.identified(waiting, np.inf if ended else until)
+                answers, begin, said = same_beam.identified(waiting, until)
                 until = min(until, begin)
             yield Step(
                 answers,
-                until / sampling_rate,
-                silent=tuple(
-                    f"{named(row)}: {detector.why_silent(row, model.unit)}" for row in sorted(silent) if ended
-                ),
+                min(until, n_heard) / sampling_rate,
+                silent=tuple(f"{named(row)}: {ear.why_silent(row, model.unit)}" for row in sorted(silent) if ended),
                 warnings=(*heard, *said),
                 wrong_beams=tuple(f"{source}: {text}" for text in wrong_beams),
                 notes=tuple(f"{named(row)}: {_TONES.format(tone)}" for row, tone in notes.items()),
@@ -203,7 +193,7 @@ def _impacts(
                 upside_down=tuple(
                     name
                     for name, rows in zip(names, groups, strict=True)
-                    if any(detector.is_upside_down(row) for row in rows)
+                    if any(ear.is_upside_down(row) for row in rows)
                 )
                 if ended
                 else None,

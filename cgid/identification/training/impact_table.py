@@ -12,7 +12,7 @@ import numpy as np
 
 from cgid._lib.terminal import counted
 from cgid.errors import BadData
-from cgid.identification.detection.detector import ImpactDetector
+from cgid.identification.detection.ear import Ear
 from cgid.identification.detection.events import Event
 from cgid.identification.model.model import Model
 from cgid.identification.prediction.same_beam import SameBeamWarning
@@ -180,12 +180,10 @@ def found_impacts(
     """Return the impacts of a recording, whose samples are multiplied first; raises `BadData` if there is none."""
     rows = list(range(len(recording.channels)))
     while True:
-        detector = ImpactDetector(
-            recording.sampling_rate, len(rows), kind=kind, dead_time=dead_time, joint=joint, gaps=True
-        )
-        gaps, events = recording.gaps(rows, joint=joint), []
-        for block in gaps.marked(block[rows] for block in recording.blocks(gaps=True)):
-            events += detector.feed(block * factor)
+        ear = Ear(recording.sampling_rate, len(rows), kind=kind, dead_time=dead_time, joint=joint, factor=factor)
+        gaps = recording.gaps(rows, joint=joint)
+        blocks = gaps.marked(block[rows] for block in recording.blocks(gaps=True))
+        events = [event for heard in ear.heard(blocks) for event in heard.events]
         lacking = gaps.n_samples > _MOST_MISSING * gaps.n_seen
         if not joint or not lacking.any() or lacking.all():
             break
@@ -194,11 +192,10 @@ def found_impacts(
         told(f"{recording.source}: channel {names} is left out, it lacks too many samples")
         rows = list(compress(rows, ~lacking))
     gaps.require(recording.source)
-    events += detector.finish()
     for warning in recording.warnings:
         told(warning)
     if not events:
-        raise BadData(f"{recording.source}: {detector.why_silent(unit=recording.channels[0].unit)}")
+        raise BadData(f"{recording.source}: {ear.why_silent(unit=recording.channels[0].unit)}")
     return events
 
 

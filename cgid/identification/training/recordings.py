@@ -22,8 +22,8 @@ from numpy.typing import NDArray
 from cgid._lib.files import require_regular
 from cgid._lib.validation import Floats
 from cgid.errors import BadData, CgidError, InvalidValue, MissingOption, NoInput
-from cgid.identification.detection.detector import ImpactDetector
-from cgid.identification.detection.events import Event, frames_alike
+from cgid.identification.detection.ear import Ear
+from cgid.identification.detection.events import Event, Framing, frames_alike
 from cgid.identification.detection.silence import Silence, silence_of
 from cgid.identification.detection.windows import (
     WINDOW_TIME,
@@ -552,7 +552,7 @@ def _length(kind: Kind, rate: float, slicing: Slicing) -> int:
     """Return the number of samples of a row."""
     if kind == "window":
         return Grid.at(rate, slicing.window_time, slicing.hop_time).length
-    return ImpactDetector(rate, kind="pulse" if kind == "pulse" else "vibration").n_samples
+    return Framing.of(kind, rate).n_samples
 
 
 @dataclass(frozen=True)
@@ -564,6 +564,17 @@ class Cutting:
     unit: str
     augment: bool = False
     model: StoredModel | None = None
+
+    def ear(self, file: AnnotatedFile) -> Ear:
+        """Return what hears the impacts of a file; with tones unless they are looked at through a beam."""
+        return Ear(
+            file.recording.sampling_rate,
+            len(file.recording.channels),
+            kind="vibration" if kind_of(self.names) == "vibration" else "pulse",
+            dead_time=self.slicing.dead_time,
+            factor=file.upright,
+            lines=False if self.model is None or self.model.beam is None else None,
+        )
 
     @cached_property
     def beams(self) -> list[ThroughBeam | None]:
@@ -620,17 +631,9 @@ def _windows(file: AnnotatedFile, cutting: Cutting) -> Iterator[AnnotatedRows]:
 
 def _impacts(file: AnnotatedFile, cutting: Cutting) -> Iterator[AnnotatedRows]:
     """Yield annotation, times and features of the impacts in annotated intervals; the detector gets all samples."""
-    sign, measuring = file.upright, ImpactRows(file, cutting)
-    detector = ImpactDetector(
-        file.recording.sampling_rate,
-        len(file.recording.channels),
-        kind="vibration" if kind_of(cutting.names) == "vibration" else "pulse",
-        dead_time=cutting.slicing.dead_time,
-        gaps=True,
-    )
-    for block in file.blocks():
-        yield from measuring.feed(detector.feed(sign * block), detector.known_until)
-    yield from measuring.feed(detector.finish(), np.inf)
+    measuring, ear = ImpactRows(file, cutting), cutting.ear(file)
+    for events, until, _ in ear.heard(file.blocks()):
+        yield from measuring.feed(events, until)
 
 
 class ImpactRows:
