@@ -113,13 +113,13 @@ class LabelledRecording:
         from cgid.identification.training.recordings import digest_of
 
         recording, is_first = self.file.recording, not self.ended
-        n_channels, upright = len(recording.channels), self.file.upright
+        n_channels = len(recording.channels)
         rest = np.empty((n_channels, 0), np.float32)
         # What is listed is heard as in `predict`; what is measured, as in a training with these features.
         measuring = self.cuttings[name].ear(self.file)
         ears = [(measuring, list[Event](), True, is_first)]
         if is_first and measuring.lines is None and self.kind == "vibration":
-            listing = Ear(self.rate, n_channels, kind=self.kind, dead_time=self.dead_time, factor=upright)
+            listing = Ear(self.rate, n_channels, kind=self.kind, dead_time=self.dead_time)
             ears = [(listing, [], False, True), (measuring, [], True, False)]
         for block in recording.blocks_with_gaps():
             if stopped():

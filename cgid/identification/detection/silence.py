@@ -70,14 +70,11 @@ def silence_of(
     kind: ImpactKind,
     intervals: Sequence[tuple[float, float]],
     dead_time: float | None = None,
-    *,
-    invert: bool = False,
 ) -> Silence:
     """Return the counts of a recording within intervals [s]; raises as its `blocks` and the detector."""
     rate = recording.sampling_rate
     # With tones, as in a training on labelled recordings.
-    factor = -1.0 if invert else 1.0
-    ear = Ear(rate, len(recording.channels), kind=kind, dead_time=dead_time, joint=True, factor=factor, lines=False)
+    ear = Ear(rate, len(recording.channels), kind=kind, dead_time=dead_time, joint=True, lines=False)
     events: list[Event] = []
     max_samples = left = round(MAX_SEARCH_TIME * rate)
 

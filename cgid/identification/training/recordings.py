@@ -115,11 +115,6 @@ class AnnotatedFile:
         names = [channel.name for channel in self.recording.channels]
         return ["+".join(names[row] for row in rows) for rows in self.groups if len(rows) > 1]
 
-    @property
-    def upright(self) -> float:
-        """1, or -1 to invert the samples."""
-        return -1.0 if self.annotations[0].invert else 1.0
-
     def blocks(self) -> Iterator[NDArray[Any]]:
         """Yield the samples, nan in gaps; raise `BadData` at the end if an annotation starts after it."""
         count = 0
@@ -186,7 +181,7 @@ def annotated_blocks(file: AnnotatedFile, unit: str) -> Iterator[tuple[Annotatio
     rate = file.recording.sampling_rate
     bounds = [(round(one.start * rate), one.end * rate) for one in file.annotations]
     for k, parts in groupby(_cut(file.blocks(), bounds), lambda part: part[0]):
-        scale = file.upright * file.scale(file.annotations[k], unit)
+        scale = file.scale(file.annotations[k], unit)
         yield file.annotations[k], (samples * scale for _, samples in parts)
 
 
@@ -218,9 +213,8 @@ def opened(annotations: tuple[Annotation, ...], reading: Reading, *, hashed: boo
     first = annotations[0]
     with clear_errors(str(first.path)):  # a manifest may name anything, even a pipe, which would be copied
         require_regular(first.path, "a recording of a manifest", MAX_STREAM)
-    site = reading.site or Site()
-    if first.site and not site.path:  # that of the line wins
-        site = Site(first.site, site.given)
+    given, turned = reading.site or Site(), {"invert": True} if first.invert else {}
+    site = Site(given.path or first.site, {**turned, **given.given})  # that of the line wins
     recording = open_recording(
         first.path,
         sampling_rate=first.sampling_rate or reading.sampling_rate,
@@ -395,7 +389,7 @@ def _silence(files: Sequence[AnnotatedFile], slicing: Slicing) -> Silence:
         with suppress(CgidError):
             intervals = [(one.start, one.end) for one in file.annotations]
             kind = kind_for(quantity_of(file.unit))
-            silence += silence_of(file.recording, kind, intervals, slicing.dead_time, invert=file.upright < 0)
+            silence += silence_of(file.recording, kind, intervals, slicing.dead_time)
     return silence
 
 
@@ -572,7 +566,6 @@ class Cutting:
             len(file.recording.channels),
             kind="vibration" if kind_of(self.names) == "vibration" else "pulse",
             dead_time=self.slicing.dead_time,
-            factor=file.upright,
             lines=False if self.model is None or self.model.beam is None else None,
         )
 
