@@ -130,7 +130,7 @@ class Site:
     def of(cls, given: Site | str | Path | None) -> Site:
         """Return the site of an argument: an object, its file, or an empty one for None."""
         if given is None:
-            return cls()
+            return NOWHERE
         if not isinstance(given, Site | str | Path):
             raise InvalidValue(f"site must be a Site or the path of its file, got {shown(given)}")
         return given if isinstance(given, Site) else cls(given)
@@ -282,6 +282,10 @@ class Site:
                     f"{' '.join(_DIVIDERS)}, got {shown(name)}"
                 )
         return found
+
+
+#: The site of what states none.
+NOWHERE = Site()
 
 
 def _content(path: Path) -> dict[str, Any]:

@@ -23,7 +23,7 @@ from cgid.identification.prediction.settings import PredictionSettings
 from cgid.recordings import is_dataset, open_recording
 from cgid.recordings.chain import Chain, Statement
 from cgid.recordings.recording import Blocks, Channel, require_one_rate
-from cgid.recordings.site import Site
+from cgid.recordings.site import NOWHERE, Site
 from cgid.shipped import MODELS, model_path
 from cgid.signals import Batch, Signal, require_stated
 from cgid.units import quantity_of
@@ -175,9 +175,9 @@ def predict(
     """
     for name in settings:
         validation.choice("setting", name, _SETTINGS)
-    place = Site.of(site)
-    applied = replace(PredictionSettings(), **{**place.settings, **settings})
-    model = place.get("model") if model is None else model
+    place = NOWHERE if site is None else Site.of(site)
+    applied = PredictionSettings(**({**place.settings, **settings} if site else settings))
+    model = place.get("model") if model is None and site else model
     model = cast("Model | str | Path | None", getattr(model, "model", model))  # of a Training
     if model is not None and not isinstance(model, Model | str | Path):
         raise InvalidValue(f"model must be a Model, a Training or the name or path of a model, got {model!r:.60}")
@@ -199,7 +199,7 @@ def predict(
         for text in signals[0].warnings:
             warnings.warn(text, stacklevel=2)
     else:
-        rate = place.get("rate") if sampling_rate is None else sampling_rate
+        rate = place.get("rate") if sampling_rate is None and site else sampling_rate
         signals, beams = _measured(samples, rate, unit, Chain.of(sensitivity, gain, full_scale), place)
     if "same_beam" not in settings:
         applied = replace(applied, same_beam=beams)
@@ -238,7 +238,7 @@ def _measured(
         )
     of_signals = isinstance(listed, list | tuple) and any(isinstance(one, Signal) for one in listed)
     signals = _require_alike(listed, sampling_rate) if of_signals else _signals(samples, sampling_rate)
-    unit = site.get("unit") if unit is None and not of_signals else unit
+    unit = site.get("unit") if unit is None and not of_signals and site is not NOWHERE else unit
     if not of_signals and unit is None and chain == Chain():
         raise MissingOption("samples: an array has no unit; give it, as in unit='N' or unit='m/s^2'")
     dtype = None if of_signals else validation.plain("samples", samples).dtype
@@ -255,7 +255,7 @@ def _measured(
         full_scales=[largest] * len(signals),
         integers=[largest is not None] * len(signals),
     )
-    if not of_signals:  # these were read by a site, or state all of it
+    if not of_signals and site is not NOWHERE:  # Signals were read by a site, or state all of it
         contents, chain = site.applied(contents, chain, signals[0].source)
         signals = [replace(signal, channel=contents.label(k)) for k, signal in enumerate(signals)]
     links = chain.links(contents, range(len(signals)), unit, signals[0].source)
@@ -266,7 +266,7 @@ def _measured(
             )
             for signal, link in zip(signals, links, strict=True)
         ]
-    return measured, site.beams(contents, signals[0].source)
+    return measured, () if site is NOWHERE else site.beams(contents, signals[0].source)
 
 
 def _signals(samples: Any, sampling_rate: float | None) -> list[Signal]:

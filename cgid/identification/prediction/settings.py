@@ -110,12 +110,6 @@ class ReadingSettings:
     give_up: float | None = None
     same_beam: tuple[tuple[str, ...], ...] = ()
 
-    def __post_init__(self) -> None:
-        validation.instance("invert", self.invert, bool, np.bool_)
-        if self.lines is not None:
-            validation.instance("lines", self.lines, bool, np.bool_)
-        object.__setattr__(self, "same_beam", require_groups(self.same_beam))
-
     @property
     def blinded_after(self) -> float:
         """Time without valid samples after which a support is blind [s]."""
@@ -142,11 +136,6 @@ class AnsweringSettings:
     coverage: float | None = None
     vote_time: float | None = None
     batch: int = BATCH
-
-    def __post_init__(self) -> None:
-        validation.instance("costs", self.costs, Mapping)
-        if self.costs and self.coverage is not None:
-            raise InvalidValue("costs and coverage must not be given together; leave one out")
 
     def check(self, model: StoredModel) -> None:
         """Raise `InvalidValue` if the model lacks a label or the coverage."""
@@ -220,32 +209,6 @@ class WatchingSettings:
     lumps: tuple[LabelledSpan, ...] = ()
     trained_seam: bool = False
 
-    def __post_init__(self) -> None:
-        validation.instance("trained_seam", self.trained_seam, bool, np.bool_)
-        for name, label in (("coal", "coal"), ("lumps", "gangue")):
-            if getattr(self, name):
-                object.__setattr__(self, name, require_spans(getattr(self, name), label))
-        if self.cost_late == 0:
-            require_costs(0, self.shares.cost_early)
-        if self.cycle_pause is not None and self.coal_until is None:
-            raise InvalidValue("cycle_pause must come with coal_until, the coal of each cycle; give --coal-until, too")
-        coal = {
-            "coal_until": self.coal_until is not None,
-            "labelled coal": self.coal,
-            "trained_seam": self.trained_seam,
-        }
-        if len(stated := [name for name, given in coal.items() if given]) > 1:
-            raise InvalidValue(f"{' and '.join(stated)} must not be given together; leave one out")
-        if self.lumps and not (self.coal or self.coal_until is not None):
-            raise InvalidValue(
-                "labelled gangue must come with stated coal, which tells the seam; label coal, or give --coal-until"
-            )
-        if (first := min((one.start for one in self.lumps), default=np.inf)) < (self.coal_until or 0.0):
-            raise InvalidValue(
-                f"labelled gangue must begin after the {self.coal_until:g} s of coal alone, got {first:g} s; shorten "
-                "--coal-until, or leave the row out"
-            )
-
     @property
     def shares(self) -> ShareSettings:
         """Settings of the gangue fraction, with the defaults."""
@@ -285,8 +248,38 @@ class PredictionSettings(ReadingSettings, AnsweringSettings, WatchingSettings):
         for name, rule in RULES.items():
             if (value := getattr(self, name)) is not None:
                 validation.number(name, value, rule=rule)
-        for part in (ReadingSettings, AnsweringSettings, WatchingSettings):
-            part.__post_init__(self)
+        validation.instance("invert", self.invert, bool, np.bool_)
+        if self.lines is not None:
+            validation.instance("lines", self.lines, bool, np.bool_)
+        if self.same_beam:
+            object.__setattr__(self, "same_beam", require_groups(self.same_beam))
+        validation.instance("costs", self.costs, Mapping)
+        if self.costs and self.coverage is not None:
+            raise InvalidValue("costs and coverage must not be given together; leave one out")
+        validation.instance("trained_seam", self.trained_seam, bool, np.bool_)
+        for name, label in (("coal", "coal"), ("lumps", "gangue")):
+            if getattr(self, name):
+                object.__setattr__(self, name, require_spans(getattr(self, name), label))
+        if self.cost_late == 0:
+            require_costs(0, self.shares.cost_early)
+        if self.cycle_pause is not None and self.coal_until is None:
+            raise InvalidValue("cycle_pause must come with coal_until, the coal of each cycle; give --coal-until, too")
+        coal = {
+            "coal_until": self.coal_until is not None,
+            "labelled coal": self.coal,
+            "trained_seam": self.trained_seam,
+        }
+        if len(stated := [name for name, given in coal.items() if given]) > 1:
+            raise InvalidValue(f"{' and '.join(stated)} must not be given together; leave one out")
+        if self.lumps and not (self.coal or self.coal_until is not None):
+            raise InvalidValue(
+                "labelled gangue must come with stated coal, which tells the seam; label coal, or give --coal-until"
+            )
+        if (first := min((one.start for one in self.lumps), default=np.inf)) < (self.coal_until or 0.0):
+            raise InvalidValue(
+                f"labelled gangue must begin after the {self.coal_until:g} s of coal alone, got {first:g} s; shorten "
+                "--coal-until, or leave the row out"
+            )
 
     def require_use(self, model: StoredModel) -> None:
         """Raise `InvalidValue` for a vote time with a model of impacts, or a dead time with a model of windows."""
