@@ -302,7 +302,7 @@ def _channels(recording: Any, as_json: bool, beams: Groups) -> tuple[dict[str, A
     described = {}
     for row, (channel, detector) in enumerate(zip(names, detectors, strict=True)):
         add(row, detector.finish())
-        if is_known[row] and not impacts[row] and INVERT_HINT in detector.why_silent():
+        if is_known[row] and not impacts[row] and detector.is_upside_down():
             warn(f"{channel_name(recording.source, channel.name)}: no impact: {INVERT_HINT}")
         stated = (
             "--full-scale, such as '500 g'"
