@@ -192,11 +192,35 @@ def test_info_counts_samples_at_full_scale(n_full: int, tmp_path: Path, capsys: 
     assert told == "none" if n_full == 1 else f"{n_full} samples" in told[0]
 
 
+def test_info_says_what_is_upside_down_whatever_the_words(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("cgid.identification.detection.detector.ImpactDetector.why_silent", lambda *_, **__: "")
+    force = np.random.default_rng(1).normal(0, 1.0, 20_000)
+    force[10_000:10_060] -= 4e3 * np.sin(np.linspace(0, np.pi, 60))
+    for name, samples in (("down", force), ("quiet", force[:9000])):
+        np.save(tmp_path / f"{name}.npy", samples)
+        assert run(["info", str(tmp_path / f"{name}.npy"), "--rate", "200000", "--unit", "N"]) == 0
+        assert ("invert=true" in capsys.readouterr().err) == (name == "down")
+
+
 @pytest.mark.parametrize("name", SCENES)
 def test_a_shipped_scene_is_checked_without_warnings(name: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert run(["check", name, "--json"]) == 0
     out, err = capsys.readouterr()
     assert (err, json.loads(out)["warnings"]) == ("", {})
+
+
+def test_a_cure_is_for_scenes_of_users(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """In a shipped scene what is unusual is intended."""
+    fact, cure = "have fewer than 20 samples on the contact", "raise sampling_rate"
+    (tmp_path / "mine.toml").write_text(path_of("datasets", "reference.toml").read_text(encoding="utf-8"))
+    told = []
+    for scene in ("reference", str(tmp_path / "mine.toml")):
+        assert run(["check", scene, "--json"]) == 0
+        told.append(json.loads(capsys.readouterr().out))
+    assert [[*one["remarks"]] for one in told] == [[fact], []]
+    assert [[*one["warnings"]] for one in told] == [[], [f"{fact}; {cure}"]]
 
 
 def test_check_warns_of_a_radius_without_its_unit(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

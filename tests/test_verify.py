@@ -141,12 +141,13 @@ def test_damaged_rows_are_those_of_the_chunk(copies: Path) -> None:
     for file, row, says in (("one.h5", 100, "signals 64 to 127"), ("one.h5", 130, "signals 64 to 127, 128 to 191")):
         flip(copies / file, place_of(copies / file, "signals", row))
         (finding,) = verify(copies / file).findings
-        assert finding.what == f"{says} do not fit their checksum"
+        assert finding.what == f"{copies / file}: {says} do not fit their checksum"
     flip(copies / "table.h5", place_of(copies / "table.h5", "specimen", 5000))
-    assert verify(copies / "table.h5").findings[0].what == "specimen 4096 to 8191 do not fit their checksum"
+    table = copies / "table.h5"
+    assert verify(table).findings[0].what == f"{table}: specimen 4096 to 8191 do not fit their checksum"
 
 
-def test_everything_wrong_with_a_folder_is_named(copies: Path) -> None:
+def test_everything_wrong_with_a_folder_is_named(copies: Path, capsys: pytest.CaptureFixture[str]) -> None:
     folder = copies / "folder"
     (folder / "shard-00000.h5").unlink()
     flip(folder / "shard-00001.h5", place_of(folder / "shard-00001.h5", "signals", 3))
@@ -161,6 +162,13 @@ def test_everything_wrong_with_a_folder_is_named(copies: Path) -> None:
         "notes.txt": "foreign",
     }
     assert len(verify(folder).damage) == 3
+    # Each names its file once, also in the lines that are printed.
+    findings = verify(folder).findings
+    assert all(finding.what.startswith(f"{finding.file}: ") for finding in findings)
+    assert run(["verify", str(folder)]) == 65
+    _, *lines = capsys.readouterr().out.splitlines()
+    assert lines == [f"  {finding.problem}: {finding.what}" for finding in findings]
+    assert all(line.count(str(finding.file)) == 1 for line, finding in zip(lines, findings, strict=True))
 
 
 def test_an_unfinished_run_says_how_far_it_has_come(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -301,7 +309,7 @@ def test_verify_names_the_command_that_makes_it_again(
     assert (first["whole"], second["whole"]) == (False, False)
     found = {Path(finding["file"]).name: finding["problem"] for finding in first["findings"]}
     assert found == {"shard-00001.h5": "damaged", "shard-00002.h5": "missing"}
-    assert second["findings"][0]["what"] == "signals 0 to 19 do not fit their checksum"
+    assert second["findings"][0]["what"] == f"{single}: signals 0 to 19 do not fit their checksum"
     commands = [shlex.split(line.partition("cgid ")[2]) for line in re.findall("make it again: (.*)", err)]
     assert [words[-1] for words in commands] == ["--resume", "--overwrite"]
     assert all(run(words) == 0 for words in commands)

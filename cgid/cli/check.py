@@ -38,8 +38,7 @@ def check(scene: str | None, as_list: bool, seed: int, as_json: bool) -> None:
     loaded = load_scene(scene)
     warn_of_one_place(loaded)
     background_of(loaded)  # raises if its recording cannot be read
-    # Warn about scenes of users; in shipped ones it is intended.
-    preview = _preview(loaded, seed, "remarks" if scene in shipped.SCENES else "warnings")
+    preview = _preview(loaded, seed, scene in shipped.SCENES)
     if loaded.stream is not None:
         preview |= _stream(loaded)
     if as_json:
@@ -66,12 +65,12 @@ def check(scene: str | None, as_list: bool, seed: int, as_json: bool) -> None:
     for name, (low, middle, high) in preview["quantiles_5_50_95"].items():
         say(f"{name:<28} 5 % {low:>11.4g}   median {middle:>11.4g}   95 % {high:>11.4g}")
     for text, share in preview["remarks"].items():
-        say(f"note: {share:.2%} of the impacts {text.partition(';')[0]}")
+        say(f"note: {share:.2%} of the impacts {text}")
     for text, share in preview["warnings"].items():
         warn(f"{share:.2%} of the impacts {text}")
 
 
-def _preview(scene: Any, seed: int, name: str) -> dict[str, Any]:
+def _preview(scene: Any, seed: int, is_shipped: bool) -> dict[str, Any]:
     from cgid.scene.synthesis.draws import BLOCK, parameter_units, require_seed
     from cgid.scene.synthesis.impacts import draw
 
@@ -96,9 +95,9 @@ def _preview(scene: Any, seed: int, name: str) -> dict[str, Any]:
         "quantiles_5_50_95": {
             name: np.quantile(column, [0.05, 0.5, 0.95]).tolist() for name, column in known.items() if column.size
         },
-        "remarks": {},
-        "warnings": {},
-        name: {text: share for text, share in shares.items() if share > 0},
+        # In shipped scenes it is intended, and needs no cure.
+        "remarks": {what: share for (what, _), share in shares.items() if is_shipped},
+        "warnings": {"; ".join(filter(None, text)): share for text, share in shares.items() if not is_shipped},
     }
 
 
@@ -134,8 +133,8 @@ def _randomised(scene: Any) -> dict[str, tuple[float, float]]:
     return {f"{name} [{units[name]}]": law.extremes for name, law in scene.randomise.laws.items()}
 
 
-def _shares(draws: list[Any], values: dict[str, Any], sampling_rate: Any, scene: Any) -> dict[str, float]:
-    """Return the fraction of the pulses that each warning concerns."""
+def _shares(draws: list[Any], values: dict[str, Any], sampling_rate: Any, scene: Any) -> dict[tuple[str, str], float]:
+    """Return the fraction of the pulses that each warning concerns, a fact and what helps, unless it is none."""
     from cgid.measure.features.pulses import RECOMMENDED_SAMPLES
     from cgid.physics.contact.bodies import MAX_RADIUS
     from cgid.physics.contact.impact import BEYOND_THIN_PLATE, HERTZ_LIMIT, INELASTICITY_LIMIT
@@ -144,27 +143,28 @@ def _shares(draws: list[Any], values: dict[str, Any], sampling_rate: Any, scene:
     inelasticity = np.concatenate([d.inelasticity for d in draws])
     end = values.get("onset", 0.0) + np.nan_to_num(values.get("second_hit_delay", 0.0)) + values["contact_duration"]
     beyond = {
-        f"have a radius above {MAX_RADIUS:g} m, larger than any rock; if it is in mm, give it as '25 mm'": (
+        (f"have a radius above {MAX_RADIUS:g} m, larger than any rock", "if it is in mm, give it as '25 mm'"): (
             values["radius"] > MAX_RADIUS
         ),
-        f"exceed Hertz's range (displacement over radius above {HERTZ_LIMIT:g})": strain > HERTZ_LIMIT,
-        f"exceed the range of the thin plate (lambda above {INELASTICITY_LIMIT:g}): {BEYOND_THIN_PLATE}": (
+        (f"exceed Hertz's range (displacement over radius above {HERTZ_LIMIT:g})", ""): strain > HERTZ_LIMIT,
+        (f"exceed the range of the thin plate (lambda above {INELASTICITY_LIMIT:g}): {BEYOND_THIN_PLATE}", ""): (
             inelasticity > INELASTICITY_LIMIT
         ),
-        f"have fewer than {RECOMMENDED_SAMPLES} samples on the contact; raise sampling_rate": (
+        (f"have fewer than {RECOMMENDED_SAMPLES} samples on the contact", "raise sampling_rate"): (
             (values["contact_duration"] * sampling_rate < RECOMMENDED_SAMPLES) & (scene.sensor.quantity == "force")
         ),
-        "last beyond the end of the frame and are cut off; raise samples": (
+        ("last beyond the end of the frame and are cut off", "raise samples"): (
             (end * sampling_rate > scene.sampling.samples - 1) & (scene.stream is None)
         ),
     }
     if scene.panel is not None and scene.panel.ribs is not None:
         limit = scene.panel.highest_smeared_frequency
-        beyond[
+        short = (
             f"are so short (over 1/{limit:.4g} Hz) that ribs may not be smeared: between two the skin gives way more "
             "than this beam does, on one less"
-        ] = values["contact_duration"] * limit < 1
-    return {text: float(np.sum(passed) / end.size) for text, passed in beyond.items()}
+        )
+        beyond[short, ""] = values["contact_duration"] * limit < 1
+    return {text: float(np.sum(passed) / end.size) for text, passed in beyond.items() if np.any(passed)}
 
 
 def _stream(scene: Any) -> dict[str, Any]:

@@ -298,7 +298,7 @@ def _channels(recording: Any, as_json: bool, beams: tuple[tuple[str, ...], ...])
     described = {}
     for row, (channel, ear) in enumerate(zip(names, ears, strict=True)):
         add(row, ear.finish().events)
-        if is_known[row] and not impacts[row] and INVERT_HINT in ear.why_silent():
+        if is_known[row] and not impacts[row] and ear.is_upside_down():
             warn(f"{channel_name(recording.source, channel.name)}: no impact: {INVERT_HINT}")
         stated = (
             "--set full_scale='500 g'" if channel.quantity == "level" else "--unit, such as --unit N or --unit m/s^2"

@@ -139,7 +139,9 @@ def _verify_foreign(path: str, reading: ReadingOptions, as_json: bool) -> None:
         _tell(path, "recording", 1, [_line(source, "unreadable", str(error))], False, as_json, f"{_NO_SUM}unreadable")
         raise
     damage = recording.damage
-    lines = [_line(source, "damaged" if text in damage else "remark", text) for text in recording.messages]
+    lines = [
+        _line(source, "damaged" if text in damage else "remark", f"{source}: {text}") for text in recording.messages
+    ]
     channels = counted(len(recording.channels), "channel")
     content = f"{recording.format} of {channels}, {counted(n_samples, 'sample')} each"
     state = "damaged" if damage else "readable"
@@ -201,4 +203,4 @@ def _tell(
         return
     say(f"{path}: {kind} of {counted(n_files, 'file')}, {state or ('whole' if whole else 'damaged')}")
     for line in lines:
-        say(f"  {line['file']}: {line['problem']}: {line['what'].removeprefix(line['file'] + ': ')}")
+        say(f"  {line['problem']}: {line['what']}")

@@ -58,7 +58,7 @@ def examine_file(path: str | Path) -> Examined:
             header = header_of(file, source, kind)
             if kind == FORMAT:
                 about |= {"n_signals": header.n_signals, "dtype": header.dtype}
-            fault = damaged_rows(file, kind, source)
+            fault = f"{source}: {rows}" if (rows := damaged_rows(file, kind, source)) else ""
     except BadData as error:
         fault = str(error)
     return Examined(kind, fault, about)
@@ -72,7 +72,7 @@ def why_incomplete(folder: Folder, number: int) -> str:
         if not fault:
             require_own(path, folder, number, {"first_signal": 0, **about})
     except BadData as error:
-        return str(error).removeprefix(f"{path}: ")
+        return str(error)
     return fault
 
 
@@ -80,7 +80,7 @@ def why_incomplete(folder: Folder, number: int) -> str:
 class Finding:
     """A problem with a file: "damaged", "missing", "unfinished" or "changed"; "leftover" and "foreign" are harmless.
 
-    "changed" is what its custom laws do not make any more, see `cgid.scene.changed`.
+    "changed" is what its custom laws do not make any more, see `cgid.scene.changed`. `what` begins with the file.
     """
 
     file: Path
@@ -228,17 +228,17 @@ def _verify_folder(path: Path) -> Verified:
         elif name not in sums:
             n_unlisted += 1
     if folder is not None and n_absent:
-        what = f"{len(files) - n_absent} of {len(files)} {folder.description.noun} exist"
+        what = f"{path}: {len(files) - n_absent} of {len(files)} {folder.description.noun} exist"
         what += "; continue with cgid generate ... --resume"
         findings.append(Finding(file=path, problem="unfinished", what=what))
     elif folder is not None and n_unlisted:
         problem = "damaged" if SUMS in present else "missing"
-        what = f"must begin with the SHA-256 of the description and list that of {n_unlisted} complete files"
+        what = f"{path / SUMS}: must begin with the SHA-256 of the description, and list {n_unlisted} more files"
         findings.append(Finding(file=path / SUMS, problem=problem, what=what))
     part = re.compile(half_written("|".join([_FILE, *map(re.escape, _TEXTS)])))
     for name in sorted(present - {*files, *_TEXTS, LOCK}):
         problem, what = ("leftover", "of a stopped run") if part.fullmatch(name) else ("foreign", "not part of it")
-        findings.append(Finding(file=path / name, problem=problem, what=what))
+        findings.append(Finding(file=path / name, problem=problem, what=f"{path / name}: {what}"))
     looks = RECORDING_FORMAT if files and files[0].startswith("recording") else FORMAT
     form = folder.description.kind if folder else looks
     return Verified(path=path, kind=_NOUNS[form], n_files=len(files) + 1, findings=tuple(findings))
@@ -247,12 +247,12 @@ def _verify_folder(path: Path) -> Verified:
 def _finding(path: Path, sha256: str | None, folder: Folder | None, number: int) -> Finding | None:
     """Return the problem of a file in a folder, None if it is complete."""
     if path.is_symlink():
-        return Finding(file=path, problem="damaged", what=LINKED)
+        return Finding(file=path, problem="damaged", what=f"{path}: {LINKED}")
     if sha256 and not path.is_file():
-        return Finding(file=path, problem="missing", what="does not exist")
+        return Finding(file=path, problem="missing", what=f"{path}: does not exist")
     if sha256 and has_sum(path, sha256):
         return None
     what = examine_file(path).fault if folder is None else why_incomplete(folder, number)
     if sha256 and not what:
-        what = f"does not match the SHA-256 in {SUMS}, though all of it is readable"
+        what = f"{path}: does not match the SHA-256 in {SUMS}, though all of it is readable"
     return Finding(file=path, problem="damaged", what=what) if what else None

@@ -60,7 +60,7 @@ def changed(verified: Verified, scene: Scene | None = None, progress: Progress |
             if file not in lost:
                 require(file, of_scene, seed)
         except BadData as error:
-            findings.append(Finding(file=file, problem="changed", what=str(error).removeprefix(f"{file}: ")))
+            findings.append(Finding(file=file, problem="changed", what=str(error)))
         if progress is not None:
             progress(1)
     return tuple(findings)
