@@ -387,12 +387,12 @@ def test_a_table_labels_the_coal_of_a_recording(
     table = tmp_path / "events.csv"
     head = "path,start_s,end_s,label,channel\nanother.wav,0,3,coal,\n"
     table.write_text(f"{head}{file},0,1,coal,1\n")
-    by_table, until = (shares(*how)[0] for how in (("--labelled", str(table)), ("--coal-until", "1")))
+    by_table, until = (shares(*how)[0] for how in (("--set", f"labelled={table}"), ("--coal-until", "1")))
     assert by_table == until and {line["basis"] for line in by_table} == {"anchor_pending", "anchor"}
     table.write_text(f"{head}{file},0,1,coal,\n{file},9,10,coal,\n")
-    assert "got 1 row after it" in shares("--labelled", str(table))[1]
+    assert "got 1 row after it" in shares("--set", f"labelled={table}")[1]
     table.write_text(f"{head}{file},0,0.05,coal,\n")
-    assert "the labelled coal must give at least 10" in shares("--labelled", str(table))[1]
+    assert "the labelled coal must give at least 10" in shares("--set", f"labelled={table}")[1]
 
 
 @pytest.mark.parametrize("command", ["predict", "monitor"])
@@ -405,7 +405,7 @@ def test_labelled_lumps_of_gangue_are_used_beside_the_coal(
         table.write_text(
             f"path,start_s,end_s,label\n{file},1.6,{lumps},gangue\n{'' if options else f'{file},0,1,coal'}\n"
         )
-        lines, err = lines_of(folder, capsys, command, "--labelled", str(table), *options, model=model)
+        lines, err = lines_of(folder, capsys, command, "--set", f"labelled={table}", *options, model=model)
         return [line for line in lines if line["kind"] == "share"], err
 
     found, err = shares("2.2")
@@ -449,7 +449,7 @@ def test_a_table_without_coal_of_the_recording_is_refused(
     folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     file, table = folder / "stream.npy", tmp_path / "events.csv"
-    given = ["predict", str(file), "--rate", "200000", "--unit", "N", "--labelled", str(table)]
+    given = ["predict", str(file), "--rate", "200000", "--unit", "N", "--set", f"labelled={table}"]
     for rows, words in (
         ("another.wav,coal,", f"some row of {file} must be labelled coal, none is"),
         (f"{file},gangue,", "none is"),
@@ -469,7 +469,7 @@ def test_a_table_without_coal_of_the_recording_is_refused(
 
 def test_any_seam_is_said_once_in_words(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     given = [str(folder / "stream.npy"), "--rate", "200000", "--unit", "N", "--set", "window=0.5"]
-    assert run(["predict", *given, "--model", str(folder / "any.npz")]) == 0
+    assert run(["predict", *given, "--model", str(folder / "any.npz"), "--fractions"]) == 0
     err = capsys.readouterr().err
     assert err.count("--coal-until 30s") == 1
     assert err.count("any seam) from") >= 5

@@ -44,7 +44,7 @@ def test_the_command_after_a_training_reads_recordings_like_its_own(capsys: Any,
     # What differs between the rows is left to the reader, and an option is for rows without a value.
     row = Annotation(path=Path("a.wav"), written="a.wav", label="coal", gain=10.0, unit="V", channels=(2,), invert=True)
     rows = (row, replace(row, path=Path("b.wav"), unit="mV"))
-    reading = ReadingOptions(unit="g", sensitivity=("10 mV/g", "a.wav:2=9 mV/g"), gain=("2",))
+    reading = ReadingOptions(unit="g", sensitivity=("10 mV/g", "a.wav:2=9 mV/g"))
     words = prediction_by(Path("m.npz"), StoredModel.load(model), Manifest(source="x", annotations=rows), reading)
     assert (
         words == "cgid predict FILE --channel 2 --set invert=true --sensitivity '10 mV/g' --set gain=10 --model m.npz"

@@ -220,7 +220,7 @@ def test_predict_tells_impacts_shares_and_a_summary(two_channels: Path, capsys: 
     assert (summary["impacts"], summary["duration_s"]) == (32, pytest.approx(0.32))
     assert sum(summary["labels"].values()) == 32
 
-    assert run(["predict", str(two_channels), *how]) == 0
+    assert run(["predict", str(two_channels), *how, "--fractions"]) == 0
     out, err = capsys.readouterr()
     table = list(csv.DictReader(io.StringIO(out)))
     assert [row["label"] for row in table] == [row["label"] for row in impacts]
@@ -245,8 +245,11 @@ def test_predict_says_when_to_shut(tmp_path: Path, capsys: pytest.CaptureFixture
     assert not of_kind(rows, "open")
     before = [row for row in of_kind(rows, "share") if row["to_s"] < shut["time_s"]]
     assert all(row["low"] < 0.5 for row in before)
-    assert run(arguments) == 0
+    assert run([*arguments, "--fractions"]) == 0
     assert sum(line.startswith("SHUT ") for line in capsys.readouterr().err.splitlines()) == 1
+    assert run(arguments) == 0  # one paragraph, with the time
+    (last,) = (line for line in capsys.readouterr().err.splitlines() if " impacts: " in line)
+    assert last.count("gangue fraction") == 1 and last.endswith(f"SHUT at {shut['time_s']:.6g} s")
 
 
 def test_summary_alone_and_fractions_from_ten_answers_on(
@@ -255,7 +258,7 @@ def test_summary_alone_and_fractions_from_ten_answers_on(
     command = ["predict", str(two_channels), "--rate", str(RATE), "--unit", "N", "--set", "window=0.24"]
     assert run([*command, "--json"]) == 0
     rows = lines_of(capsys)
-    assert run(command) == 0
+    assert run([*command, "--fractions"]) == 0
     told = [line for line in capsys.readouterr().err.splitlines() if "gangue fraction" in line and " answers" in line]
     shares = of_kind(rows, "share")
     last = [[row for row in shares if row["channel"] == channel][-1] for channel in ("1", "2")]
@@ -263,8 +266,8 @@ def test_summary_alone_and_fractions_from_ten_answers_on(
     assert len(told) == len(enough) + 2 < len(shares)
     assert run([*command, "--summary"]) == 0
     out = capsys.readouterr().out.splitlines()
-    assert [line for line in out if "gangue fraction" in line and not line.startswith(("SHUT", "OPEN"))] == told[-2:]
-    assert f": {len(of_kind(rows, 'impact'))} impacts: " in out[-1]
+    assert [line.partition("; SHUT")[0] for line in out if "gangue fraction" in line] == told[-2:]
+    assert f": {len(of_kind(rows, 'impact'))} impacts: " in out[-3]
     assert "p_coal" not in "".join(out)
     assert run([*command, "--summary", "--json"]) == 0
     alone = lines_of(capsys)

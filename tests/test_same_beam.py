@@ -425,7 +425,9 @@ READ = ("--rate", RATE, "--unit", "m/s^2")
 
 
 def test_predict_counts_a_rock_once(pairs: Path) -> None:
-    out, err = ran("predict", pairs / "monday.npy", *READ, "--same-beam", "1+2", "--json")
+    out, err = ran(
+        "predict", pairs / "monday.npy", *READ, "--set", "channels.1.beam=A", "--set", "channels.2.beam=A", "--json"
+    )
     lines = [json.loads(line) for line in out.splitlines()]
     impacts = [line for line in lines if line["kind"] == "impact"]
     assert {line["channel"] for line in impacts} == {"1+2", "3"}
@@ -439,7 +441,9 @@ def test_predict_counts_a_rock_once(pairs: Path) -> None:
 
 
 def test_info_counts_a_rock_once(pairs: Path) -> None:
-    out, _ = ran("info", pairs / "monday.npy", *READ, "--same-beam", "1+2", "--json")
+    out, _ = ran(
+        "info", pairs / "monday.npy", *READ, "--set", "channels.1.beam=A", "--set", "channels.2.beam=A", "--json"
+    )
     described = json.loads(out)
     assert described["channel 1"]["impacts"] == described["channel 2"]["impacts"] == 30
     assert described["channels 1+2"] == {"impacts": 30}

@@ -127,8 +127,9 @@ class AnswerLines:
             told = {name: "; ".join([text, *self._turns.pop(name, [])]) for name, text in self._last.items()}
             message += "".join(f"; {text}" if name == source else f"\n{name}: {text}" for name, text in told.items())
         self._last.clear()
-        for one in message.splitlines():
-            self._note("summary", source, one, content)
+        self._line("summary", source, content)
+        for one in message.splitlines() if not self.as_json else ():
+            say(one, err=not self.only_summary)
 
     def warning(self, source: str, message: str, **more: Any) -> None:
         """Print a warning about a readable recording, on stderr and in JSON; `more`: what programs get besides."""

@@ -53,10 +53,12 @@ def prediction_by(path: Path, model: StoredModel, manifest: Manifest | None, rea
     """Return the command for predictions by a new model, on a recording that is read like all of its manifest."""
     own = {**vars(reading), **reading.chain_of("")}
     flags = {
-        **dict.fromkeys(("unit", "channel", "sensitivity")),
         "sampling_rate": "--rate",
+        **{name: f"--{name}" for name in ("unit", "channel")},
+        **dict.fromkeys(("variable", "format", "invert"), "--set"),
+        "sensitivity": "--sensitivity",
+        "gain": "--set",
         "full_scale": "--full-scale",
-        **dict.fromkeys(("gain", "variable", "format", "invert"), "--set"),
     }
     fields = {"channel": "channels", "gain": "recording_gain"}
     words, rows = site_words(), [] if manifest is None else manifest.annotations
@@ -67,7 +69,7 @@ def prediction_by(path: Path, model: StoredModel, manifest: Manifest | None, rea
         value = stated.pop() if len(stated) == 1 else None
         for part in value if isinstance(value, tuple) else (value,) if value else ():
             text = f"{part:.12g}" if isinstance(part, float) else f"{part}".replace("True", "true")
-            words += [flag or f"--{name}", f"{name}={text}" if flag == "--set" else text]
+            words += [flag, f"{name}={text}" if flag == "--set" else text]
     return shlex.join(["cgid", "predict", "FILE", *words, "--model", str(path), *beam_words(model.same_beam)])
 
 

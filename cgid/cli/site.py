@@ -11,7 +11,7 @@ from typing import Any
 import click
 
 from cgid.errors import InvalidValue
-from cgid.recordings.site import CHANNEL_KEYS, KEYS, Site
+from cgid.recordings.site import CHANNEL_KEYS, KEYS, NOWHERE, Site
 
 #: Where `click` keeps what a line says of the site, for all contexts of one line.
 _FILES, _VALUES, _MADE = "cgid.site.files", "cgid.site.values", "cgid.site"
@@ -91,7 +91,9 @@ def the_site() -> Site:
 
     Raises a usage error if two files are given, or a value of --set that the command does not use.
     """
-    context = click.get_current_context()
+    context = click.get_current_context(silent=True)
+    if context is None:
+        return NOWHERE
     meta = context.meta
     if _MADE not in meta:
         files, values = meta.get(_FILES, []), meta.get(_VALUES, {})
@@ -106,7 +108,7 @@ def the_site() -> Site:
         path = files[0] if files else os.environ.get("CGID_SITE", "")
         if files == [""]:
             raise click.UsageError("--site must be the name of a file, it is empty", context)
-        meta[_MADE] = Site(path, values) if path or values else Site()
+        meta[_MADE] = Site(path, values) if path or values else NOWHERE
     made: Site = meta[_MADE]
     return made
 
@@ -157,7 +159,8 @@ def keys(**defaults: Any) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
 
 def site_words() -> list[str]:
     """Return the words of the command line that state the site, for suggested commands."""
-    meta = click.get_current_context().meta
+    context = click.get_current_context(silent=True)
+    meta = {} if context is None else context.meta
     words = [word for file in meta.get(_FILES, []) for word in ("--site", file)]
     for key, value in meta.get(_VALUES, {}).items():
         for one in value if isinstance(value, list) else [value]:
