@@ -299,7 +299,7 @@ def test_closed_pipe_is_no_error() -> None:
         ("check --list >&-", 74, 1, "standard output is closed"),
         ("predict --help >&-", 74, 1, "standard output is closed"),
         ("predict --sample -o - >&-", 74, 1, "standard output is closed"),
-        ("predict --sample -o {folder}/rows.csv >&-", 0, 3, "wrote"),
+        ("predict --sample -o {folder}/rows.csv >&-", 0, 2, "wrote"),
         ("tap {folder}/none.csv -o {folder}/modes.csv >&-", 66, 1, "none.csv"),
         ("label datasets/sample.csv -o {folder}/labels.csv >&-", 74, 2, "standard output is closed"),
         ("predict - <&-", 66, 1, "stdin: the standard input must be open"),

@@ -40,7 +40,7 @@ def test_mistyped_names_are_suggested(capsys: pytest.CaptureFixture[str]) -> Non
         ("cgid generate tail", ["tail_beam"]),
         ("cgid train p", ["peers", "plate"]),
         ("cgid predict --model default-", ["default-acceleration"]),
-        ("cgid train reference --by i", ["impact"]),
+        ("cgid export-model default --to o", ["onnx"]),
         ("cgid info re", []),
     ],
 )

@@ -452,7 +452,8 @@ class RecordingRows:
         """Return whether a fraction waits for the end of the recording."""
         if self._live or not (share.n_impacts or share.n_unknown):
             return False
-        return not self.lines.as_json and (share.n_impacts < _ENOUGH or not self.lines.has_fractions)
+        is_brief = not self.lines.as_json and (share.n_impacts < _ENOUGH or not self.lines.has_fractions)
+        return self.lines.only_summary or is_brief
 
     def _print_endless(self, time: float, begun: Mapping[str, float]) -> None:
         """Print which supports had no pause since their caving cycles have begun [s], once for each."""

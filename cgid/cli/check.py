@@ -9,7 +9,7 @@ import numpy as np
 
 from cgid import shipped
 from cgid.cli.help import Command
-from cgid.cli.options import SCENE, json_option, seed_option
+from cgid.cli.options import SCENE, json_option
 from cgid.cli.output import print_json, say, warn, warn_of_one_place
 
 #: Blocks of 256 impacts in the preview.
@@ -19,9 +19,8 @@ _BLOCKS = 16
 @click.command(cls=Command, short_help="Validate a scene and preview its impacts.", example="cgid check reference")
 @click.argument("scene", type=SCENE, required=False)
 @click.option("--list", "as_list", is_flag=True, help="Print the names of the shipped scenes.")
-@seed_option
 @json_option
-def check(scene: str | None, as_list: bool, seed: int, as_json: bool) -> None:
+def check(scene: str | None, as_list: bool, as_json: bool) -> None:
     """Validate SCENE (a .toml file or the name of a shipped one), and preview 4096 of its impacts."""
     if as_list:
         texts = shipped.scene_descriptions()
@@ -38,7 +37,7 @@ def check(scene: str | None, as_list: bool, seed: int, as_json: bool) -> None:
     loaded = load_scene(scene)
     warn_of_one_place(loaded)
     background_of(loaded)  # raises if its recording cannot be read
-    preview = _preview(loaded, seed, scene in shipped.SCENES)
+    preview = _preview(loaded, scene in shipped.SCENES)
     if loaded.stream is not None:
         preview |= _stream(loaded)
     if as_json:
@@ -70,11 +69,11 @@ def check(scene: str | None, as_list: bool, seed: int, as_json: bool) -> None:
         warn(f"{share:.2%} of the impacts {text}")
 
 
-def _preview(scene: Any, seed: int, is_shipped: bool) -> dict[str, Any]:
-    from cgid.scene.synthesis.draws import BLOCK, parameter_units, require_seed
+def _preview(scene: Any, is_shipped: bool) -> dict[str, Any]:
+    from cgid.scene.synthesis.draws import BLOCK, parameter_units
     from cgid.scene.synthesis.impacts import draw
 
-    draws = [draw(scene, require_seed(seed), block) for block in range(_BLOCKS)]
+    draws = [draw(scene, 0, block) for block in range(_BLOCKS)]
     units = parameter_units(scene)
     if scene.stream is not None:
         del units["onset"]  # it belongs to a frame

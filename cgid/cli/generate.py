@@ -61,7 +61,7 @@ _OF_DATASETS = (*_OF_RECORDINGS, "shard_signals", "jobs", "scheduler")
 @click.option("--features", help="Tabulate only these features, separated by commas; by default those of a model.")
 @click.option(
     "--quantities",
-    help="Write a table of these quantities (peak_force,impulse) instead of signals, without computing pulses.",
+    help="Tabulate these quantities (peak_force,impulse) instead of signals, without computing pulses.",
 )
 @click.option("--parameters-only", is_flag=True, help="Write a table of the sampled parameters.")
 @click.option("--explain", is_flag=True, help="Print the plan: which stages would run, which would not, and why.")
@@ -242,7 +242,9 @@ def _require_recordings(scene: Any, options: dict[str, Any]) -> None:
     """Raise `InvalidValue` for options that do not apply to recordings."""
     for name, default in _OF_MANY.items():
         if options[name] != default:
-            raise InvalidValue(f"{name} is for datasets, scene {scene.name} is a stream of recordings; leave it out")
+            raise InvalidValue(
+                f"{'--jobs' if name == 'jobs' else name} is for datasets, scene {scene.name} is a stream of recordings; leave it out"
+            )
 
 
 def _make_recordings(scene: Any, output: str, n_signals: int, **options: Any) -> None:

@@ -11,8 +11,8 @@ import click
 from cgid._lib import validation
 from cgid._lib.terminal import counted
 from cgid.cli.help import Command
-from cgid.cli.options import OUTPUT, PATH, overwrite_option
-from cgid.cli.output import say, warn
+from cgid.cli.options import OUTPUT, PATH, json_option, overwrite_option
+from cgid.cli.output import print_json, say, warn
 from cgid.cli.reading import ReadingOptions, reading_options, warn_of_volts
 from cgid.errors import InvalidValue
 
@@ -42,6 +42,7 @@ if TYPE_CHECKING:
 @click.option("--from", "begin", type=float, default=0.0, metavar="SECONDS", help="Plot only after this time.")
 @click.option("--to", "end", type=float, metavar="SECONDS", help="Plot only before this time.")
 @overwrite_option
+@json_option
 @reading_options()
 def plot(
     file: str,
@@ -50,6 +51,7 @@ def plot(
     begin: float,
     end: float | None,
     overwrite: bool,
+    as_json: bool,
     reading: ReadingOptions,
 ) -> None:
     """Plot the recording FILE: waveform, spectrogram and spectrum of each channel, and detected impacts.
@@ -96,6 +98,18 @@ def plot(
         overview, channels, title=Path(recording.source).name, facts=facts, marks=marks, begin=begin
     )
     write_whole(path, picture(figure, path.suffix.lower()), overwrite=overwrite)
+    if as_json:
+        print_json(
+            {
+                "source": recording.source,
+                "picture": str(path),
+                "channels": [channel.name for channel in channels],
+                "from_s": begin,
+                "duration_s": overview.duration,
+                "impacts": count,
+                "warnings": list(recording.warnings),
+            }
+        )
     say(f"wrote {path}", err=True)
 
 

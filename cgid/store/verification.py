@@ -33,7 +33,7 @@ _NOUNS = {FORMAT: "dataset", RECORDING_FORMAT: "recording", TABLE_FORMAT: "table
 #: Problems without damage.
 _HARMLESS = ("leftover", "foreign")
 #: Fields of a description that are options of `cgid generate`.
-_OPTIONS = ("dtype", "shard_signals")
+_KEYS = ("dtype", "shard_signals")
 _FILE = r"(shard|recording)-\d{5,}\.h5"
 _TEXTS = (DESCRIPTION, SUMS)
 
@@ -183,10 +183,10 @@ def remedy(path: str | Path, scenes: Collection[str] = ()) -> str:
     if about.get("format") not in (FORMAT, RECORDING_FORMAT) or "seed" not in about or about.get("first_signal"):
         return f"repeat the command that made it, with {'--resume' if is_folder else '--overwrite'}"
     options = {"-n": about.get("n_signals", about.get("n_recordings", 1)), "--seed": about["seed"]}
-    options |= {f"--{name.replace('_', '-')}": about[name] for name in _OPTIONS if name in about}
-    options["-o"] = path
     name, mode = str(about.get("scene_name")), "--resume" if is_folder else "--overwrite"
     words = [name if name in scenes else "SCENE.toml", *(word for option in options.items() for word in option)]
+    words += [word for name in _KEYS if name in about for word in ("--set", f"{name}={about[name]}")]
+    words += ["-o", path]
     words += ["--set", "laws=MODULE"] if "laws" in about else []
     stand_ins = [] if name in scenes else [f"SCENE.toml is the file of scene {name}"]
     stand_ins += ["MODULE is that of its laws"] if "laws" in about else []
