@@ -242,9 +242,8 @@ def _require_recordings(scene: Any, options: dict[str, Any]) -> None:
     """Raise `InvalidValue` for options that do not apply to recordings."""
     for name, default in _OF_MANY.items():
         if options[name] != default:
-            raise InvalidValue(
-                f"{'--jobs' if name == 'jobs' else name} is for datasets, scene {scene.name} is a stream of recordings; leave it out"
-            )
+            said = "--jobs" if name == "jobs" else name
+            raise InvalidValue(f"{said} is for datasets, scene {scene.name} is a stream of recordings; leave it out")
 
 
 def _make_recordings(scene: Any, output: str, n_signals: int, **options: Any) -> None:
