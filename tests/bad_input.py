@@ -591,6 +591,7 @@ _COMMANDS = r"""
 65 | train m_group.csv --from model.npz --family linear -o new.npz | --from
 65 | predict model.npz | model.npz: must be a recording, it is a model; give it by --model
 2 | train reference --family sklearn.svm.SVC -o new.npz | --family
+2 | train reference --family boosting -o new.npz | logistic
 65 | train good.csv -o new.npz | good.csv
 65 | train loose -o new.npz | a.csv
 65 | train void -o new.npz | void
