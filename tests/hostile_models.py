@@ -356,6 +356,7 @@ def _headers() -> dict[str, Callable[[], bytes]]:
         "confusion of other labels": {"training": {"metrics": {"confusion": [[1]]}}},
         "class weights that are lists": {"training": {"class_weights": [1, 2]}},
         "class weight of 10^-300": {"training": {"class_weights": {"coal": 1e-300, "gangue": 1e-300}}},
+        "sensors that clear the screen": {"sensors": "\x1b[2J"},
         "something unheard of": {"\x1b]0;evil\x07": 1},
         "family of another world": {"family": "pickle"},
         "family without harm, arrays of another": {"family": "network"},

@@ -171,7 +171,7 @@ def fields_of(
         raise BadData(f"the header must have the fields of a model only, got {min(unknown)[:40]!r}")
     for name, reason in WITHDRAWN.items():
         if header.get(name) != []:
-            raise BadData(f"{name} must be an empty list, {reason}, got {header.get(name)!s:.40}")
+            raise BadData(f"{name} must be an empty list, {reason}, got {header.get(name)!r:.40}")
     for name, kind in stored.items():
         good = _is(header.get(name), kind)
         if not good or (name in _LISTS_OF_NUMBERS and not all(_is(number, float) for number in header[name])):
