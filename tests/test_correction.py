@@ -56,7 +56,7 @@ def model() -> StoredModel:
     return train_on_specimens(impacts(3000, 1), features=NAMES, family="logistic").model
 
 
-@pytest.mark.parametrize("family", ["logistic", "linear", "network", "boosting"])
+@pytest.mark.parametrize("family", ["logistic", "linear", "network"])
 @pytest.mark.parametrize("labels", [("coal", "gangue"), ("coal", "gangue", "steel")])
 def test_a_shift_is_folded_into_every_family(family: str, labels: tuple[str, ...]) -> None:
     former = train_on_specimens(impacts(400, 2, labels), features=NAMES, family=family).model

@@ -119,7 +119,7 @@ def made(family: str, n_labels: int) -> StoredModel:
     labels = np.repeat(LABELS[:n_labels], 300)
     features = rng.normal(size=(len(labels), 3)) + np.repeat(np.eye(3)[:n_labels], 300, axis=0)
     features[:, :2] = np.exp(features[:, :2])
-    classifier = ImpactClassifier(family, n_trees=30, n_units=7).fit(features, labels)
+    classifier = ImpactClassifier(family, n_units=7).fit(features, labels)
     order = np.searchsorted(classifier.classes_, labels)
     return StoredModel.from_classifier(
         classifier,
@@ -150,13 +150,11 @@ NAMES = few(
     [
         "default",
         "linear 2 noise",
-        "boosting 3",
         "logistic 2",
         "linear 3",
         *MODELS[1:],
         "network 3",
         "linear 2",
-        "boosting 2",
     ],
     5,
 )
@@ -278,7 +276,7 @@ def test_bad_rows_end_with_one_line(text: str, code: int, says: str, tmp_path: P
 
 
 @pytest.mark.parametrize(
-    "name", few(["default", "boosting 3", "logistic 2", "linear 2 noise", "linear 3", *MODELS[1:], "network 3"], 2)
+    "name", few(["default", "logistic 2", "linear 2 noise", "linear 3", *MODELS[1:], "network 3"], 2)
 )
 def test_onnx_gives_the_models_answers(name: str, tmp_path: Path) -> None:
     pytest.importorskip("onnx", reason="onnx is not installed")

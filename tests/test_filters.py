@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 
 from cgid.errors import InvalidValue
-from cgid.measure.filters import fft_filter, filter_gain, low_pass_response
+from cgid.measure.filters import fft_filter, filter_gain
 from cgid.measure.fit import family
-from cgid.measure.fit.fit_samples import mixing_matrix
 from tests import naive
 
 RATE = 1e6
@@ -114,26 +113,3 @@ def test_taper_rings_as_high_beside_the_pulse_and_dies_out_sooner(restitution, o
     one_duration_before = np.abs(taper[: TOUCH - 500]).max() / np.abs(brick[: TOUCH - 500]).max()
     assert 0.85 < beside < 1
     assert one_duration_before < 1 / 3
-
-
-# -- the low-pass of a sensor as a response -----------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("edge", [0.05, 0.15, 0.3])
-def test_response_is_what_the_filter_makes_of_an_impulse(edge):
-    impulse = np.zeros(FRAME)
-    impulse[TOUCH] = 1
-    response = low_pass_response(RATE, edge * RATE)
-    expected = fft_filter(impulse, RATE, high=edge * RATE, taper=0.5)[TOUCH:]
-    assert np.abs(response - expected[: len(response)]).max() < 3e-5 * response[0]
-    assert np.abs(expected[len(response) :]).max() < 3e-5 * response[0]
-
-
-@pytest.mark.parametrize("restitution", [1.0, 0.5])
-def test_mixing_matrix_filters_a_pulse(restitution):
-    clean = clean_pulse(restitution, 2e-4)
-    inside = slice(TOUCH - 300, TOUCH + 500)
-    mixing = mixing_matrix(low_pass_response(RATE, 2e4), 800)
-    assert (mixing == mixing.T).all()
-    expected = fft_filter(clean, RATE, high=2e4, taper=0.5)[inside]
-    assert np.abs(clean[inside] @ mixing - expected).max() < 2e-4

@@ -18,13 +18,12 @@ from sklearn import config_context
 from sklearn import metrics as reference_metrics
 from sklearn.cluster import KMeans
 from sklearn.decomposition import PCA
-from sklearn.ensemble import ExtraTreesClassifier, HistGradientBoostingClassifier, RandomForestClassifier
+from sklearn.ensemble import HistGradientBoostingClassifier, RandomForestClassifier
 from sklearn.linear_model import LinearRegression, LogisticRegression, RidgeClassifier
 from sklearn.model_selection import GridSearchCV, GroupKFold, cross_val_score
 from sklearn.neighbors import KNeighborsClassifier
 from sklearn.pipeline import make_pipeline
 from sklearn.svm import SVC
-from sklearn.tree import DecisionTreeClassifier
 from sklearn.utils.estimator_checks import check_estimator
 
 from cgid.errors import BadData, InvalidValue
@@ -59,7 +58,7 @@ def held_out(scene: Scene, training: Training, n: int = 600) -> tuple[np.ndarray
 def test_estimator_passes_scikit_learns_own_checks(family: str) -> None:
     # The shrinkage of a covariance depends on the number of rows, which a weight is not.
     known = {"check_sample_weight_equivalence_on_dense_data": "weights are relative"} if family == "linear" else {}
-    estimator = ImpactClassifier(family, n_trees=20)
+    estimator = ImpactClassifier(family)
     results = check_estimator(estimator, on_fail=None, on_skip=None, expected_failed_checks=known)
     assert [r["check_name"] for r in results if r["status"] == "failed"] == []
     assert sum(r["status"] == "passed" for r in results) > 40
@@ -77,13 +76,13 @@ def rows_of_two(n: int = 600) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 def test_weights_of_rows_are_numbers_of_copies(family: str) -> None:
     features, labels, weights = rows_of_two()
     copies = np.repeat(np.arange(len(labels)), weights)
-    settings: dict[str, Any] = {"n_trees": 20, "calibration_folds": 0}  # folds share rows out, not copies
+    settings: dict[str, Any] = {"calibration_folds": 0}  # folds share rows out, not copies
     weighted = ImpactClassifier(family, **settings).fit(features, labels, sample_weight=weights)
     repeated = ImpactClassifier(family, **settings).fit(features[copies], labels[copies])
     plain = ImpactClassifier(family, **settings).fit(features, labels)
     expected = repeated.predict_proba(features)
     errors = [np.abs(one.predict_proba(features) - expected).mean() for one in (weighted, plain)]
-    assert errors[0] < errors[1] / 3  # of the bins of trees, the regularisation of networks, and the shrinkage
+    assert errors[0] < errors[1] / 3  # of the regularisation of networks, and the shrinkage
 
 
 def test_weights_and_groups_are_routed() -> None:
@@ -145,8 +144,9 @@ def test_probabilities_are_calibrated_where_the_family_is_overconfident() -> Non
     signal = generator.normal(size=4000)
     labels = np.where(generator.random(4000) < 1 / (1 + np.exp(-signal)), "a", "b")
     copies = np.repeat(signal[:, None], 8, axis=1) + generator.normal(0, 0.05, (4000, 8))
-    raw = ImpactClassifier("boosting", calibration_folds=0, n_trees=400).fit(copies[:2000], labels[:2000])
-    calibrated = ImpactClassifier("boosting", n_trees=400).fit(copies[:2000], labels[:2000])
+    boosting = HistGradientBoostingClassifier(max_iter=400)
+    raw = ImpactClassifier(boosting, calibration_folds=0).fit(copies[:2000], labels[:2000])
+    calibrated = ImpactClassifier(boosting).fit(copies[:2000], labels[:2000])
     errors = [
         evaluate(labels[2000:], c.predict_proba(copies[2000:]), ("a", "b"))["expected_calibration_error"]
         for c in (raw, calibrated)
@@ -186,17 +186,15 @@ def classified(family: Any, n_labels: int) -> tuple[ImpactClassifier, np.ndarray
     labels = np.repeat(["coal", "sandstone", "shale"][:n_labels], 200)
     features = np.exp(generator.normal(size=(len(labels), 3)) + np.repeat(np.eye(3)[:n_labels], 200, axis=0))
     stated = {"features": ("peak_force", "width_10", "impulse"), "unit": "N", "sampling_rates": (1e5, 2e5)}
-    return ImpactClassifier(family, n_trees=30).fit(features, labels), features, {**stated, "training": {}}
+    return ImpactClassifier(family).fit(features, labels), features, {**stated, "training": {}}
 
 
 @pytest.mark.parametrize("n_labels", [2, 3])
 @pytest.mark.parametrize(
     ("own", "family"),
     [
-        (RandomForestClassifier(20, random_state=0), "forest"),
-        (ExtraTreesClassifier(10, random_state=0), "forest"),
-        (DecisionTreeClassifier(max_depth=4), "forest"),
-        (HistGradientBoostingClassifier(max_iter=10), "boosting"),
+        (RandomForestClassifier(20, random_state=0), None),
+        (HistGradientBoostingClassifier(max_iter=10), None),
         (LogisticRegression(C=0.1), "linear"),
         (RidgeClassifier(), "linear"),
         (KNeighborsClassifier(30), None),
@@ -412,6 +410,16 @@ ARRAY_HARM: dict[str, tuple[str, str, Any]] = {
 }
 
 
+def test_trees_are_withdrawn(trained: Trained, tmp_path: Path) -> None:
+    with pytest.raises(InvalidValue, match="family boosting is withdrawn; use logistic"):
+        ImpactClassifier("boosting").fit(np.eye(4), ["a", "a", "b", "b"])
+    for family in ("boosting", "forest"):
+        trees = {"header": {"family": family}, "family__roots": np.zeros(1, np.int32)}
+        (tmp_path / "m.npz").write_bytes(rewritten(trained["logistic"].model, **trees))
+        with pytest.raises(BadData, match=rf"family {family} is withdrawn; use logistic.*train it again [^\n]*\Z"):
+            StoredModel.load(tmp_path / "m.npz")
+
+
 @pytest.mark.parametrize("harm", [*HEADER_HARM, *ARRAY_HARM])
 def test_harmful_models_are_refused(harm: str, trained: Trained, tmp_path: Path) -> None:
     """Signed anew; more of them, and files that are no model at all, are in `tests/hostile_models.py`."""
@@ -463,8 +471,11 @@ def test_calibration_folds_keep_specimens_together() -> None:
     specimen = np.repeat(np.arange(60), 30)
     features = np.repeat(generator.normal(size=(60, 6)), 30, axis=0) + generator.normal(0, 1e-3, (1800, 6))
     labels = np.where(specimen % 2, "a", "b")
-    by_heart = ImpactClassifier("boosting").fit(features, labels)
-    honest = ImpactClassifier("boosting").fit(features, labels, specimen)
+    boosting = HistGradientBoostingClassifier(
+        max_iter=200, learning_rate=0.08, max_leaf_nodes=15, l2_regularization=1.0
+    )
+    by_heart = ImpactClassifier(boosting).fit(features, labels)
+    honest = ImpactClassifier(boosting).fit(features, labels, specimen)
     assert by_heart.temperature_ < 1.1
     assert honest.temperature_ > 3
 

@@ -46,7 +46,7 @@ def test_every_family_is_compared_and_a_card_can_print_it(
     rows = select(measured, n_folds=2, families=tuple(families))
     assert [row["name"] for row in rows] == [family.name for family in families]
     rivals = {family.name for family in FAMILIES[len(EXPORTABLE) :]}
-    assert len(rivals) == 2
+    assert len(rivals) == 3
     assert [row["exportable"] for row in rows] == [family.name not in rivals for family in families]
     assert all(0.75 < row["accuracy"] < 0.97 for row in rows)
     assert all(row[name] > 0 for row in rows for name in ("fit_s", "predict_us", "size_bytes"))
@@ -62,19 +62,19 @@ def test_every_family_is_compared_and_a_card_can_print_it(
 
 
 class Watched(ImpactClassifier):
-    """A classifier that says whose impacts it was fitted to; which classifier it is stands in the number of trees."""
+    """A classifier that says whose impacts it was fitted to; which one it is stands in the number of iterations."""
 
     SEEN: ClassVar[dict[int, list[set[int]]]] = {}
 
     def fit(self, X: Any, y: Any, groups: Any = None) -> ImpactClassifier:
-        self.SEEN.setdefault(self.n_trees, []).append(set(np.asarray(groups).tolist()))
+        self.SEEN.setdefault(self.n_iterations, []).append(set(np.asarray(groups).tolist()))
         return super().fit(X, y, groups)
 
 
 def test_all_see_the_same_folds_and_specimens_stay_together(measured: Rows) -> None:
     names = ("features", "labels", "group")
     twice = replace(measured, **{name: np.repeat(getattr(measured, name), 2, axis=0) for name in names})
-    families = tuple(Family(str(k), Watched("linear", n_trees=k)) for k in (1, 2))
+    families = tuple(Family(str(k), Watched("linear", n_iterations=k)) for k in (1, 2))
     select(twice, families=families, n_folds=4)
     first, second = Watched.SEEN.values()
     assert first == second

@@ -70,7 +70,7 @@ def _beside_model(path: Path) -> list[Path]:
 )
 @click.option(
     "--family",
-    type=click.Choice(["logistic", "boosting", "network", "linear"]),
+    type=click.Choice(["logistic", "network", "linear"]),
     help="Choose the kind of classifier; by default logistic, for recordings linear.",
 )
 @click.option("--features", "names", help="Use only these features, separated by commas.")

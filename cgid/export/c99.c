@@ -146,22 +146,6 @@ static void scores(const cgid_real *x, cgid_real *score)
         }
     }
 }
-//: scores of boosting
-/* Sums of decision trees. A leaf is its own child, and its number is its value; of other nodes it is a threshold. */
-static void scores(const cgid_real *x, cgid_real *score)
-{
-    int k, tree;
-    for (k = 0; k < N_SCORES; k++) {
-        score[k] = family_baseline[k];
-    }
-    for (tree = 0; tree < N_TREES; tree++) {
-        unsigned long node = family_roots[tree];
-        while (family_left[node] != node) {
-            node = x[family_feature[node]] <= family_number[node] ? family_left[node] : family_right[node];
-        }
-        score[family_columns[tree]] += family_number[node];
-    }
-}
 //: scores of network
 /* Two hidden layers. */
 static void scores(const cgid_real *x, cgid_real *score)

@@ -20,7 +20,7 @@ from cgid import __version__
 from cgid._lib.validation import Floats
 from cgid.errors import InvalidValue
 from cgid.identification.model.conformal import COVERAGES
-from cgid.identification.model.families import Contrast, Network, Standardiser
+from cgid.identification.model.families import BY_NAME, Contrast, Network, Standardiser
 from cgid.identification.model.model import MIN_SHARE, Model, StoredModel, stored
 from cgid.identification.model.model_file import STANDARDISER
 from cgid.measure.features.extraction import FEATURES, base_of
@@ -85,9 +85,9 @@ def c_source(model: Model) -> str:
 
 def require_small(model: StoredModel) -> None:
     """Raise `InvalidValue` if a model has too many numbers for an exported file."""
-    if model.family not in (families := ("boosting", "linear", "logistic", "network")):
+    if model.family not in BY_NAME:
         raise InvalidValue(
-            f"family must be {', '.join(families)} to be exported, got {model.family}; train one of these"
+            f"family must be {', '.join(BY_NAME)} to be exported, got {model.family}; train one of these"
         )
     names = ("family.", "neighbourhood.", Contrast.PREFIX)
     n_numbers = sum(array.size for name, array in model.arrays.items() if name.startswith(names))
@@ -189,8 +189,6 @@ def _inner_sizes(model: StoredModel) -> str:
         sizes["N_GUARDS"] = len(model.guards)
     if model.family == "network":
         sizes |= {f"N_UNITS_{k}": len(arrays[f"family.biases_{k}"]) for k in (1, 2)}
-    if model.family == "boosting":
-        sizes["N_TREES"] = len(arrays["family.roots"])
     if model.contrast is not None:
         if isinstance(model.contrast.scorer, Network):
             sizes |= {f"N_CONTRAST_{k}": len(arrays[f"contrast.biases_{k}"]) for k in (1, 2)}
@@ -208,9 +206,6 @@ def _arrays(model: StoredModel) -> dict[str, NDArray[Any]]:
     for owner in ("standardiser", "contrast"):
         if f"{owner}_floor" in arrays:  # logarithms of smaller numbers would be those of 0 in single precision
             arrays[f"{owner}_floor"] = np.maximum(arrays[f"{owner}_floor"], 1e-300)
-    if model.family == "boosting":
-        leaf = arrays["family_left"] == np.arange(len(arrays["family_left"]))
-        arrays["family_number"] = np.where(leaf, arrays.pop("family_value"), arrays.pop("family_threshold"))
     scalars = {"temperature": model.temperature, "neighbourhood_limit": model.neighbourhood_limit}
     if model.contrast is not None:
         arrays.pop("contrast_limit")
@@ -321,11 +316,10 @@ def _table(name: str, array: NDArray[Any]) -> str:
 
 
 def _type_of(name: str, array: NDArray[Any]) -> str:
-    """Return the C type of a table: the smallest for integers; sets and tests stay double."""
-    if array.dtype.kind == "f":
-        return "double" if name in _ALWAYS_DOUBLE else "cgid_real"
-    largest = int(array.max())
-    return "unsigned char" if largest < 1 << 8 else "unsigned short" if largest < 1 << 16 else "unsigned long"
+    """Return the C type of a table; sets and tests stay double."""
+    if array.dtype.kind == "b":
+        return "unsigned char"
+    return "double" if name in _ALWAYS_DOUBLE else "cgid_real"
 
 
 def _number(value: float) -> str:

@@ -175,28 +175,4 @@ def _layers(graph: _Graph, x: str, arrays: Mapping[str, NDArray[Any]]) -> str:
     return x
 
 
-def _boosting(graph: _Graph, x: str, model: StoredModel) -> str:
-    """Descend all trees at once, as `Boosting.scores`: a leaf is its own child."""
-    a = _arrays(model)
-    children = [graph.integer(a[name]) for name in ("left", "right")]
-    n_rows = graph("Gather", graph("Shape", x), graph.integer([0]))
-    node = graph("Expand", graph.integer(a["roots"][None]), graph("Concat", n_rows, graph.integer([1]), axis=0))
-    for _ in range(_depth(a)):
-        value = graph("GatherElements", x, graph("Gather", graph.integer(a["feature"]), node), axis=1)
-        below = graph("LessOrEqual", value, graph("Gather", a["threshold"], node))
-        left, right = (graph("Gather", child, node) for child in children)
-        node = graph("Where", below, left, right)
-    one_hot = np.eye(1 if len(model.labels) == 2 else len(model.labels))[a["columns"]]
-    return graph("Add", graph("MatMul", graph("Gather", a["value"], node), one_hot), a["baseline"])
-
-
-def _depth(a: dict[str, NDArray[Any]]) -> int:
-    """Return the depth of the deepest tree."""
-    level, depth = a["roots"], -1
-    while level.size:
-        inner = level[a["left"][level] != level]
-        level, depth = np.append(a["left"][inner], a["right"][inner]), depth + 1
-    return depth
-
-
-_SCORES = {"linear": _linear, "logistic": _logistic, "network": _network, "boosting": _boosting}
+_SCORES = {"linear": _linear, "logistic": _logistic, "network": _network}

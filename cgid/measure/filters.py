@@ -1,6 +1,6 @@
-"""Filters: the FFT low-pass of a sensor, and its impulse response.
+"""The FFT filter, which is the low-pass of a sensor.
 
-The FFT filter has zero phase and brick-wall (taper 0) or tapered edges. A low-pass changes a clean damped-Hertz pulse
+It has zero phase and brick-wall (taper 0) or tapered edges. A low-pass changes a clean damped-Hertz pulse
 of duration T as follows (measured in `tests/test_filters.py`):
 
 | edge | taper | peak, restitution 1 / .5 | ringing T/10 before onset | ringing T before onset |
@@ -29,10 +29,6 @@ __all__ = ["fft_filter", "filter_gain"]
 _ROWS = 32
 #: Width of the edge of a scene's sensor, over the edge frequency.
 SENSOR_TAPER = 0.5
-#: Lowest edge of an impulse response over the sampling rate: limits the ringing to a million samples.
-_MIN_EDGE = 2.0**-14
-#: Extent of an impulse response: periods of its edge, and smallest value over its largest.
-_RESPONSE_PERIODS, _RESPONSE_FLOOR = 64, 1e-5
 
 
 def fft_filter(
@@ -128,16 +124,3 @@ def _below(frequency: Floats, edge: float, taper: float) -> Floats:
         return np.asarray(frequency <= edge, np.float64)
     position = np.clip((frequency - edge) / (taper * edge), -0.5, 0.5)
     return np.asarray(0.5 - 0.5 * np.sin(np.pi * position))
-
-
-def low_pass_response(sampling_rate: float, edge: float) -> Floats:
-    """Return the impulse response of `fft_filter`'s low-pass from lag 0 on, (n_lags,); it is symmetric."""
-    edge = validation.number("bandwidth", edge, "Hz")
-    validation.between("bandwidth", edge, _MIN_EDGE * sampling_rate, sampling_rate / 2, "Hz")
-    n = int(2 ** np.ceil(np.log2(_RESPONSE_PERIODS * sampling_rate / edge)))
-    frequency = np.asarray(np.fft.rfftfreq(n, 1 / sampling_rate), np.float64)
-    gain = filter_gain(frequency, sampling_rate, None, edge, SENSOR_TAPER)
-    response = np.fft.irfft(gain, n=n)[: n // 2]
-    # Ringing below 1e-5 of the largest value is cut off.
-    significant = np.flatnonzero(np.abs(response) > _RESPONSE_FLOOR * response[0])
-    return np.asarray(response[: significant[-1] + 1])

@@ -24,7 +24,7 @@ from cgid.errors import InvalidValue
 from cgid.measure.features.extraction import extract_array
 from cgid.measure.features.pulses import PULSE_FEATURES
 from cgid.measure.features.table import Feature
-from cgid.measure.filters import low_pass_response
+from cgid.measure.filters import SENSOR_TAPER, filter_gain
 from cgid.measure.fit.template import relative_times
 from cgid.scene import Scene, load_scene, parse_scene, synthesise
 from cgid.scene.synthesis.draws import BLOCK
@@ -57,6 +57,10 @@ MIN_SNR = 14.0
 MIN_TRAINING = 100
 #: Blocks of 256 impacts from which to estimate noise and contacts.
 _BLOCKS = 8
+#: Lowest edge of an impulse response over the sampling rate: limits the ringing to a million samples.
+_MIN_EDGE = 2.0**-14
+#: Extent of an impulse response: periods of its edge, and smallest value over its largest.
+_RESPONSE_PERIODS, _RESPONSE_FLOOR = 64, 1e-5
 
 #: Function that returns the likelihood of a scene's signals along the shape at some nodes between two bounds.
 Along = Callable[[Scene, Batch, float, float, int], Profile]
@@ -380,6 +384,19 @@ def true_pulses(batch: Batch) -> Floats:
     shape = np.log(values["restitution"])
     width = values["contact_duration"] * rate / relative_times(shape)[0]
     return parameters_of(values["peak_force"], width, values["onset"] * rate, shape)
+
+
+def low_pass_response(sampling_rate: float, edge: float) -> Floats:
+    """Return the impulse response of `fft_filter`'s low-pass from lag 0 on, (n_lags,); it is symmetric."""
+    edge = validation.number("bandwidth", edge, "Hz")
+    validation.between("bandwidth", edge, _MIN_EDGE * sampling_rate, sampling_rate / 2, "Hz")
+    n = int(2 ** np.ceil(np.log2(_RESPONSE_PERIODS * sampling_rate / edge)))
+    frequency = np.asarray(np.fft.rfftfreq(n, 1 / sampling_rate), np.float64)
+    gain = filter_gain(frequency, sampling_rate, None, edge, SENSOR_TAPER)
+    response = np.fft.irfft(gain, n=n)[: n // 2]
+    # Ringing below 1e-5 of the largest value is cut off.
+    significant = np.flatnonzero(np.abs(response) > _RESPONSE_FLOOR * response[0])
+    return np.asarray(response[: significant[-1] + 1])
 
 
 def onset_and_response(scene: Scene, n: int) -> tuple[Floats | None, tuple[float, float] | None, Floats | None]:

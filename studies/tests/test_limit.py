@@ -8,12 +8,15 @@ from functools import cache
 import numpy as np
 import pytest
 
+from cgid.measure.filters import fft_filter
+from cgid.measure.fit.fit_samples import mixing_matrix
 from cgid.scene import load_scene, parse_scene, synthesise, varied
 from cgid.scene.synthesis.impacts import draw
 from studies.ceilings.__main__ import main
-from studies.ceilings.limit import ceiling, ceilings, learner, untrusted
+from studies.ceilings.limit import ceiling, ceilings, learner, low_pass_response, untrusted
 from studies.impactor.pulses import dimensionless_logarithms
 from tests import few, naive
+from tests.test_filters import FRAME, RATE, TOUCH, clean_pulse
 from tests.test_scene import content
 
 #: Two rocks of 10 to 16 mm whose pulses overlap: contacts of 10 to 40 samples.
@@ -259,3 +262,26 @@ def test_what_the_command_refuses_is_named(capsys, arguments, code, says):
     assert main(arguments) == code
     (line,) = capsys.readouterr().err.strip().splitlines()[-1:]
     assert line.startswith("error: ") and says in line
+
+
+# -- the low-pass of a sensor as a response -----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("edge", [0.05, 0.15, 0.3])
+def test_response_is_what_the_filter_makes_of_an_impulse(edge: float) -> None:
+    impulse = np.zeros(FRAME)
+    impulse[TOUCH] = 1
+    response = low_pass_response(RATE, edge * RATE)
+    expected = fft_filter(impulse, RATE, high=edge * RATE, taper=0.5)[TOUCH:]
+    assert np.abs(response - expected[: len(response)]).max() < 3e-5 * response[0]
+    assert np.abs(expected[len(response) :]).max() < 3e-5 * response[0]
+
+
+@pytest.mark.parametrize("restitution", [1.0, 0.5])
+def test_mixing_matrix_filters_a_pulse(restitution: float) -> None:
+    clean = clean_pulse(restitution, 2e-4)
+    inside = slice(TOUCH - 300, TOUCH + 500)
+    mixing = mixing_matrix(low_pass_response(RATE, 2e4), 800)
+    assert (mixing == mixing.T).all()
+    expected = fft_filter(clean, RATE, high=2e4, taper=0.5)[inside]
+    assert np.abs(clean[inside] @ mixing - expected).max() < 2e-4

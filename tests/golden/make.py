@@ -73,8 +73,7 @@ def make_models(folder: Path) -> None:
     scene = load_scene(HERE.parents[1] / "datasets" / "reference.toml")
     expected = {}
     for family in FAMILIES:
-        # Few impacts keep the boosted trees small; prediction sets need more impacts.
-        impacts = synthesise(scene, 240 if family == "boosting" else 900, seed=SEED)
+        impacts = synthesise(scene, 900, seed=SEED)
         training = train_on_specimens(impacts, features=["peak_force", "width_50"], guards=[], family=family)
         version = training.model.header["schema_version"]
         inputs = np.exp(np.random.default_rng(SEED).normal(size=(6, 2))) * [2e4, 3e-4]

@@ -13,8 +13,9 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from cgid._lib import validation
 from cgid._lib.validation import Floats
-from cgid.errors import BadData
+from cgid.errors import BadData, InvalidValue
 
 Arrays = Mapping[str, NDArray[Any]]
 #: Smallest divisor of a model: with all other numbers up to 1e100, quotients and their squares are finite.
@@ -190,10 +191,6 @@ class Neighbourhood:
         return np.asarray(np.argmax((offsets * (white @ self.whitening))[nearest, rows], axis=1))
 
 
-#: Maximum number of trees, and nodes on a path from root to leaf: each row passes through all trees.
-_MAX_TREES, _MAX_DEPTH = 1 << 15, 256
-
-
 class Family(ABC):
     """A fitted classifier as arrays."""
 
@@ -271,153 +268,6 @@ class Logistic(Linear):
 
     def _terms(self, standardised: Floats) -> Floats:
         return squares(standardised)
-
-
-#: What a node of HistGradientBoostingClassifier has, in the order of `_as_table`.
-_NODES_OF_BOOSTING = ("feature_idx", "num_threshold", "left", "right", "value")
-
-
-def _as_table(
-    baseline: Floats, columns: Sequence[int], trees: Iterable[Sequence[NDArray[Any]]]
-) -> dict[str, NDArray[Any]]:
-    """Return the arrays of trees, each given as is_leaf, feature, threshold, left, right and value of its nodes."""
-    roots, tables, first = [], [], 0
-    for leaf, feature, threshold, left, right, value in trees:
-        node_index = np.arange(len(leaf)) + first
-        tables.append(
-            (
-                np.where(leaf, 0, feature).astype(np.int32),
-                np.where(leaf, 0.0, threshold),
-                # A leaf is its own child, so that a descent stays there.
-                np.where(leaf, node_index, left.astype(np.int64) + first).astype(np.int32),
-                np.where(leaf, node_index, right.astype(np.int64) + first).astype(np.int32),
-                np.where(leaf, value, 0.0),
-            )
-        )
-        roots.append(first)
-        first += len(leaf)
-    named = zip(("feature", "threshold", "left", "right", "value"), zip(*tables, strict=True), strict=True)
-    return {
-        "baseline": baseline,
-        "roots": np.array(roots, np.int32),
-        "columns": np.array(columns, np.int32),
-        **{name: np.concatenate(parts) for name, parts in named},
-    }
-
-
-class Boosting(Family):
-    """Sums of decision trees; one table contains the nodes of all trees."""
-
-    AXES: ClassVar[Mapping[str, int]] = dict.fromkeys(
-        ("baseline", "roots", "columns", "feature", "threshold", "left", "right", "value"), 1
-    )
-    #: Those that number nodes, features or score columns.
-    INDICES: ClassVar[tuple[str, ...]] = ("roots", "columns", "feature", "left", "right")
-
-    @staticmethod
-    def export(estimator: Any) -> dict[str, NDArray[Any]]:
-        """Return the arrays of a fitted HistGradientBoostingClassifier without missing values."""
-        trees = [(column, tree.nodes) for each in estimator._predictors for column, tree in enumerate(each)]
-        return _as_table(
-            np.ravel(estimator._baseline_prediction).astype(np.float64),
-            [column for column, _ in trees],
-            ([n["is_leaf"] > 0, *(n[name] for name in _NODES_OF_BOOSTING)] for _, n in trees),
-        )
-
-    def check(self) -> None:
-        """Check that children follow their parent within the same tree, and that features and columns exist."""
-        a, n_nodes = self.arrays, len(self.arrays["feature"])
-        for name in ("threshold", "left", "right", "value"):
-            self._require(name, (n_nodes,))
-        for name in self.INDICES:
-            if a[name].dtype.kind != "i":
-                raise BadData(f"array {name} must contain whole numbers, got {a[name].dtype}")
-        self._require("baseline", (self.n_scores,))
-        self._require("columns", a["roots"].shape)
-        roots = a["roots"]
-        if not len(roots) or roots[0] != 0 or (np.diff(roots) <= 0).any() or roots[-1] >= n_nodes:
-            raise BadData("array roots must rise from 0 and stay below the number of nodes")
-        if (a["columns"] < 0).any() or (a["columns"] >= self.n_scores).any():
-            raise BadData(f"array columns must be between 0 and {self.n_scores - 1}")
-        if (a["feature"] < 0).any() or (a["feature"] >= self.n_features).any():
-            raise BadData(f"array feature must be between 0 and {self.n_features - 1}")
-        if len(roots) > _MAX_TREES:
-            raise BadData(f"array roots must name at most {_MAX_TREES} trees, got {len(roots)}")
-        node_index = np.arange(n_nodes)
-        end = np.append(roots[1:], n_nodes)[np.searchsorted(roots, node_index, side="right") - 1]
-        leaf = (a["left"] == node_index) & (a["right"] == node_index)
-        for name in ("left", "right"):
-            if not (leaf | ((a[name] > node_index) & (a[name] < end))).all():
-                raise BadData(f"array {name} must point to a later node of the same tree")
-        self._check_ways(node_index[~leaf])
-
-    def _check_ways(self, inner: NDArray[np.intp]) -> None:
-        """Raise unless each node except the roots has one parent, and no leaf is too deep."""
-        a = self.arrays
-        parents = np.bincount(np.append(a["left"][inner], a["right"][inner]), minlength=len(a["feature"]))
-        parents[a["roots"]] += 1
-        if (parents != 1).any():
-            raise BadData("arrays left and right must name each node once, except the roots")
-        level = a["roots"]
-        for _ in range(_MAX_DEPTH):
-            level = level[a["left"][level] != level]
-            level = np.append(a["left"][level], a["right"][level])
-            if not level.size:
-                return
-        raise BadData(f"arrays left and right must lead to a leaf in {_MAX_DEPTH} steps")
-
-    @property
-    def width(self) -> int:
-        """Number of trees: one node of each."""
-        return len(self.arrays["roots"])
-
-    def scores(self, standardised: Floats) -> Floats:
-        """Descend all trees at once, level by level, and add their leaves in the order of training."""
-        out = np.empty((len(standardised), self.n_scores))
-        leaves = self.arrays["value"][self._walk(standardised)]
-        for column in range(self.n_scores):
-            of_column = leaves[:, self.arrays["columns"] == column]
-            out[:, column] = self.arrays["baseline"][column] + of_column.sum(axis=1)
-        return out[:, 0] if self.n_scores == 1 else out
-
-    def _walk(self, rows: NDArray[np.floating]) -> NDArray[np.int32]:
-        a, order = self.arrays, np.arange(len(rows))[:, None]
-        node = np.broadcast_to(a["roots"], (len(rows), len(a["roots"])))
-        while True:
-            below = rows[order, a["feature"][node]] <= a["threshold"][node]
-            child = np.where(below, a["left"][node], a["right"][node])
-            if np.array_equal(child, node):
-                return np.asarray(node, np.int32)
-            node = child
-
-
-class Forest(Boosting):
-    """The mean of the probabilities of decision trees: random forests and extremely randomised trees."""
-
-    @staticmethod
-    def export(estimator: Any) -> dict[str, NDArray[Any]]:
-        """Return the arrays of a fitted forest of scikit-learn, or of one of its trees."""
-        trees = [one.tree_ for one in getattr(estimator, "estimators_", [estimator])]
-        columns = [1] if len(estimator.classes_) == 2 else list(range(len(estimator.classes_)))
-        return _as_table(
-            np.zeros(len(columns)),
-            [number for _ in trees for number in range(len(columns))],
-            (
-                (
-                    tree.children_left < 0,
-                    *(tree.feature, tree.threshold, tree.children_left, tree.children_right),
-                    (tree.value[:, 0] / tree.value[:, 0].sum(axis=1, keepdims=True))[:, column] / len(trees),
-                )
-                for tree in trees
-                for column in columns
-            ),
-        )
-
-    def scores(self, standardised: Floats) -> Floats:
-        """Return the logarithms of the mean probabilities; trees of scikit-learn compare numbers of 32 bits."""
-        baseline = self.arrays["baseline"]
-        shares = super().scores(standardised.astype(np.float32)) - baseline
-        return log_scores(np.stack([1 - shares, shares], axis=1) if self.n_scores == 1 else shares) + baseline
 
 
 class Network(Family):
@@ -527,25 +377,28 @@ class Fitted(Family):
 
 
 #: The families by their names in model files.
-BY_NAME: Mapping[str, type[Boosting] | type[Forest] | type[Linear] | type[Network]] = {
-    "boosting": Boosting,
-    "forest": Forest,
+BY_NAME: Mapping[str, type[Linear] | type[Network]] = {
     "linear": Linear,
     "logistic": Logistic,
     "network": Network,
 }
 
 
+def require_family(name: str, known: Iterable[str]) -> None:
+    """Raise `InvalidValue` unless the name is that of a known family."""
+    if name in ("boosting", "forest"):
+        raise InvalidValue(f"family {name} is withdrawn; use logistic, which is as accurate")
+    validation.choice("family", name, tuple(known))
+
+
 def as_numbers(fitted: Fitted) -> tuple[str, dict[str, NDArray[Any]]] | None:
-    """Return name and arrays of the family that has the scores of a fitted classifier; None without one."""
+    """Return name and arrays of a linear family that has the scores of a fitted classifier; None of any other."""
     rows = np.random.default_rng(0).normal(scale=2.0, size=(256, fitted.n_features))  # inputs are standardised
     scores = fitted.scores(rows)
-    for name, family in BY_NAME.items():
-        try:
-            arrays = family.export(fitted.estimator)
-            found = family(arrays, fitted.n_features, fitted.n_classes).scores(rows)
-        except (AttributeError, BadData, LookupError, TypeError, ValueError):
-            continue  # a classifier of another kind
-        if found.shape == scores.shape and np.allclose(found, scores, rtol=1e-9, atol=1e-9):
-            return name, arrays
-    return None
+    try:
+        arrays = Linear.export(fitted.estimator)
+        found = Linear(arrays, fitted.n_features, fitted.n_classes).scores(rows)
+    except (AttributeError, BadData, TypeError, ValueError):
+        return None
+    same = found.shape == scores.shape and np.allclose(found, scores, rtol=1e-9, atol=1e-9)
+    return ("linear", arrays) if same else None

@@ -134,7 +134,7 @@ class Model(ABC):
     Attributes
     ----------
     family : str
-        "boosting", "forest", "linear", "logistic", "network", or the name of another class of scikit-learn.
+        "linear", "logistic", "network", or the name of another class of scikit-learn.
     labels : tuple of str
         In the order of the probabilities.
     features : tuple of str

@@ -26,12 +26,12 @@ from cgid.identification.model.confusion import Confusion
 from cgid.identification.model.families import (
     BY_NAME,
     MIN_DIVISOR,
-    Boosting,
     Contrast,
     Fitted,
     Linear,
     Network,
     Standardiser,
+    require_family,
 )
 from cgid.identification.model.world import World, trait_names
 from cgid.measure.features.extraction import any_through_beam, require_known
@@ -171,7 +171,7 @@ def fields_of(
         raise BadData(f"the header must have the fields of a model only, got {min(unknown)[:40]!r}")
     for name, reason in WITHDRAWN.items():
         if header.get(name) != []:
-            raise BadData(f"{name} must be an empty list, {reason}, got {header.get(name)!s:.40}")
+            raise BadData(f"{name} must be an empty list, {reason}, got {header.get(name)!r:.40}")
     for name, kind in stored.items():
         good = _is(header.get(name), kind)
         if not good or (name in _LISTS_OF_NUMBERS and not all(_is(number, float) for number in header[name])):
@@ -224,15 +224,13 @@ STANDARDISER = "standardiser."
 MAX_LABELS = 1000
 #: Maximum number of characters of a label.
 _MAX_WORD_LENGTH = 100
-#: Arrays that remain integers.
-_INTEGERS = {"conformal.labels", *(f"family.{name}" for name in Boosting.INDICES)}
 
 
 def with_floats(arrays: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
     """Return the arrays of a model with float64 for integer weights, as exports need; those of a beam unchanged."""
     return {
         name: array
-        if array.dtype.kind != "i" or name in _INTEGERS or name.startswith("beam.")
+        if array.dtype.kind != "i" or name == "conformal.labels" or name.startswith("beam.")
         else array.astype(np.float64)
         for name, array in arrays.items()
     }
@@ -241,7 +239,7 @@ def with_floats(arrays: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
 def check_names(model: StoredModel) -> None:
     """Raise unless family, labels, features and guards are valid and distinct."""
     if model.estimator is None:
-        validation.choice("family", model.family, tuple(BY_NAME))
+        require_family(model.family, BY_NAME)
     for name, values, min_count in (
         ("labels", model.labels, 2),
         ("features", model.features, 1),

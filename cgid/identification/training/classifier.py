@@ -14,7 +14,6 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import cho_factor, cho_solve
 from scipy.optimize import minimize_scalar
 from sklearn.base import BaseEstimator, ClassifierMixin, clone, is_classifier
-from sklearn.ensemble import HistGradientBoostingClassifier
 from sklearn.exceptions import ConvergenceWarning
 from sklearn.linear_model import LogisticRegression
 from sklearn.model_selection import StratifiedGroupKFold, StratifiedKFold
@@ -36,6 +35,7 @@ from cgid.identification.model.families import (
     Neighbourhood,
     Network,
     Standardiser,
+    require_family,
     softmax,
     squares,
 )
@@ -134,17 +134,6 @@ def _logistic(_: ImpactClassifier) -> Any:
     return LogisticRegression(C=10.0, solver="newton-cholesky", max_iter=100)
 
 
-def _boosting(settings: ImpactClassifier) -> Any:
-    return HistGradientBoostingClassifier(
-        max_iter=settings.n_trees,
-        max_leaf_nodes=15,
-        learning_rate=0.08,
-        l2_regularization=1.0,
-        early_stopping=False,
-        random_state=settings.random_state,
-    )
-
-
 def _linear(_: ImpactClassifier) -> Any:
     return ShrunkenDiscriminant()
 
@@ -196,14 +185,12 @@ class ImpactClassifier(ClassifierMixin, BaseEstimator):  # type: ignore[misc]
 
     Parameters
     ----------
-    family : {"logistic", "boosting", "network", "linear"} or classifier
-        Logistic regression on features and their products; histogram gradient boosting; network of two hidden layers;
+    family : {"logistic", "network", "linear"} or classifier
+        Logistic regression on features and their products; network of two hidden layers;
         linear discriminant analysis with a shrunken covariance, for many features and few recordings; or any classifier
         of scikit-learn's kind with scores or probabilities, which learns from standardised features.
     linear : tuple of int
         Columns that never get a logarithm; the others do if all their training values are above 0.
-    n_trees : int
-        Boosting rounds.
     n_units, n_iterations : int
         Units of each layer of a network, and iterations of its training.
     calibration_folds : int
@@ -238,7 +225,6 @@ class ImpactClassifier(ClassifierMixin, BaseEstimator):  # type: ignore[misc]
     #: Family -> function that returns its estimator for a classifier's settings.
     ESTIMATORS: ClassVar[Mapping[str, Callable[[Any], Any]]] = {
         "logistic": _logistic,
-        "boosting": _boosting,
         "network": _network,
         "linear": _linear,
     }
@@ -250,7 +236,6 @@ class ImpactClassifier(ClassifierMixin, BaseEstimator):  # type: ignore[misc]
         family: str | ClassifierMixin = "logistic",
         *,
         linear: tuple[int, ...] = (),
-        n_trees: int = 200,
         n_units: int = 32,
         n_iterations: int = 200,
         calibration_folds: int = 3,
@@ -261,7 +246,6 @@ class ImpactClassifier(ClassifierMixin, BaseEstimator):  # type: ignore[misc]
     ) -> None:
         self.family = family
         self.linear = linear
-        self.n_trees = n_trees
         self.n_units = n_units
         self.n_iterations = n_iterations
         self.calibration_folds = calibration_folds
@@ -294,7 +278,7 @@ class ImpactClassifier(ClassifierMixin, BaseEstimator):  # type: ignore[misc]
             Number of the specimen of each impact; those of one specimen stay together.
         sample_weight : array_like, (n_impacts,), optional
             Weight of each impact, 0 or more, times that of its class. A weight of 2 is not a row given twice where
-            rows are counted: in the shrinkage of "linear", the leaves of "boosting", the folds of the calibration and
+            rows are counted: in the shrinkage of "linear", the folds of the calibration and
             the training range.
         workers : Workers, optional
             Processes for the fits, in place of `n_jobs`.
@@ -408,7 +392,7 @@ class ImpactClassifier(ClassifierMixin, BaseEstimator):  # type: ignore[misc]
     def _unfitted(self) -> Any:
         """Return the classifier of the family; raises `InvalidValue` without one."""
         if isinstance(self.family, str):
-            validation.choice("family", self.family, tuple(self.ESTIMATORS))
+            require_family(self.family, self.ESTIMATORS)
             return self.ESTIMATORS[self.family](self)
         able = not isinstance(self.family, type) and hasattr(self.family, "get_params") and is_classifier(self.family)
         if not able or not (hasattr(self.family, "decision_function") or hasattr(self.family, "predict_proba")):

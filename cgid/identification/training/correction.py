@@ -43,8 +43,6 @@ _NOTHING = 0.75
 _GAINS = np.linspace(-2.0, 2.0, 9)
 #: The array with the intercept of each score, by family.
 _INTERCEPTS = {
-    "boosting": "baseline",
-    "forest": "baseline",
     "linear": "intercepts",
     "logistic": "intercepts",
     "network": "biases_3",

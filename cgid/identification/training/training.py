@@ -193,9 +193,9 @@ def train_on_specimens(  # noqa: PLR0913
     guards : iterable of str, optional
         Features that only measure novelty (larger is more novel) and are left out of `features`. Default:
         `DEFAULT_GUARDS` for batches of pulses, else none.
-    family : {"boosting", "logistic", "network", "linear"} or classifier
-        A classifier of scikit-learn's kind may stand here, as in `cgid.ImpactClassifier`. Forests, linear scores and
-        histogram boosting can be saved as a model file, any other is for this Python.
+    family : {"logistic", "network", "linear"} or classifier
+        A classifier of scikit-learn's kind may stand here, as in `cgid.ImpactClassifier`. Linear scores can
+        be saved as a model file, any other is for this Python.
     test_share : float
         Share of the specimens held out, in (0, 1).
     calibration_share : float
@@ -273,9 +273,9 @@ def train_on_groups(
         `cgid.identification.training.recordings.record(read_manifest(path), ...)`.
     features : iterable of str, function or Feature, optional
         Default: the best of the sets of `cgid.identification.training.rows`.
-    family : {"boosting", "logistic", "network", "linear"} or classifier
-        A classifier of scikit-learn's kind may stand here, as in `cgid.ImpactClassifier`. Forests, linear scores and
-        histogram boosting can be saved as a model file, any other is for this Python.
+    family : {"logistic", "network", "linear"} or classifier
+        A classifier of scikit-learn's kind may stand here, as in `cgid.ImpactClassifier`. Linear scores can
+        be saved as a model file, any other is for this Python.
     synthetic : Rows, optional
         Impacts of scenes or datasets, with the features and unit of the recorded ones. They are used only for training;
         their levels are shifted to those of the recordings.
