@@ -37,11 +37,8 @@ class OneRate:
 
     def __init__(self, beam: Beam, recorded: float, n_channels: int = 1) -> None:
         own = beam.sampling_rate
-        ratio = next(
-            one
-            for k in range(64)
-            if abs((one := Fraction(own / recorded).limit_denominator(1 << k)) * recorded / own - 1) < _CLOSE
-        )
+        ratios = (Fraction(own / recorded).limit_denominator(1 << k) for k in range(64))
+        ratio = next(one for one in ratios if abs(one * recorded / own - 1) < _CLOSE)
         self._up, self._down = ratio.numerator, ratio.denominator
         self.rate = recorded * self._up / self._down
         self._fold = -(-self._down // self._up)
@@ -112,25 +109,21 @@ class OneRate:
         spectrum = np.fft.rfft(samples, axis=1) * self._gain(n)
         out = (np.fft.irfft(spectrum, n_out, axis=1)[:, :: self._fold] * (n_out / n))[:, first:last]
         out = out.astype(samples.dtype)
-        for row, clipped in self._limited(samples):
-            for value in np.unique(samples[row][clipped]).tolist():
-                (np.minimum if value > np.median(samples[row]) else np.maximum)(out[row], value, out=out[row])
-                out[row, self._near(clipped & (samples[row] == value))[at]] = value
+        clipped = clipped_samples(samples)
+        if clipped is None:
+            clipped = np.zeros_like(samples, bool)
+        for row in np.flatnonzero(clipped.any(axis=1)).tolist():
+            apart = samples[row] - np.median(samples[row])
+            loud = clipped[row] & (
+                np.abs(apart) > _LOUD * np.median(np.abs(apart))
+            )  # of noise, the largest may be alike
+            for value in np.unique(samples[row, loud]).tolist():
+                is_limit = loud & (samples[row] == value)
+                (np.minimum if apart[is_limit][0] > 0 else np.maximum)(out[row], value, out=out[row])
+                out[row, self._near(is_limit)[at]] = value
         for row in lacking:
             out[row, self._near(missing[row])[at]] = unreadable[row]
         return np.asarray(out)
-
-    def _limited(self, samples: NDArray[Any]) -> list[tuple[int, NDArray[np.bool_]]]:
-        """Return the rows in which samples are at a limit of the recorder, and which."""
-        clipped = clipped_samples(samples)
-        if clipped is None:
-            return []
-        rows = []
-        for row in np.flatnonzero(clipped.any(axis=1)).tolist():
-            size = np.abs(samples[row] - np.median(samples[row]))
-            if size[clipped[row]].min() > _LOUD * np.median(size):
-                rows.append((row, clipped[row]))
-        return rows
 
     def _near(self, which: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """Return the samples that the response brings something of these to."""
