@@ -1,8 +1,28 @@
-"""One ear: the same impacts, whatever asks for them."""
+"""One ear: the same impacts, whatever asks for them and at whatever rate they were recorded."""
 
 from pathlib import Path
 
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
 import cgid
+from cgid import load_model
+from cgid.identification.detection.ear import Ear
+from cgid.identification.inversion.one_rate import OneRate
+from cgid.identification.prediction.settings import PredictionSettings
+from cgid.identification.prediction.stream import identify_blocks
+from cgid.measure.modal.beam import Beam
+from tests import few
+
+RATE = 25_600.0
+FASTER = few([51_200.0, 44_100.0, 33_000.0, 97_656.25, 51_200.7])
+
+
+def beam() -> Beam:
+    through = load_model("default-acceleration").beam
+    assert through is not None
+    return through.beam
 
 
 def test_nothing_but_the_ear_owns_a_detector() -> None:
@@ -10,3 +30,80 @@ def test_nothing_but_the_ear_owns_a_detector() -> None:
     others = [path for path in package.rglob("*.py") if path.parent.name != "detection"]
     assert len(others) > 100
     assert [path.name for path in others if "ImpactDetector(" in path.read_text()] == []
+
+
+def brought(samples: NDArray[np.floating], rate: float, size: int | None = None) -> tuple[NDArray[np.floating], float]:
+    """Return channels at the rate of the model's beam, fed in blocks of a size, and that rate."""
+    one = OneRate(beam(), rate, len(samples))
+    size = size or samples.shape[1]
+    blocks = [one.feed(samples[:, first : first + size]) for first in range(0, samples.shape[1], size)]
+    return np.concatenate([*blocks, one.finish()], axis=1), one.rate
+
+
+@pytest.mark.parametrize("rate", FASTER)
+def test_a_faster_recorder_gives_what_the_models_gives(rate: float) -> None:
+    # Sines behind the filters of either recorder, in closed form.
+    f, n = np.array([50.0, 700.0, 3100.0, 7900.0, 10_300.0]), round(0.8 * rate)
+    passed, wanted = beam().at(rate).gain(f), beam().gain(f)
+
+    def sines(gain: NDArray[np.complexfloating], sampling_rate: float, n: int) -> NDArray[np.floating]:
+        turn = np.exp(2j * np.pi * f * np.arange(n)[:, None] / sampling_rate)
+        return (gain * turn).imag.sum(axis=1)
+
+    found, own = brought(sines(passed, rate, n)[None], rate)
+    assert abs(own / RATE - 1) < 5e-5
+    assert found.shape[1] == pytest.approx(0.8 * own, abs=1)
+    inside = slice(round(0.005 * own), -round(0.005 * own))
+    np.testing.assert_allclose(found[0, inside], sines(wanted, own, found.shape[1])[inside], atol=3e-4)
+
+
+@pytest.mark.parametrize("rate", FASTER)
+def test_the_rate_does_not_depend_on_blocks_and_gaps_stay(rate: float) -> None:
+    samples = np.random.default_rng(3).normal(size=(2, round(1.5 * rate)))
+    whole, own = brought(samples, rate)
+    for size in (777, 70_001):
+        np.testing.assert_array_equal(brought(samples, rate, size)[0], whole)
+    gap = samples.copy()
+    gap[0, round(0.7 * rate) : round(0.8 * rate)] = np.nan
+    found = brought(gap, rate)[0]
+    np.testing.assert_array_equal(found[1], whole[1])
+    missing = np.flatnonzero(np.isnan(found[0])) / own
+    assert missing[0] == pytest.approx(0.7, abs=5e-4)
+    assert 0.8 <= missing[-1] + 1e-4 < 0.801
+    assert missing.size == pytest.approx((missing[-1] - missing[0]) * own + 1, abs=0.5)
+    far = np.abs(np.arange(whole.shape[1]) / own - 0.75) > 0.056
+    np.testing.assert_allclose(found[0, far], whole[0, far], atol=1e-4)
+
+
+def test_a_limit_stays_a_limit_as_far_as_it_reaches() -> None:
+    rate, rng = 51_200.0, np.random.default_rng(1)
+    samples = rng.normal(0, 0.1, round(rate))
+    samples += 300 * np.exp(-0.5 * ((np.arange(samples.size) - 0.4 * rate) / 12) ** 2)
+    clipped = np.minimum(samples, 200.0)[None]
+    found = brought(clipped, rate)[0][0]
+    at = np.flatnonzero(found == 200.0) * 2
+    limited = np.flatnonzero(clipped[0] == 200.0)
+    assert at[0] <= limited[0] + 2
+    assert at[-1] >= limited[-1] + 4  # the filter brings it to later samples
+    assert found.max() == 200.0
+    quiet = np.abs(np.arange(found.size) - 0.4 * RATE) > 100
+    np.testing.assert_allclose(found[quiet], brought(samples[None], rate)[0][0, quiet], atol=1e-6)
+
+
+def test_a_slower_recorder_is_not_changed() -> None:
+    through = load_model("default-acceleration").beam
+    assert through is not None
+    for rate in (20_000.0, RATE, RATE * (1 + 9e-5), 30_000.0):
+        ear = Ear(rate, kind="vibration", lines=False, beam=through)
+        assert ear.rate == rate
+        samples = np.random.default_rng(0).normal(size=(1, 5000))
+        np.testing.assert_array_equal(ear.feed(samples).samples, samples)
+
+
+def test_another_rate_is_told_once() -> None:
+    samples, model = np.random.default_rng(0).normal(size=(1, 150_000)), load_model("default-acceleration")
+    for rate, notes in ((51_200.0, 1), (RATE + 1, 0)):
+        steps = list(identify_blocks([samples], rate, model, ["1"], PredictionSettings(), "belt"))
+        told = [note for step in steps for note in step.notes]
+        assert len(told) == notes
+        assert all(note.startswith("belt: 51200 Hz is heard at 25600 Hz") for note in told)

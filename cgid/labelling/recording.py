@@ -116,7 +116,7 @@ class LabelledRecording:
         n_channels = len(recording.channels)
         rest = np.empty((n_channels, 0), np.float32)
         # What is listed is heard as in `predict`; what is measured, as in a training with these features.
-        measuring = self.cuttings[name].ear(self.file)
+        measuring = self._measuring[name].ear
         ears = [(measuring, list[Event](), True, is_first)]
         if is_first and measuring.lines is None and self.kind == "vibration":
             listing = Ear(self.rate, n_channels, kind=self.kind, dead_time=self.dead_time)
@@ -129,7 +129,7 @@ class LabelledRecording:
                 self.n_read += block.shape[1]
             for ear, waiting, *takes in ears:
                 events, until, _ = ear.feed(block)
-                waiting[:] = self._found(waiting + events, until, name, stopped, *takes)
+                waiting[:] = self._found(waiting + events, until / ear.rate, name, stopped, *takes)
         self.require_unchanged()
         if is_first and rest.shape[1]:
             self._put(rest[:, None, :])
@@ -170,7 +170,7 @@ class LabelledRecording:
 
         events.sort(key=lambda one: one.onset)
         times = [one.time for one in events]
-        n = bisect_left(times, known_until / self.rate - 2 * SAME_IMPACT)
+        n = bisect_left(times, known_until - 2 * SAME_IMPACT)
         while 0 < n < len(times) and times[n] - times[n - 1] <= SAME_IMPACT:
             n -= 1
         taken, left = events[:n], events[n:]

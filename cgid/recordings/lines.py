@@ -154,10 +154,6 @@ class Lines:
 
     def feed(self, block: NDArray[Any]) -> NDArray[Any]:
         """Take the next samples (n_channels, n), nan where missing; return those that are known without their lines."""
-        if block.ndim != 2 or len(block) != len(self._channels) or block.dtype.kind not in "fiu":
-            return block  # the detector says what is wrong with it
-        if block.dtype not in (np.float32, np.float64):
-            block = block.astype(np.float64)
         rest = np.concatenate([self._rest, block], axis=1)
         done = [rest[:, :0]]
         while rest.shape[1] >= self.length:

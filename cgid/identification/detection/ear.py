@@ -1,6 +1,7 @@
 """One ear: the only way from the samples of a recording to its impacts, whatever command or training asks.
 
-Gaps are nan already. Then: unit and sign, the tones of machines taken out, the detector.
+Gaps are nan already. Then: unit and sign, the rate of the beam that is looked through, the tones of machines taken out,
+the detector.
 """
 
 from __future__ import annotations
@@ -16,6 +17,8 @@ from cgid.identification.detection.events import Event
 from cgid.measure.features.table import ImpactKind
 
 if TYPE_CHECKING:
+    from cgid.identification.inversion.one_rate import OneRate
+    from cgid.identification.inversion.through_beam import ThroughBeam
     from cgid.recordings.lines import Lines
 
 
@@ -24,7 +27,7 @@ class Heard(NamedTuple):
 
     events: list[Event]  # in order of time
     until: float  # index before which all impacts are known, infinite at the end of the recording
-    samples: NDArray[Any]  # (n_channels, n), as the detector got them
+    samples: NDArray[Any]  # (n_channels, n), as the detector got them, at `Ear.rate`
 
 
 class Ear:
@@ -42,6 +45,13 @@ class Ear:
     lines : bool, optional
         Whether tones of machines are taken out of vibrations: from the first sample on, or never; by default once a
         machine is heard.
+    beam : ThroughBeam, optional
+        The beam that is looked through: faster recordings are heard at its rate, as its recorder gives them.
+
+    Attributes
+    ----------
+    rate : float
+        Sampling rate of what is heard [Hz].
     """
 
     def __init__(
@@ -54,26 +64,37 @@ class Ear:
         joint: bool = False,
         factor: float = 1.0,
         lines: bool | None = None,
+        beam: ThroughBeam | None = None,
     ) -> None:
+        self.rate, self.lines = sampling_rate, None
+        self._stages: list[OneRate | Lines] = []
+        if beam is not None and (brought := beam.brings(sampling_rate, n_channels)):
+            self.rate, self._stages = brought.rate, [brought]
         self._detector = detector = ImpactDetector(
-            sampling_rate, n_channels, kind=kind, dead_time=dead_time, joint=joint, gaps=True
+            self.rate, n_channels, kind=kind, dead_time=dead_time, joint=joint, gaps=True
         )
         self.n_samples, self.why_silent = detector.n_samples, detector.why_silent
         self.is_upside_down, self._factor = detector.is_upside_down, factor
-        self.lines: Lines | None = None
         if kind == "vibration" and lines is not False:
             from cgid.recordings.lines import Lines
 
-            self.lines = Lines(n_channels, sampling_rate, from_begin=bool(lines))
+            self.lines = Lines(n_channels, self.rate, from_begin=bool(lines))
+            self._stages.append(self.lines)
 
     def feed(self, block: NDArray[Any]) -> Heard:
         """Take the next samples (n_channels, n), nan where missing."""
-        block = block if self._factor == 1 else block * self._factor
-        return self._heard(block if self.lines is None else self.lines.feed(block))
+        if block.ndim == 2 and len(block) == self._detector.n_channels and block.dtype.kind in "fiu":
+            block = block if block.dtype in (np.float32, np.float64) else block.astype(np.float64)
+            block = block if self._factor == 1 else block * self._factor
+            for stage in self._stages:
+                block = stage.feed(block)
+        return self._heard(block)  # or the detector says what is wrong with it
 
     def finish(self) -> Heard:
         """Return what the end of the recording tells."""
-        rest = np.empty((self._detector.n_channels, 0), np.float32) if self.lines is None else self.lines.finish()
+        rest = np.empty((self._detector.n_channels, 0), np.float32)
+        for stage in self._stages:
+            rest = np.concatenate([stage.feed(rest), stage.finish()], axis=1)
         heard = self._heard(rest)
         return Heard(heard.events + self._detector.finish(), np.inf, rest)
 

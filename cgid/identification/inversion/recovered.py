@@ -276,9 +276,10 @@ def _anywhere(
         return out
     first = first[inside]
     frames = np.stack([row[start : start + n] for start in first.tolist() for row in response])
-    found, contact = ThroughBeam(beam).look(VibrationBatch(frames, sampling_rate, before))
+    through = ThroughBeam(beam).of(sampling_rate)
+    found, contact = through.look(VibrationBatch(frames, sampling_rate, before))
     for row, (at, start) in enumerate(zip(np.flatnonzero(inside).tolist(), first.tolist(), strict=True)):
-        touch = start / sampling_rate + (found.start[row] + contact.touch[row]) / beam.sampling_rate
+        touch = start / sampling_rate + (found.start[row] + contact.touch[row]) / through.beam.sampling_rate
         logs = np.array([np.log(contact.peak[row]), np.log(contact.width[row]), contact.shape[row]])
         time, force = _pulse(logs, None, sampling_rate)
         slopes = np.stack([_pulse(logs + step, time, sampling_rate)[1] - force for step in _STEP * np.eye(3)]) / _STEP

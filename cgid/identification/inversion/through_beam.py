@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections import deque
+from copy import copy
 from dataclasses import replace
-from fractions import Fraction
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +13,7 @@ from cgid._lib.validation import Floats, rates_agree
 from cgid.identification.inversion.beam_responses import Observations
 from cgid.identification.inversion.contact import Contact, ContactFit
 from cgid.identification.inversion.inversion import MORE_THAN_ONE, ForceEstimate, Inversion
+from cgid.identification.inversion.one_rate import OneRate
 from cgid.identification.inversion.ring_down import RingDown
 from cgid.measure.features.vibration import VibrationBatch
 from cgid.measure.fit.ar_noise import ARNoise, ar_noise_of
@@ -21,10 +22,11 @@ from cgid.measure.modal.beam import SPAN_TIME, TOUCH, Beam
 
 #: Maximum time of the onset before the first sample above the noise [s]: the travel time of waves.
 REACH = 1.2e-3
-#: At another sampling rate the band up to this fraction of the lower one is used, as far as the recorder passes this
-#: much.
-_TOP, _PASSED = 0.41, 1e-3
-_MAX_RATIO = 1000
+#: Where a faster recorder had the filters of the beam's, its samples are used up to this share of the beam's rate:
+#: beyond it, what folds back differs too much.
+_TOP = 0.43
+#: What a recorder gives that is faster by more than this is brought to the beam's rate.
+_FASTER = 1.25
 #: An onset this close to the ends of the table of forces is searched this much further [samples].
 _EDGE, _BESIDE = 0.35, 4
 #: With more than this fraction of the energy unexplained, and a misfit above this, the onset is searched this much
@@ -54,18 +56,47 @@ class ThroughBeam:
 
     # Rows of one impact follow in the order of the sensors. A recorder with another sampling rate is assumed to have
     # the same anti-alias filter, at the same fraction of its rate or, if it is faster, at the same frequency: whichever
-    # force is more like a pulse.
+    # force is more like a pulse. Of a slower one the beam has that rate, and what a faster one gave is at the beam's.
 
     def __init__(self, beam: Beam, *, lasting: bool = False) -> None:
         self.beam = beam
         self.inversion = Inversion(beam, lasting=lasting)
         self.fit = ContactFit(self.inversion)
+        self.recorded = beam.sampling_rate  # sampling rate of the recorder [Hz]
         self._ring_down: dict[tuple[int, int], RingDown] = {}
+        self._others: dict[float, ThroughBeam] = {}
 
     @property
     def n_sensors(self) -> int:
         """Number of sensors, and of vibrations of one impact."""
         return self.beam.n_sensors
+
+    def of(self, recorded: float) -> ThroughBeam:
+        """Return the same for a recorder of this sampling rate [Hz]."""
+        if rates_agree(recorded, self.beam.sampling_rate):
+            return self
+        if recorded not in self._others:
+            is_faster = recorded > _FASTER * self.beam.sampling_rate
+            other = copy(self) if is_faster else ThroughBeam(self.beam.at(recorded), lasting=self.inversion.lasting)
+            other.recorded = recorded
+            self._others[recorded] = other
+        return self._others[recorded]
+
+    def brings(self, recorded: float, n_channels: int = 1) -> OneRate | None:
+        """Return what brings a faster recorder's samples to the rate of the beam; None for others."""
+        is_faster = recorded > _FASTER * self.beam.sampling_rate
+        return OneRate(self.beam, recorded, n_channels) if is_faster else None
+
+    def own(self, vibrations: VibrationBatch) -> tuple[ThroughBeam, VibrationBatch]:
+        """Return what looks at vibrations of any sampling rate, and these at its rate."""
+        rate, before = vibrations.sampling_rate, vibrations.pre_trigger
+        through, brought = self.of(rate), self.brings(rate)
+        if brought is None:
+            return through, vibrations
+        if before is not None:
+            before = int(before * brought.rate / rate)
+        samples = brought.frames(vibrations.samples)
+        return through, replace(vibrations, samples=samples, sampling_rate=brought.rate, pre_trigger=before)
 
     def stream(self) -> BeamStream:
         """Return the same for impacts that follow each other in a stream."""
@@ -73,7 +104,8 @@ class ThroughBeam:
 
     def measured(self, vibrations: VibrationBatch) -> dict[str, Floats]:
         """Return the features of the contact forces of vibrations by name, nan where there is no impact."""
-        return self.features(vibrations, *self.look(vibrations))
+        through, vibrations = self.own(vibrations)
+        return through.features(vibrations, *through.look(vibrations))
 
     def features(self, vibrations: VibrationBatch, estimate: ForceEstimate, contact: Contact) -> dict[str, Floats]:
         """Return the features of vibrations by name, from their estimates."""
@@ -114,20 +146,20 @@ class ThroughBeam:
 
     def look(self, vibrations: VibrationBatch) -> tuple[ForceEstimate, Contact]:
         """Return the forces estimated from vibrations at any sampling rate, and the pulses fitted to them."""
+        through, vibrations = self.own(vibrations)
         n = len(vibrations.samples) // self.n_sensors
-        return self.at_other_filter(vibrations, np.ones((n, 2), bool), np.ones(n, bool))[:2]
+        return through.at_other_filter(vibrations, np.ones((n, 2), bool), np.ones(n, bool))[:2]
 
     def at_other_filter(
         self, vibrations: VibrationBatch, filters: NDArray[np.bool_], again: NDArray[np.bool_]
     ) -> tuple[ForceEstimate, Contact, Floats]:
         """Return force, pulse, and misfit of each filter (n, 2), infinite if not tried; `again` tries other onsets."""
-        rate, own = vibrations.sampling_rate, self.beam.sampling_rate
-        if rate <= own or rates_agree(rate, own):
+        if rates_agree(self.recorded, self.beam.sampling_rate):
             filters = np.broadcast_to([True, False], filters.shape)
         rows = [np.flatnonzero(column) for column in filters.T]
         parts = [
-            self._estimated(vibrations, ratio, part, again[part])
-            for ratio, part in zip((rate / own, 1.0), rows, strict=True)
+            self._estimated(vibrations, undone, part, again[part])
+            for undone, part in zip((False, True), rows, strict=True)
             if part.size or not filters.size
         ]
         estimates, contacts = zip(*parts, strict=True)
@@ -140,12 +172,12 @@ class ThroughBeam:
         return estimate.rows(best), contact.rows(best), misfit
 
     def _estimated(
-        self, vibrations: VibrationBatch, filters: float, rows: NDArray[np.intp], again: NDArray[np.bool_]
+        self, vibrations: VibrationBatch, undone: bool, rows: NDArray[np.intp], again: NDArray[np.bool_]
     ) -> tuple[ForceEstimate, Contact]:
-        """Return the same for some rows and an anti-alias filter at another ratio to that of the beam."""
+        """Return the same for some rows, perhaps with the change of the recorder undone."""
         if rows.size < len(vibrations.samples) // self.n_sensors:
             vibrations = vibrations.rows(np.add.outer(rows * self.n_sensors, np.arange(self.n_sensors)).ravel())
-        observations, onset = self._prepared(vibrations, filters)
+        observations, onset = self._prepared(vibrations, undone)
         estimate = self.inversion.invert(observations, onset)
         contact = self.fit.fit(estimate)
         # If the onset is at the edge of the table of forces, search there, at the same location. If it is too early,
@@ -179,17 +211,15 @@ class ThroughBeam:
         power = np.square(observations.frames[:, :, : columns.size] / observations.noise[:, :, None])
         return np.asarray(np.sum(power, axis=(1, 2), where=out[:, None]) / (self.n_sensors * self.beam.n_samples))
 
-    def _prepared(self, vibrations: VibrationBatch, filters: float) -> tuple[Observations, NDArray[np.intp]]:
+    def _prepared(self, vibrations: VibrationBatch, undone: bool) -> tuple[Observations, NDArray[np.intp]]:
         """Return the input of the inversion, and the range of the onset."""
         frames = vibrations.samples - vibrations.offset[:, None]
-        rate, own = vibrations.sampling_rate, self.beam.sampling_rate
-        quiet = vibrations.n_quiet.astype(np.float64)
-        first = vibrations.first.astype(np.float64)
-        limit = None
-        if not rates_agree(rate, own):
-            frames = self.resampled(frames, rate, filters)
-            quiet, first = quiet * own / rate, first * own / rate
-            limit = _TOP * min(rate, own)
+        own, noise = self.beam.sampling_rate, vibrations.noise
+        quiet, first = vibrations.n_quiet.astype(np.float64), vibrations.first.astype(np.float64)
+        if undone:
+            frames = self._undone(frames)
+            before = np.arange(frames.shape[1]) < quiet[:, None]
+            noise = np.sqrt(np.sum(np.square(frames), axis=1, where=before) / np.maximum(quiet, 1))
         clear = self._clearest(vibrations)
         start = np.stack(
             [
@@ -201,13 +231,12 @@ class ThroughBeam:
         start[:, 0] = np.clip(start[:, 0], 0, start[:, 1])
         size = np.sqrt(np.einsum("nt,nt->n", frames, frames) / frames.shape[1])
         # Without noise: the accuracy of a table of the beam.
-        noise = np.maximum(self._noise(frames, quiet, vibrations, limit), _FLOOR * size + 1e-300)
-        found = Observations(frames, noise, limit=limit)
-        if limit is None:
-            colour = ar_noise_of(frames, quiet, _LEAST * size, 1)
-            clipped = clipped_samples(frames)
-            frames, noise, error = self._settled(frames, quiet.astype(np.intp), noise, colour)
-            found = Observations(frames, noise, colour.coefficients, colour.innovation, error, clipped)
+        noise = np.maximum(noise, _FLOOR * size + 1e-300)
+        colour = ar_noise_of(frames, quiet, _LEAST * size, 1)
+        clipped = clipped_samples(frames)
+        frames, noise, error = self._settled(frames, quiet.astype(np.intp), noise, colour)
+        limit = _TOP * own if undone else None
+        found = Observations(frames, noise, colour.coefficients, colour.innovation, error, clipped, limit)
         return self._together(found, vibrations), start.astype(np.intp)
 
     def _clearest(self, vibrations: VibrationBatch) -> NDArray[np.intp]:
@@ -253,35 +282,11 @@ class ThroughBeam:
             noise[own[rings]], error[own[rings]] = level[rings], ring_error[rings]
         return frames, noise, error
 
-    def _noise(self, frames: Floats, quiet: Floats, vibrations: VibrationBatch, limit: float | None) -> Floats:
-        """Return the standard deviation of white noise as loud as that before onset in the band up to `limit`."""
-        if limit is None:
-            return vibrations.noise
-        start = frames[:, : int(np.ceil(quiet.max(initial=0.0)))]
-        before = np.arange(start.shape[1]) < quiet[:, None]
-        power = np.sum(np.square(start), axis=1, where=before) / np.maximum(quiet, 1)
-        return np.asarray(np.sqrt(power * self.beam.sampling_rate / 2 / limit))
-
-    def resampled(self, frames: Floats, rate: float, filters: float) -> Floats:
-        """Return frames at the rate of the beam, with its filters instead of those at `filters` times the frequency."""
-        own = self.beam.sampling_rate
-        ratio = Fraction(own / rate).limit_denominator(_MAX_RATIO)
-        n = -(-frames.shape[1] // ratio.denominator) * ratio.denominator
-        n_out = n * ratio.numerator // ratio.denominator
-        spectrum = np.fft.rfft(frames, n, axis=1)
-        frequency = np.fft.rfftfreq(n, 1 / rate)
-        inside = frequency <= _TOP * min(rate, own)
-        low_pass = np.abs(self.beam.filters) < np.pi * own
-        recorder = replace(self.beam, filters=np.where(low_pass, self.beam.filters * filters, self.beam.filters))
-        if recorder.linear_phase is not None:  # whatever its delay: the onset is sought
-            recorder = replace(recorder, linear_phase=recorder.linear_phase * [filters, filters, 1.0])
-        passed = recorder.gain(frequency)
-        inside &= np.abs(passed) > _PASSED
-        change = np.where(inside, self.beam.gain(frequency) / np.where(inside, passed, 1), 0.0)
-        out = np.zeros((len(frames), n_out // 2 + 1), complex)
-        kept = min(out.shape[1], spectrum.shape[1])
-        out[:, :kept] = (spectrum * change)[:, :kept]
-        return np.asarray(np.fft.irfft(out, n_out, axis=1) * (n_out / n))[:, : int(frames.shape[1] * own / rate)]
+    def _undone(self, frames: Floats) -> Floats:
+        """Return frames as of a faster recorder that had the filters of the beam's."""
+        frequency = np.fft.rfftfreq(2 * frames.shape[1], 1 / self.beam.sampling_rate)
+        change = self.beam.at(self.recorded).gain(frequency) / self.beam.gain(frequency)
+        return np.asarray(np.fft.irfft(np.fft.rfft(frames, 2 * frames.shape[1]) * change)[:, : frames.shape[1]])
 
 
 class _ChannelState:

@@ -259,6 +259,7 @@ class SameBeam:
         settings: PredictionSettings,
         sampling_rate: float,
         source: str,
+        recorded: float,
     ) -> None:
         self._model, self._channels, self._settings, self._rate = model, tuple(channels), settings, sampling_rate
         self._source = source
@@ -270,7 +271,7 @@ class SameBeam:
         # Of recent impacts of each channel: the largest guard over its limit, and the level.
         self._recent = {row: deque[tuple[float, float]](maxlen=_REMEMBERED) for row in self._rows}
         looks = behind_each_sensor(model)
-        self._looks = [(look, None if look.beam is None else look.beam.stream()) for look in looks]
+        self._looks = [(look, None if look.beam is None else look.beam.of(recorded).stream()) for look in looks]
         self._sensor = {row: rows.index(row) % len(looks) for row, rows in self._rows.items()}
         self._columns = pulse_columns(model.measured)
 

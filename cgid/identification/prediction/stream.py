@@ -57,6 +57,7 @@ _UNSTEADY = (
     "the gangue fraction may be wrong while they do; move the sensor away from the machine, or keep tones with "
     "--set lines=false"
 )
+_HEARD_AT = "{:.7g} Hz is heard at {:.7g} Hz, as the recorder of the model's beam gives it"
 _TONES = (
     "tones of a machine are taken out, the strongest at {:.0f} Hz; --set lines=false keeps them, as where no machine "
     "runs and the beam rings long"
@@ -140,10 +141,10 @@ def _impacts(
 ) -> Iterator[Step]:
     """Yield the predictions for impacts: when a batch is full, or when no impact is pending."""
     kind: ImpactKind = "pulse" if model.kind == "pulse" else "vibration"
-    joint, beam = model.together > 1 and not settings.same_beam, None if model.beam is None else model.beam.stream()
+    joint, through = model.together > 1 and not settings.same_beam, model.beam
+    beam = None if through is None else through.of(sampling_rate).stream()
     waiting: list[Event] = []
     silent, warned = set(range(len(channels))), set[int]()
-    quiet = _Quiet(sampling_rate, len(channels)) if kind == "vibration" else None
 
     def named(row: int) -> str:
         return source if list(channels) == ["1"] else f"{source} channel {channels[row]}"
@@ -151,13 +152,24 @@ def _impacts(
     with _named(source):
         groups = rows_of(model, channels, settings.same_beam)
         names = answering_channels(model, channels, settings.same_beam)
-        same_beam = SameBeam(model, channels, settings, sampling_rate, source) if settings.same_beam else None
-        together = Together(sampling_rate, ((row,) for row in range(len(channels)))) if len(channels) > 1 else None
         # A model of labelled recordings has learned with their tones.
         tones = False if beam is None else settings.lines
-        ear = Ear(sampling_rate, len(channels), kind=kind, dead_time=settings.dead_time, joint=joint, lines=tones)
-        require_measurable(model.measured, sampling_rate, ear.n_samples, model.beam)
+        ear = Ear(
+            sampling_rate,
+            len(channels),
+            kind=kind,
+            dead_time=settings.dead_time,
+            joint=joint,
+            lines=tones,
+            beam=through,
+        )
+        require_measurable(model.measured, ear.rate, ear.n_samples, model.beam)
+        same_beam = SameBeam(model, channels, settings, ear.rate, source, sampling_rate) if settings.same_beam else None
+        together = Together(ear.rate, ((row,) for row in range(len(channels)))) if len(channels) > 1 else None
+        quiet = _Quiet(ear.rate, len(channels)) if kind == "vibration" else None
         lines, n_heard = ear.lines, 0
+        if ear.rate != sampling_rate:
+            yield Step([], 0.0, notes=(f"{source}: {_HEARD_AT.format(sampling_rate, ear.rate)}",))
         for events, until, block in ear.heard(blocks):
             ended, n_heard = until == np.inf, n_heard + block.shape[1]
             silent -= set(range(len(channels))) if joint and events else {event.channel for event in events}
@@ -180,7 +192,7 @@ def _impacts(
                 until = min(until, begin)
             yield Step(
                 answers,
-                min(until, n_heard) / sampling_rate,
+                min(until, n_heard) / ear.rate,
                 silent=tuple(f"{named(row)}: {ear.why_silent(row, model.unit)}" for row in sorted(silent) if ended),
                 warnings=(*heard, *said),
                 wrong_beams=tuple(f"{source}: {text}" for text in wrong_beams),

@@ -567,20 +567,23 @@ class Cutting:
             kind="vibration" if kind_of(self.names) == "vibration" else "pulse",
             dead_time=self.slicing.dead_time,
             lines=False if self.model is None or self.model.beam is None else None,
+            beam=None if self.model is None else self.model.beam,
         )
 
     @cached_property
-    def beams(self) -> list[ThroughBeam | None]:
+    def beams(self) -> list[ThroughBeam]:
         """The beam behind each sensor of the model."""
         assert self.model is not None
-        return [look.beam for look in behind_each_sensor(self.model)]
+        return [look.beam for look in behind_each_sensor(self.model) if look.beam is not None]
 
     def beam(self, file: AnnotatedFile, channel: int) -> ThroughBeam | None:
         """Return the beam behind a channel."""
-        if self.model is None or not file.is_grouped:
-            return None if self.model is None else self.model.beam
-        rows = next(rows for rows in file.groups if channel in rows)
-        return self.beams[rows.index(channel) % len(self.beams)]
+        if self.model is None or self.model.beam is None:
+            return None
+        row = 0
+        if file.is_grouped:
+            row = next(rows for rows in file.groups if channel in rows).index(channel)
+        return self.beams[row % len(self.beams)].of(file.recording.sampling_rate)
 
 
 class AnnotatedRows(NamedTuple):
@@ -624,8 +627,8 @@ def _windows(file: AnnotatedFile, cutting: Cutting) -> Iterator[AnnotatedRows]:
 
 def _impacts(file: AnnotatedFile, cutting: Cutting) -> Iterator[AnnotatedRows]:
     """Yield annotation, times and features of the impacts in annotated intervals; the detector gets all samples."""
-    measuring, ear = ImpactRows(file, cutting), cutting.ear(file)
-    for events, until, _ in ear.heard(file.blocks()):
+    measuring = ImpactRows(file, cutting)
+    for events, until, _ in measuring.ear.heard(file.blocks()):
         yield from measuring.feed(events, until)
 
 
@@ -636,9 +639,9 @@ class ImpactRows:
     """
 
     def __init__(self, file: AnnotatedFile, cutting: Cutting) -> None:
-        self._file, self._cutting = file, cutting
+        self._file, self._cutting, self.ear = file, cutting, cutting.ear(file)
         self._names = [channel.name for channel in file.recording.channels]
-        self._rocks: RockAssigner[_Part] = RockAssigner(file.groups, file.recording.sampling_rate)
+        self._rocks: RockAssigner[_Part] = RockAssigner(file.groups, self.ear.rate)
 
     def feed(self, events: list[Event], known_until: float) -> Iterator[AnnotatedRows]:
         """Yield the rows of further impacts, all of which before a sample are known."""
@@ -648,7 +651,7 @@ class ImpactRows:
                 yield AnnotatedRows(annotation, times, features, np.full(len(times), np.inf), self._names[channel])
             return
         parts = [
-            _Part(channel, round(time * self._file.recording.sampling_rate), annotation, time, row)
+            _Part(channel, round(time * self.ear.rate), annotation, time, row)
             for annotation, channel, times, features in pieces
             for time, row in zip(times.tolist(), features, strict=True)
         ]
@@ -697,7 +700,7 @@ def _measured_events(
             some = [its_events[number] for number in numbers]
             features = extract_array(
                 frames * file.scale(annotation, cutting.unit),
-                file.recording.sampling_rate,
+                some[0].sampling_rate,
                 cutting.names,
                 pre_trigger=some[0].pre_trigger,
                 invalid="nan",

@@ -111,6 +111,19 @@ class Beam:
         """Number of sensors; their samples are inverted together."""
         return len(self.shares)
 
+    def at(self, rate: float) -> Beam:
+        """Return the beam with a recorder of another rate [Hz], whose low-passes are at the same share of it."""
+        ratio = rate / self.sampling_rate
+        low_pass = np.abs(self.filters) < np.pi * self.sampling_rate
+        own, points = (np.arange(points_of(one)) / (FINE * one) for one in (self.sampling_rate, rate))
+        return replace(
+            self,
+            sampling_rate=rate,
+            filters=np.where(low_pass, self.filters * ratio, self.filters),
+            linear_phase=None if self.linear_phase is None else self.linear_phase * [ratio, ratio, 1.0],
+            shapes=np.array([np.interp(points, own, shape) for shape in self.shapes]).reshape(-1, points.size),
+        )
+
     def of_sensor(self, number: int) -> Beam:
         """Return the beam as one of its sensors measures it alone."""
         alone = replace(self.modes, at_sensor=np.ones((1, len(self.poles))))
