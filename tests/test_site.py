@@ -91,6 +91,21 @@ def test_monitor_hears_what_predict_hears_by_name(plant: Path, capsys: pytest.Ca
     assert max(apart) == 0
 
 
+def test_every_output_has_the_names(plant: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Rows and records, the page of monitor, and the report; MQTT and Prometheus make theirs of these records."""
+    site, page, report = str(plant / "face.toml"), tmp_path / "page.html", tmp_path / "report.html"
+    names = {f"support {40 + number}" for number in range(1, 13)}
+    lines = printed(capsys, "monitor", str(plant / "minute.f32"), "--site", site, "--json", "--live", str(page))
+    assert {
+        one["channel"] for one in map(json.loads, lines.splitlines()) if one["kind"] in ("impact", "state")
+    } == names
+    assert all(name in page.read_text() for name in names)
+    assert run(["predict", str(plant / "minute.npy"), "--site", site, "--report", str(report), "--summary"]) == 0
+    told = capsys.readouterr().out
+    assert all(f"channel {name}: gangue fraction" in told for name in names)
+    assert report.read_text().count("support 41") >= 1
+
+
 def test_python_takes_the_site(plant: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     site = cgid.Site(plant / "face.toml")
     table = cgid.predict(plant / "minute.npy", site=site)
