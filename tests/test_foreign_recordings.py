@@ -14,6 +14,7 @@ from scipy.io import savemat
 from cgid.errors import BadData, CgidError, MissingOption
 from cgid.recordings import open_recording
 from cgid.recordings import tdms as tdms_reader
+from cgid.recordings.recording import Asked
 from cgid.recordings.variables import Variable, contents_of
 from cgid.store.table import is_table
 from tests import few, recording_files
@@ -541,12 +542,12 @@ def test_channels_that_come_in_pieces_of_different_length_stay_together():
         Variable(name=f"c{k}", n_channels=1, n_samples=N, read=pieces(SAMPLES[k], most), about={"fs": 5.0})
         for k, most in enumerate((100, 37, 1000))
     ]
-    contents = contents_of(parts, {}, "made", "c*", [])
+    contents = contents_of(parts, {}, "made", Asked(variable="c*"), [])
     for channels in ((0, 1, 2), (2,), (1, 0)):
         assert np.array_equal(np.concatenate(list(contents.read(64, channels)), axis=1), SAMPLES[list(channels)])
     short = Variable(name="short", n_channels=1, n_samples=N, read=pieces(SAMPLES[0, :9], 5))
     with pytest.raises(BadData, match="3001 samples are declared, the file contains 9"):
-        list(contents_of([parts[0], short], {"": {"fs": 5.0}}, "made", "*", []).read(64, (0, 1)))
+        list(contents_of([parts[0], short], {"": {"fs": 5.0}}, "made", Asked(variable="*"), []).read(64, (0, 1)))
 
 
 _MEMORY = r"""

@@ -20,7 +20,7 @@ from cgid._lib import validation
 from cgid._lib.validation import require_rate
 from cgid.errors import BadData, InvalidValue, NoInput, WriteFailed
 from cgid.recordings.chain import Chain, Statement, units_of
-from cgid.recordings.recording import DATASET_HINT, Blocks, RecordingFile, clear_errors, library_errors
+from cgid.recordings.recording import DATASET_HINT, Asked, Blocks, RecordingFile, clear_errors, library_errors
 from cgid.signals import Signal
 
 #: First bytes of a file, enough to recognise any format.
@@ -65,16 +65,15 @@ class Format:
     endings: tuple[str, ...]
     takes_variable: bool = False
 
-    def read(self, path: Path, source: str, variable: str | None) -> Blocks:
+    def read(self, path: Path, source: str, asked: Asked) -> Blocks:
         """Return the blocks of a file of this format; raises as `cgid.recordings.open_recording`."""
-        if variable is not None and not self.takes_variable:
+        if asked.variable is not None and not self.takes_variable:
             raise InvalidValue(
-                f"{source}: a {self.name} file holds one recording, there is no variable {variable!r}; leave out "
+                f"{source}: a {self.name} file holds one recording, there is no variable {asked.variable!r}; leave out "
                 "--variable"
             )
         module, _, function = self.reader.partition(":")
-        read = getattr(import_module(f"cgid.recordings.{module}"), function)
-        blocks: Blocks = read(path, source, variable) if self.takes_variable else read(path, source)
+        blocks: Blocks = getattr(import_module(f"cgid.recordings.{module}"), function)(path, source, asked)
         return blocks
 
 
@@ -90,10 +89,10 @@ class OutsideFormat:
         with self._reader_errors():
             return bool(self.reader.is_format(head))
 
-    def read(self, path: Path, source: str, variable: str | None) -> Blocks:
+    def read(self, path: Path, source: str, asked: Asked) -> Blocks:
         """Return the blocks of a file of this format; any error of the reader becomes a one-line `BadData`."""
         with self._reader_errors(source):
-            blocks = self.reader.read(path, variable)
+            blocks = self.reader.read(path, asked.variable)
             if not isinstance(blocks, Blocks):
                 raise TypeError(f"its function read must return cgid.recordings.Blocks, got {type(blocks).__name__}")
 
@@ -325,7 +324,7 @@ def open_recording(
         with clear_errors(source):
             file_format = format_of(regular, source) if format is None else format_named(format)
             recording = RecordingFile(
-                file_format.read(regular, source, variable),
+                file_format.read(regular, source, Asked(variable=variable, sampling_rate=sampling_rate)),
                 source=source,
                 format=file_format.name,
                 sampling_rate=sampling_rate,

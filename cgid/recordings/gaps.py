@@ -22,6 +22,12 @@ if TYPE_CHECKING:
 
 #: Maximum number of channels that are named.
 _MAX_NAMED = 5
+#: Numbers that converters write for a lost sample, and those that loggers write for many.
+_END_STOPS = (-(2.0**15), -(2.0**23), -(2.0**31))
+_FILLERS = (-999.0, -999.25, -9999.0, -99999.0)
+#: Samples beside them must not exceed this part of them; fillers come at least so many in a row.
+_NEAR = 0.5
+_FILLED = 3
 #: In a live stream, the gaps of a channel are over after this time without any [s].
 _OVER = 60.0
 
@@ -172,3 +178,18 @@ def largest(unit: str | None) -> float:
     """Return the largest sample that a sensor can give, in a unit; without one, that of full scale."""
     quantity = "level" if unit is None else quantity_of(unit)
     return LARGEST[quantity] / (1.0 if unit is None else UNITS[quantity][unit])
+
+
+def without_fillers(blocks: Iterable[NDArray[Any]]) -> Iterator[NDArray[Any]]:
+    """Yield blocks of the numbers of a file with nan for what stands for no reading, unless others come near it."""
+    for block in blocks:
+        lowest = np.fmin.reduce(block, axis=1, initial=np.inf)
+        rows = np.flatnonzero(np.isin(lowest, (*_END_STOPS, *_FILLERS)))
+        block = block.copy() if rows.size else block
+        for row, low in zip(rows, lowest[rows], strict=True):
+            is_filler = block[row] == low
+            starts, stops = _runs(is_filler)
+            is_run = low in _END_STOPS or (stops - starts).min() >= _FILLED
+            if is_run and not (block[row][~is_filler] < _NEAR * low).any():
+                block[row][is_filler] = np.nan
+        yield block

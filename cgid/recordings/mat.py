@@ -13,13 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid.recordings.arrays import blocks_of_arrays, require_readable_size
-from cgid.recordings.recording import Blocks, library_errors
+from cgid.recordings.recording import Asked, Blocks, library_errors
 
 #: Maximum depth of nested structs, and of a text [characters].
 _DEEPEST, _MAX_TEXT_LENGTH = 16, 4096
 
 
-def read_mat(path: Path, source: str, variable: str | None) -> Blocks:
+def read_mat(path: Path, source: str, asked: Asked) -> Blocks:
     """Return the channels of an array in a MATLAB file (-v6, -v7), or of several; `struct/field` names a field."""
     from scipy.io import loadmat, whosmat
 
@@ -38,7 +38,7 @@ def read_mat(path: Path, source: str, variable: str | None) -> Blocks:
     # Names of MATLAB begin with a letter: scipy's others are its notes and the bytes of functions.
     names = [name for name in loaded if not name.startswith("__")]
     arrays = (one for name in names for one in _fields(name, loaded[name], stored[name], 0))
-    return blocks_of_arrays(arrays, source, variable)
+    return blocks_of_arrays(arrays, source, asked)
 
 
 def _fields(place: str, value: Any, stored: Any, depth: int) -> Iterator[tuple[str, NDArray[Any]]]:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from cgid._lib.validation import rates_agree, require_rate, whole
 from cgid.errors import BadData, CgidError, InvalidValue, MissingOption, NoInput, optional
 from cgid.recordings.chain import Chain, scaled
-from cgid.recordings.gaps import Gaps
+from cgid.recordings.gaps import Gaps, without_fillers
 from cgid.signals import Signal, channel_name
 from cgid.units import meaning_of, quantity_of
 
@@ -45,6 +45,15 @@ ReadBlocks = Callable[..., Iterator[NDArray[Any]]]
 
 class Remark(str):
     """A warning that does not concern damage."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Asked:
+    """What the user says of a file that its reader must know: which array, its rate [Hz], to skip broken lines."""
+
+    variable: str | None = None
+    sampling_rate: float | None = None
+    skip_broken: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -557,7 +566,8 @@ class RecordingFile:
         # Memory must not grow with the number of channels.
         length = min(length, max(MAX_NUMBERS // self._contents.n_channels, 1))
         with clear_errors(self.source):
-            for block in scaled(self._contents.joined(length, self._selected, start), self._factors):
+            numbers = without_fillers(self._contents.joined(length, self._selected, start))
+            for block in scaled(numbers, self._factors):
                 count += block.shape[1]
                 yield block
         if not count:

@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid.errors import BadData
-from cgid.recordings.recording import MAX_ARRAYS, Blocks, Remark, library, library_errors
+from cgid.recordings.recording import MAX_ARRAYS, Asked, Blocks, Remark, library, library_errors
+from cgid.recordings.times import is_time_name
 from cgid.recordings.variables import Value, Variable, contents_of, full_scale_of, is_statement, stated_start
 
 _LEAD_IN, _TAG = 28, b"TDSm"
@@ -98,12 +99,14 @@ class _Tdms:
                     f"{self.source}: channel {channel.name} must have {len(channel)} samples, got "
                     f"{first + len(samples)}; the file is damaged, copy it again"
                 )
+            if samples.dtype.kind == "M":
+                samples = (samples - channel.read_data(0, 1)[0]) / np.timedelta64(1, "s")
             channels_with_numbers = np.float32 if samples.dtype == np.float32 else np.float64
             for begin in range(0, len(samples), length):
                 yield samples[np.newaxis, begin : begin + length].astype(channels_with_numbers)
 
 
-def read_tdms(path: Path, source: str, variable: str | None) -> Blocks:
+def read_tdms(path: Path, source: str, asked: Asked) -> Blocks:
     """Return the channels of one group of a TDMS file; an index file next to it is not used."""
     # Rate, unit and start come from waveform properties of the channels, else of group or file, or from a channel of
     # times.
@@ -119,7 +122,7 @@ def read_tdms(path: Path, source: str, variable: str | None) -> Blocks:
         for group in file.tdms.groups():
             statements[group.name] = _values(group.properties)
             for channel in group.channels():
-                if len(channel) and channel.dtype.kind in "fiu":
+                if len(channel) and channel.dtype.kind in "fiuM":
                     variables.append(_variable(file, group.name, channel))
                 elif not len(channel):
                     warnings.append(Remark(f"channel {group.name}/{channel.name} contains no samples and is skipped"))
@@ -127,7 +130,7 @@ def read_tdms(path: Path, source: str, variable: str | None) -> Blocks:
                     warnings.append(Remark(f"channel {group.name}/{channel.name} contains no numbers and is skipped"))
     if file.is_cut and not variables:
         raise BadData(f"{source}: the TDMS file is cut off before its first sample; copy it again")
-    blocks = contents_of(variables, statements, source, variable, warnings, group_is_one=True, is_cut=file.is_cut)
+    blocks = contents_of(variables, statements, source, asked, warnings, group_is_one=True, is_cut=file.is_cut)
     return blocks if file.origin is None else replace(blocks, start_time=None)
 
 
@@ -147,8 +150,10 @@ def _variable(file: _Tdms, group: str, channel: Any) -> Variable:
     if start is not None and isinstance(offset, int | float) and abs(offset) < 1e9:
         about.pop("wf_start_time", None)
         about = {"wf_start_time": start + timedelta(seconds=float(offset)), **about}
+    is_stamp = channel.dtype.kind == "M"
+    about = {**about, "unit": "s"} if is_stamp else about
     return Variable(
-        name=channel.name,
+        name="time" if is_stamp and not is_time_name(channel.name) else channel.name,
         group=group,
         n_channels=1,
         n_samples=len(channel),
