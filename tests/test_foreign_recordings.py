@@ -356,15 +356,20 @@ def test_tdms_is_what_nptdms_reads(tmp_path, monkeypatch, dtype, longest):
     monkeypatch.setattr(tdms_reader, "MAX_CHUNK_SIZE", longest)
     values = (100 * np.abs(SAMPLES)).astype(dtype)
     path = write_tdms(tmp_path / "a.tdms", whole(values))
-    recording, found = read(path)
+    # A unit does not say how many of it one step of integers is.
+    scale = {} if dtype.startswith("f") else {"full_scale": "32768 g at 16 bit"}
+    if scale:
+        with pytest.raises(MissingOption, match="--full-scale"):
+            open_recording(path)
+    recording, found = read(path, **scale)
     with nptdms.TdmsFile.open(path) as file:
         expected = np.stack([channel[:] for channel in file["beam"].channels()])
     assert np.array_equal(found, expected) and np.array_equal(found, values)
     assert found.dtype == (np.float32 if dtype == "f4" else np.float64)
     assert recording.sampling_rate == 25_600.0 and units(recording) == ["g"] * 3
     assert names(recording) == [f"cDAQ1Mod1/ai{k}" for k in range(3)]
-    assert np.array_equal(read(path, variable="cDAQ1Mod1/ai2")[1][0], values[2])
-    assert np.array_equal(read(path, variable="beam/cDAQ1Mod1/ai1", length=5000)[1][0], values[1])
+    assert np.array_equal(read(path, variable="cDAQ1Mod1/ai2", **scale)[1][0], values[2])
+    assert np.array_equal(read(path, variable="beam/cDAQ1Mod1/ai1", length=5000, **scale)[1][0], values[1])
 
 
 def test_tdms_of_several_groups_lengths_and_rates(tmp_path):
@@ -519,7 +524,7 @@ def test_parquet_is_what_was_written(parquet, compression):
     columns = {"t [ms]": np.arange(N) / 20, "force (kN)": SAMPLES[0], "n": (9 * SAMPLES[1]).astype("i2")}
     path = parquet(columns | {"acc": SAMPLES[2].astype("f4")}, {"unit": "g"}, compression=compression)
     assert not is_table(path)
-    recording, found = read(path)
+    recording, found = read(path, full_scale={"n": "32768 g"})
     expected = [SAMPLES[0], columns["n"], SAMPLES[2].astype("f4")]
     assert np.array_equal(found, expected)
     assert recording.sampling_rate == pytest.approx(20_000, rel=1e-12) and recording.format == "Parquet"

@@ -19,7 +19,15 @@ from numpy.typing import NDArray
 from cgid.errors import BadData, InvalidValue
 from cgid.recordings.recording import DATASET_HINT, MAX_ARRAYS, MAX_CHANNELS, Asked, Blocks, Remark, library_errors
 from cgid.recordings.text_layout import column_of
-from cgid.recordings.variables import Value, Variable, contents_of, full_scale_of, is_statement, orientation
+from cgid.recordings.variables import (
+    MATLAB_OBJECT,
+    Value,
+    Variable,
+    contents_of,
+    full_scale_of,
+    is_statement,
+    orientation,
+)
 
 if TYPE_CHECKING:
     from cgid.store.foreign import ForeignArray
@@ -146,7 +154,9 @@ def require_readable_size(size: int, source: str, hint: str) -> None:
         )
 
 
-def blocks_of_arrays(arrays: Iterable[tuple[str, NDArray[Any]]], source: str, asked: Asked) -> Blocks:
+def blocks_of_arrays(
+    arrays: Iterable[tuple[str, NDArray[Any]]], source: str, asked: Asked, warnings: list[str]
+) -> Blocks:
     """Return the recording among arrays in memory, each with its path; single numbers and texts are metadata."""
     variables, statements = [], dict[str, dict[str, Value]]()
     for array_path, array in arrays:
@@ -156,7 +166,7 @@ def blocks_of_arrays(arrays: Iterable[tuple[str, NDArray[Any]]], source: str, as
             statements.setdefault(group, {})[name] = value
         elif array.dtype.kind in "fiu" and axes is not None and array.size:
             variables.append(_variable(group, name, array, axes))
-    return contents_of(variables, statements, source, asked, [])
+    return contents_of(variables, statements, source, asked, warnings)
 
 
 def _value(array: NDArray[Any]) -> Value | None:
@@ -214,7 +224,7 @@ def read_npz(path: Path, source: str, asked: Asked) -> Blocks:
                 array = npy_format.read_array(file, allow_pickle=False)
                 file.read()  # zipfile compares the checksum at the end
             arrays.append((member.filename.removesuffix(".npy"), array))
-    return blocks_of_arrays(arrays, source, asked)
+    return blocks_of_arrays(arrays, source, asked, [])
 
 
 # ---- HDF5 ------------------------------------------------------------------------------------------------------------
@@ -252,7 +262,8 @@ def read_hdf5(path: Path, source: str, asked: Asked) -> Blocks:
         if asked.variable not in (None, "samples"):
             raise InvalidValue(f"{source}: the variable of a recording of cgid is 'samples', got {asked.variable!r}")
         return read_generated(path)
-    arrays, values, warnings = survey(path, source, is_statement)
+    arrays, values, warnings, objects = survey(path, source, is_statement)
+    warnings += [Remark(MATLAB_OBJECT.format(*one)) for one in objects]
     if stated_format is None or stated_format.startswith("cgid"):
         raise BadData(f"{source}: an HDF5 file is a dataset, not one recording; {DATASET_HINT}")
 

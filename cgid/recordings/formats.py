@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 from importlib import import_module
 from pathlib import Path
 from threading import Timer
-from typing import Any, BinaryIO
+from typing import Any
 
 from cgid._lib import validation
 from cgid._lib.validation import require_rate
@@ -44,6 +44,10 @@ _MAT_MAGICS = (b"\x00\x01IM", b"\x01\x00MI")
 _UFF = re.compile(rb"(?: {4}-1 *\r?\n)+(?: {3}(?:151|164)| {4}(?:15|18|55|58|82)| {2}(?:1858|24[0-9]{2}))[b \r\n]")
 _HDF5_SUFFIXES = (".h5", ".hdf5", ".hdf")
 _TEXT_SUFFIXES = ("", ".asc", ".csv", ".dat", ".log", ".prn", ".tsv", ".txt")
+
+#: First bytes of archives; a file that is in each of Office; how a text in JSON begins.
+_GZIP, _ZIP, _OFFICE = b"\x1f\x8b", b"PK\3\4", "[Content_Types].xml"
+_JSON = re.compile(rb"(?:\xef\xbb\xbf)?\s*(?:\{\s*[\"}]|\[\s*(?:[\[{\"]|-?[\d.eE+-]+\s*,))")
 
 #: Entry points of the readers of other packages.
 READERS = "cgid.readers"
@@ -182,6 +186,8 @@ def format_of(path: Path, source: str) -> Format | OutsideFormat:
         outside = next((one for one in outside_formats() if one.is_format(head)), None)
         if outside is not None:
             return outside
+    if format_.name == "text" and _JSON.match(head):
+        raise BadData(f"{source}: a recording must be of a known format, this is JSON; export it as CSV or WAV")
     if format_.name == "text" and suffix in _HDF5_SUFFIXES:
         raise BadData(
             f"{source}: named like a dataset, but its content is not HDF5; rename it if it is text, else {DATASET_HINT}"
@@ -319,7 +325,7 @@ def open_recording(
         sampling_rate = require_rate(sampling_rate)
     units_of(unit)
     source = "stdin" if str(path) == "-" else str(path)
-    regular, spool = _regular(path, source)
+    regular, spool = _unpacked(*_regular(path, source), source)
     try:
         with clear_errors(source):
             file_format = format_of(regular, source) if format is None else format_named(format)
@@ -420,7 +426,34 @@ def _regular(path: str | Path, source: str) -> tuple[Path, ExitStack]:
         raise NoInput(f"{source!r}: the file cannot be opened ({error}); check the name") from None
 
 
-def _saved(given: Path | BinaryIO, source: str) -> tuple[Path, ExitStack]:
+def _unpacked(path: Path, spool: ExitStack, source: str) -> tuple[Path, ExitStack]:
+    """Return the only file in an archive, saved, and the stack that removes it; any other file as it is."""
+    with clear_errors(source), path.open("rb") as file:
+        head = file.read(len(_ZIP))
+    damage = library_errors(source, "the archive is damaged, cut off or encrypted", "unpack it")
+    if head.startswith(_GZIP):
+        import gzip
+
+        with spool, damage, gzip.open(path) as content:
+            return _saved(content, source)
+    if head != _ZIP:
+        return path, spool
+    import zipfile
+
+    with damage, zipfile.ZipFile(path) as archive:
+        names = [one.filename for one in archive.infolist() if not one.is_dir()]
+        if any(name.endswith(".npy") for name in names) or not names:
+            return path, spool
+        if len(names) > 1:
+            what = "an Office file, save its sheet as CSV" if _OFFICE in names else "unpack it"
+            raise BadData(
+                f"{source}: an archive must contain one recording, it has {len(names)} files ({names[0]}, ...); {what}"
+            )
+        with spool, archive.open(names[0]) as content:
+            return _saved(content, source)
+
+
+def _saved(given: Any, source: str) -> tuple[Path, ExitStack]:
     """Save a stream to a temporary file; return its path and the stack that removes it."""
     import tempfile
 

@@ -223,6 +223,8 @@ def _number(value: Value, unit: str, factor_of: Callable[[str], float | None]) -
 
 # ---- arrays ----------------------------------------------------------------------------------------------------------
 
+#: What is said of an object of MATLAB: its name and class.
+MATLAB_OBJECT = "{} is a MATLAB {} and is left out; to read it, save its columns as arrays, as in x = T.x"
 #: Times read at once, and the first of them, which show what they are.
 _BLOCK_LENGTH = 1 << 18
 _SHOWN = 1 << 10
@@ -286,7 +288,7 @@ def contents_of(
     """Return the recording among the arrays of a file, by name, pattern or group if there are several."""
     # statements : path of a group ("" is the top) -> named values; group_is_one : its arrays are the channels of one
     # recording; is_cut : the shortest channel counts
-    selected = _select(variables, source, asked.variable, group_is_one)
+    selected = _select(variables, source, asked.variable, group_is_one, warnings)
     first = selected[0]
     n_samples = min(one.n_samples for one in selected)
     if len(selected) > 1 and any(one.n_channels > 1 or (one.n_samples != n_samples and not is_cut) for one in selected):
@@ -394,12 +396,14 @@ def _from(
         first = max(first - block.shape[1], 0)
 
 
-def _select(variables: Sequence[Variable], source: str, variable: str | None, group_is_one: bool) -> list[Variable]:
+def _select(
+    variables: Sequence[Variable], source: str, variable: str | None, group_is_one: bool, warnings: Sequence[str]
+) -> list[Variable]:
     signals = [one for one in variables if not one.is_time]
     if not variables:
         raise BadData(
-            f"{source}: a recording must be an array of real numbers with one or two axes, there is none; save the "
-            "samples as one"
+            f"{source}: a recording must be an array of real numbers with one or two axes, there is none; "
+            f"{'; '.join(warnings) or 'save the samples as one'}"
         )
     if {"header", "neighbourhood.centres"} <= {one.path for one in signals}:
         raise BadData(f"{source}: must be a recording, it is a model; give it by --model beside a recording")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from bisect import bisect_left
 from collections.abc import Iterable, MutableMapping, Sequence
 from pathlib import Path
@@ -40,7 +41,10 @@ def read_track(path: Path) -> list[tuple[float, float, str]]:
             span = float(begin.replace(",", ".")), float(end.replace(",", "."))
         except ValueError:
             span = math.nan, math.nan
-        if not 0 <= span[0] <= span[1] < math.inf:
+        if span[0] <= span[1] < 0:
+            warnings.warn(f"{path}: line {number}: the mark is before the recording and is left out", stacklevel=2)
+            continue
+        if not -math.inf < span[0] <= span[1] < math.inf:
             raise BadData(
                 f"{path}: line {number}: a label track must have begin and end in s and a text, divided by tabs, got "
                 f"{shown(line)}; export it by File, Export Labels"
