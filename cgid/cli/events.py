@@ -94,7 +94,7 @@ def events(
     errors, n_read = FileErrors(strict=strict), 0
     for file in errors.each(every):
         with errors:
-            rows += _rows(file, folder, reading, beams, rates)
+            rows += _labelled_rows(file, folder, reading, beams, rates)
             n_read += 1
     if not rows:
         return errors.code
@@ -178,8 +178,28 @@ def cells_of(file: str, folder: Path, reading: ReadingOptions) -> dict[str, str]
     }
 
 
-def _rows(
+def _labelled_rows(
     file: str, folder: Path, reading: ReadingOptions, beams: Groups, rates: Collection[float]
+) -> list[dict[str, str]]:
+    """Return a row for each impact of a recording, with the label of its column of labels."""
+    from cgid.identification.training.audacity import fill_in
+
+    if file == "-":
+        raise InvalidValue("stdin: a table of impacts must name files, a stream has no name; save it first")
+    recording = reading.recording(file)
+    rows = list(_rows(file, folder, recording, reading, beams, rates))
+    if marks := recording.labels():
+        fill_in(rows, marks, "column")
+    return rows
+
+
+def _rows(
+    file: str,
+    folder: Path,
+    recording: RecordingFile,
+    reading: ReadingOptions,
+    beams: Groups,
+    rates: Collection[float],
 ) -> Iterator[dict[str, str]]:
     """Yield a row for each impact of a recording; the columns are those of a manifest and informative ones."""
     from cgid.identification.detection import Event
@@ -188,9 +208,6 @@ def _rows(
     from cgid.identification.training.recordings import unit_of
     from cgid.measure.features.extraction import kind_for
 
-    if file == "-":
-        raise InvalidValue("stdin: a table of impacts must name files, a stream has no name; save it first")
-    recording = reading.recording(file)
     unit = unit_of(recording)
     named = recording.named(beams, "--same-beam")
     kind = kind_for(quantity_of(unit))
@@ -234,10 +251,11 @@ def write_template(data: tuple[str, ...], path: Path, reading: ReadingOptions, *
     for item, files in every:
         folder = item if item.is_dir() else item.parent
         for file in files:
-            content, failed = _content(file, reading)
+            content, failed, marks = _content(file, reading)
             code = code or failed
             given = {"rate": reading.sampling_rate, "unit": reading.unit, "content": content}
-            rows.append({**row_of(file, folder), "path": path_from(path.parent, file), **given})
+            row = {**row_of(file, folder), "path": path_from(path.parent, file), **given}
+            rows += [row | {"start": begin, "end": end, "label": label} for begin, end, label in marks] or [row]
     require_labels_kept(path, rows)
     text = manifest_text(rows, ("group", "rate", "unit") if code else ("group",))
     write_whole(path, text.encode("utf-8" if text.isascii() else "utf-8-sig"), overwrite=overwrite)
@@ -248,15 +266,15 @@ def write_template(data: tuple[str, ...], path: Path, reading: ReadingOptions, *
     return code
 
 
-def _content(file: Path, reading: ReadingOptions) -> tuple[str, int]:
-    """Return a description of a recording, or why it is unreadable, and an exit code."""
+def _content(file: Path, reading: ReadingOptions) -> tuple[str, int, list[tuple[float, float, str]]]:
+    """Return a description of a recording, or why it is unreadable, an exit code, and its stretches with a label."""
     from cgid.recordings import open_recording
 
     try:
         recording = open_recording(file, **reading.common)
     except CgidError as error:
         say_error(error)
-        return "cannot be read", error.exit_code
+        return "cannot be read", error.exit_code, []
     n_channels, unit = len(recording.channels), recording.channels[0].unit or "unit unknown"
     length = "" if recording.duration is None else f", {recording.duration:.6g} s"
-    return f"{recording.sampling_rate:g} Hz, {unit}, {counted(n_channels, 'channel')}{length}", 0
+    return f"{recording.sampling_rate:g} Hz, {unit}, {counted(n_channels, 'channel')}{length}", 0, recording.labels()

@@ -19,7 +19,7 @@ _OPTIONS = {
     "--template",
     "Reading the recording": "--rate --unit --sensitivity --gain --full-scale --channel --channels --same-beam "
     "--sample-format --variable --format --index --invert --keep-baseline --lines --dead-time --give-up --from --to "
-    "--events --kind",
+    "--events --kind --skip-broken",
     "Model": "--model --mass --drop-height --sensor --family --by --hop --level-free --features --class-weights",
     "Decision": "--miss-cost --coverage --class-conditional --vote",
     "Gangue fraction": "--window --gangue --dilution-cost --cost-late --cost-early --hold --coal-until --cycle-pause "

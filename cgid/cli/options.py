@@ -195,6 +195,7 @@ class ReadingOptions:
     sensitivity: tuple[str, ...] = ()
     gain: tuple[str, ...] = ()
     full_scale: tuple[str, ...] = ()
+    skip_broken: bool = False
 
     @property
     def chain(self) -> dict[str, tuple[str, ...] | None]:
@@ -220,7 +221,8 @@ class ReadingOptions:
     @property
     def common(self) -> dict[str, Any]:
         """Settings for any file, as arguments of `open_recording` and of manifests."""
-        return {"sampling_rate": self.sampling_rate, "unit": self.unit, "format": self.format, **self.chain}
+        own = {name: getattr(self, name) for name in ("sampling_rate", "unit", "format", "skip_broken")}
+        return {**own, **self.chain}
 
     @property
     def dead_time(self) -> float | None:
@@ -410,6 +412,11 @@ _READING: dict[str, Callable[[Any], Any]] = {
         multiple=True,
         metavar="[NAME=]VALUE",
         help="Set the full scale of a sound file or of integers: '10 V', '50 g', '10 V at 24 bit'.",
+    ),
+    "skip_broken": click.option(
+        "--skip-broken",
+        is_flag=True,
+        help="Leave out lines of a text that are no rows, as missing samples; count them.",
     ),
 }
 

@@ -244,6 +244,7 @@ def open_recording(
     gain: Statement | None = None,
     full_scale: Statement | None = None,
     format: str | None = None,
+    skip_broken: bool = False,
 ) -> RecordingFile:
     r"""Open a recording; its content determines the format, not its name, unless `format` does.
 
@@ -280,6 +281,8 @@ def open_recording(
         as in a text file.
     format : str, optional
         Name of the format, such as "WAV" or that of another package's reader; by default detected from the content.
+    skip_broken : bool
+        Whether lines of a text that are no rows are missing samples; their times stay, and a warning counts them.
 
     Returns
     -------
@@ -330,7 +333,9 @@ def open_recording(
         with clear_errors(source):
             file_format = format_of(regular, source) if format is None else format_named(format)
             recording = RecordingFile(
-                file_format.read(regular, source, Asked(variable=variable, sampling_rate=sampling_rate)),
+                file_format.read(
+                    regular, source, Asked(variable=variable, sampling_rate=sampling_rate, skip_broken=skip_broken)
+                ),
                 source=source,
                 format=file_format.name,
                 sampling_rate=sampling_rate,
@@ -356,12 +361,13 @@ def read_recording(
     gain: Statement | None = None,
     full_scale: Statement | None = None,
     format: str | None = None,
+    skip_broken: bool = False,
 ) -> list[Signal]:
     r"""Read a complete recording into memory.
 
     Parameters
     ----------
-    path, sampling_rate, unit, channel, variable, sensitivity, gain, full_scale, format
+    path, sampling_rate, unit, channel, variable, sensitivity, gain, full_scale, format, skip_broken
         As in `open_recording`.
 
     Returns

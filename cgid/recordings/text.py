@@ -18,12 +18,12 @@ from numpy.typing import NDArray
 from cgid._lib.terminal import counted
 from cgid._lib.validation import rates_agree
 from cgid.errors import BadData
+from cgid.recordings.gaps import counts
 from cgid.recordings.recording import (
     MAX_CHANNELS,
     Asked,
     Blocks,
     Remark,
-    counts,
     require_one_rate,
     with_gaps,
 )
@@ -153,9 +153,6 @@ class Body:
                 # Parsing line by line either finds the error or skips the text that numpy could not parse.
                 checked = list(self._checked_rows(text, layout, times, needed, sample, piece))
                 rows = np.loadtxt(checked, comments=None, ndmin=2) if checked else np.empty((0, layout.n_columns))
-            if piece.is_last and self.broken:
-                lines = counted(len(self.broken), "broken line")
-                self.warnings.append(f"{lines} skipped, the first is line {min(self.broken)}; its samples are missing")
             yield rows, piece
             sample += len(rows)
 
@@ -179,6 +176,19 @@ class Body:
                     continue
                 yield " ".join(["nan"] * layout.n_columns)
             sample += 1
+
+    @property
+    def message(self) -> list[str]:
+        """How many broken lines were skipped, one line at most."""
+        lines = counted(len(self.broken), "broken line")
+        return [f"{lines} skipped, the first is line {min(self.broken)}; samples are missing"] if self.broken else []
+
+    def words(self, piece: Piece) -> list[str]:
+        """Return the labels of the rows of a piece."""
+        lines = enumerate(piece.text.split("\n"), piece.line)
+        delimiter, at = self.layout.delimiter, self.layout.label or 0
+        rows = [line.split(delimiter) for number, line in lines if number not in self.broken]
+        return [row[at].strip("\"' \r") if at < len(row) else "" for row in rows]
 
     def last_row(self) -> Floats | None:
         """Return the last row, (n_columns,), None if the end of the file does not show it."""
@@ -255,10 +265,13 @@ def _checked_row(
     if is_comment(line):
         raise _among_rows(number, line, sample, source)
     fields = layout.fields(line.partition("#")[0])
-    if len(fields) != layout.n_columns:
+    n_needed, n_fields = layout.n_columns, len(fields)
+    if layout.words:
+        n_needed, n_fields = max(layout.picked) + 1, line.count(layout.delimiter or "") + 1
+    if n_fields < n_needed or (n_fields > n_needed and not layout.words):
         raise BadData(
-            f"{source}: every row must have {layout.n_columns} fields as the first one has, sample {sample} "
-            f"(line {number}) has {len(fields)}{_decimal_hint(fields, layout)}; repair or cut the recording there, or "
+            f"{source}: every row must have {n_needed} fields as the first one has, sample {sample} "
+            f"(line {number}) has {n_fields}{_decimal_hint(fields, layout)}; repair or cut the recording there, or "
             "leave such lines out by --skip-broken"
         )
     values = [layout.number(field) for field in fields]
@@ -326,7 +339,8 @@ def _header_and_body(path: Path, encoding: str, source: str, warnings: list[str]
         above.append(line)
         start += len(line)
         line = following
-    if layout is None and loose is not None:
+    # A broken row among such rows may have numbers alone.
+    if loose is not None and (layout is None or loose_layout_of(simpler(above[-1]), simpler(loose[1]), loose[-1])):
         layout, line, following, start, above = loose
     if layout is None:
         raise _not_understood(above, source)
@@ -567,6 +581,40 @@ def assembled(header: Header, body: Body, warnings: list[str], asked: Asked, tim
         "gains": _for_each(header.gains, len(samples_columns)),
         "warnings": warnings,
     }
+
+    def new_times() -> EvenTimes:
+        return EvenTimes(measured or 0.0, source, asked.sampling_rate, clock.period if clock else math.inf)
+
+    def placed(picked: Sequence[int]) -> Iterator[tuple[NDArray[np.int64], Floats, Piece]]:
+        even, count, end = None if measured is None else new_times(), 0, 0
+        for rows, piece in body.pieces(times, picked):
+            places = np.arange(end, end + len(rows))
+            if even is not None and clock is not None:
+                if piece.is_restart:
+                    even, count = new_times(), end
+                places = count + even.feed(clock.times(rows))
+            yield places, rows, piece
+            end = int(places[-1]) + 1 if len(rows) else end
+        warnings.extend([*([] if even is None else even.message), *body.message])
+
+    def blocks(length: int, channels: Sequence[int]) -> Iterator[tuple[int, NDArray[Any]]]:
+        picked = [samples_columns[channel] for channel in channels]
+        for places, rows, _ in placed(picked):
+            for at, samples in with_gaps(places, np.ascontiguousarray(rows.T[picked])):
+                for first in range(0, samples.shape[1], length):
+                    yield at + first, samples[:, first : first + length]
+
+    def labels() -> Iterator[tuple[int, int, str]]:
+        begin, end, label = 0, 0, ""
+        for places, _, piece in placed(()):
+            for place, word in zip(places.tolist(), body.words(piece), strict=False):
+                if word != label:
+                    yield from [(begin, end, label)] if label else []
+                    begin, label = place, word
+                end = place + 1
+        yield from [(begin, end, label)] if label else []
+
+    about["labels"] = None if body.layout.label is None else labels
     if beginning.is_last and finite[[*times, *samples_columns]].all():
         if measured is not None and clock is not None:
             even = EvenTimes(measured, source, asked.sampling_rate, clock.period)
@@ -575,25 +623,8 @@ def assembled(header: Header, body: Body, warnings: list[str], asked: Asked, tim
             about["gaps"] = [(at, int(lost[at])) for at in np.flatnonzero(lost).tolist()]
             about["n_samples"] = int(places[-1]) + 1
             warnings += even.message
+        warnings += body.message
         return Blocks.of_array(np.ascontiguousarray(rows.T[samples_columns]), **about)
-
-    def new_times() -> EvenTimes:
-        return EvenTimes(measured or 0.0, source, asked.sampling_rate, clock.period if clock else math.inf)
-
-    def blocks(length: int, channels: Sequence[int]) -> Iterator[tuple[int, NDArray[Any]]]:
-        picked = [samples_columns[channel] for channel in channels]
-        even, count, end = None if measured is None else new_times(), 0, 0
-        for rows, piece in body.pieces(times, picked):
-            places = np.arange(end, end + len(rows))
-            if even is not None and clock is not None:
-                if piece.is_restart:
-                    even, count = new_times(), end
-                places = count + even.feed(clock.times(rows))
-            for at, samples in with_gaps(places, np.ascontiguousarray(rows.T[picked])):
-                for first in range(0, samples.shape[1], length):
-                    yield at + first, samples[:, first : first + length]
-            end = int(places[-1]) + 1 if len(rows) else end
-        warnings.extend([] if even is None else even.message)
 
     return Blocks(n_channels=len(samples_columns), read=blocks, **about)
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from cgid._lib.terminal import counted
 from cgid._lib.validation import RATE_TOLERANCE
 from cgid.errors import BadData
-from cgid.recordings.recording import counts
+from cgid.recordings.gaps import counts
 from cgid.units import hertz_of, seconds_of
 
 if TYPE_CHECKING:

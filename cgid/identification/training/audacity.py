@@ -54,7 +54,9 @@ def read_track(path: Path) -> list[tuple[float, float, str]]:
     return found
 
 
-def fill_in(rows: Sequence[MutableMapping[str, str]], marks: Iterable[tuple[float, float, str]]) -> tuple[int, int]:
+def fill_in(
+    rows: Sequence[MutableMapping[str, str]], marks: Iterable[tuple[float, float, str]], by: str = "audacity"
+) -> tuple[int, int]:
     """Give the labels of marks to rows, in order of time, and return how many rows have one, and marks without a row.
 
     A longer mark is given first, so that shorter ones in it prevail.
@@ -66,6 +68,6 @@ def fill_in(rows: Sequence[MutableMapping[str, str]], marks: Iterable[tuple[floa
         if begin == end and inside:
             inside = range(*(min((abs(times[k] - begin), k) for k in inside)[1] + step for step in (0, 1)))
         for k in inside:
-            rows[k]["label"], rows[k]["by"] = text, "audacity"
+            rows[k]["label"], rows[k]["by"] = text, by
         lost += not inside
     return sum(bool(row["label"]) for row in rows), lost

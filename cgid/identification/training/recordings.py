@@ -83,6 +83,7 @@ class Reading:
     gain: Statement | None = None
     full_scale: Statement | None = None
     format: str | None = None
+    skip_broken: bool = False
     failed: Callable[[CgidError], object] = lambda error: None
 
     def note(self, error: CgidError, failures: list[CgidError]) -> None:
@@ -232,6 +233,7 @@ def opened(annotations: tuple[Annotation, ...], reading: Reading, *, hashed: boo
         gain=first.recording_gain or (None if any(one.gain is not None for one in annotations) else reading.gain),
         full_scale=first.full_scale or reading.full_scale,
         format=first.format or reading.format,
+        skip_broken=reading.skip_broken,
     )
     unit = unit_of(recording)
     digest = digest_of(first.path) if hashed else ""
