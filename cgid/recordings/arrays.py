@@ -280,7 +280,8 @@ def read_hdf5(path: Path, source: str, asked: Asked) -> Blocks:
             read=read,
             seekable=True,
             about=array.attributes,
-            is_integer=array.is_integer,
+            full_scale=full_scale_of(array.dtype),
+            is_integer=array.dtype.kind in "iu",
             fault=array.fault,
             warning=array.warning,
         )

@@ -44,7 +44,7 @@ class _Tdms:
         self._file.seek(0)
         with self.library_errors():
             # Given a file handle, nptdms does not look for an index file.
-            self.tdms = nptdms.TdmsFile.open(self._file)
+            self.tdms = nptdms.TdmsFile.open(self._file, raw_timestamps=True)
             groups = self.tdms.groups()
             every = [self.tdms, *groups, *(channel for group in groups for channel in group.channels())]
         #: What offsets of channels count from where no channel states a start.
@@ -93,14 +93,17 @@ class _Tdms:
         for first in range(start, len(channel), step):
             count = min(step, len(channel) - first)
             with self.library_errors():
-                samples = np.asarray(channel.read_data(first, count))
+                samples = channel.read_data(first, count)
+                # Cut to microseconds, stamps would be uneven.
+                samples = samples.as_datetime64("ns") if channel.dtype.kind == "M" else np.asarray(samples)
             if len(samples) != count:
                 raise BadData(
                     f"{self.source}: channel {channel.name} must have {len(channel)} samples, got "
                     f"{first + len(samples)}; the file is damaged, copy it again"
                 )
             if samples.dtype.kind == "M":
-                samples = (samples - channel.read_data(0, 1)[0]) / np.timedelta64(1, "s")
+                origin = samples[0] if not first else channel.read_data(0, 1).as_datetime64("ns")[0]
+                samples = np.rint((samples - origin) / np.timedelta64(1, "us")) / 1e6
             channels_with_numbers = np.float32 if samples.dtype == np.float32 else np.float64
             for begin in range(0, len(samples), length):
                 yield samples[np.newaxis, begin : begin + length].astype(channels_with_numbers)
@@ -174,9 +177,9 @@ def _values(properties: Any) -> dict[str, Value]:
     for name, value in properties.items():
         if not is_statement(name):
             continue
-        if isinstance(value, np.datetime64):
+        if hasattr(value, "as_datetime64"):
             # TDMS timestamps are in UTC; datetime covers only the years 1 to 9999.
-            stamp = value.astype("datetime64[us]").item()
+            stamp = value.as_datetime64("us").item()
             if isinstance(stamp, datetime) and stamp.replace(tzinfo=UTC) != _EPOCH:
                 units[name] = stamp.replace(tzinfo=UTC)
         elif isinstance(value, str | int | float):

@@ -129,17 +129,17 @@ class Body:
             yield Piece(text, line, is_last)
             line += text.count("\n")
 
-    def pieces(self, times: Sequence[int], samples: Sequence[int] = ()) -> Iterator[tuple[Floats, Piece]]:
+    def pieces(self, times: Sequence[int] | None, samples: Sequence[int] = ()) -> Iterator[tuple[Floats, Piece]]:
         """Yield rows (n, n_columns) in order, and as they are written; raises `BadData` with sample and line."""
         # Times must be finite; in columns of samples nan and inf stand for a lost sample; elsewhere invalid fields
-        # become nan.
-        needed = [*times, *samples]
+        # become nan. Whether there are times is not known from the beginning.
+        needed = [*(times or ()), *samples]
         layout, sample, points = self.layout, 0, bool(self.layout.picked)
         comment: tuple[int, str] | None = None
         for piece in self.texts():
             # Comments are allowed after the last row; among the rows they may replace samples.
             without_end = _without_end(piece.text)
-            if without_end and comment is not None and not (piece.is_restart or (self.skip_broken and times)):
+            if without_end and comment is not None and not (piece.is_restart or (self.skip_broken and times != [])):
                 raise _among_rows(*comment, sample, self.source)
             if comment is None and len(without_end) < len(piece.text):
                 comment = piece.line + without_end.count("\n"), piece.text[len(without_end) :].partition("\n")[0]
@@ -157,22 +157,22 @@ class Body:
             sample += len(rows)
 
     def _checked_rows(
-        self, text: str, layout: Layout, times: Sequence[int], needed: Sequence[int], sample: int, piece: Piece
+        self, text: str, layout: Layout, times: Sequence[int] | None, needed: Sequence[int], sample: int, piece: Piece
     ) -> Iterator[str]:
         # Only the last line of the file may lack its line feed.
         unended = piece.line + text.count("\n") if piece.is_last else 0
         for number, line in enumerate(text.removesuffix("\n").split("\n"), piece.line):
             try:
-                yield _checked_row(line, layout, times, needed, number, sample, self.source)
+                yield _checked_row(line, layout, times or (), needed, number, sample, self.source)
             except BadData:
                 if number == unended and sample:
                     self.warnings.append(f"the last line ({number}) is cut off and was left out")
                     return
                 # Times show where a sample is missing; without them a comment may or may not stand for one.
-                if not self.skip_broken or (is_comment(line) and not times):
+                if not self.skip_broken or (is_comment(line) and times == []):
                     raise
                 self.broken.add(number)
-                if times:
+                if times or is_comment(line):
                     continue
                 yield " ".join(["nan"] * layout.n_columns)
             sample += 1
@@ -468,7 +468,9 @@ def _n_names(above: Sequence[str], layout: Layout) -> int:
     if layout.delimiter is None or len(layout.delimiter) > 1 or is_comment(last):
         return 0
     fields = last.strip().strip(layout.delimiter).split(layout.delimiter)
-    is_list = len(fields) > 1 and all(column_of(one).name for one in fields) and not re.search("[:=]", last)
+    is_list = (
+        len(fields) > 1 and all(column_of(one) != ColumnHeader() for one in fields) and not re.search("[:=]", last)
+    )
     return len(fields) if is_list else 0
 
 
@@ -524,7 +526,7 @@ def _refuse_doubtful_comma(body: Body, header: Header, first: str, above: deque[
 def assembled(header: Header, body: Body, warnings: list[str], asked: Asked, times: list[int] | None = None) -> Blocks:
     """Return the channels of rows below a header; `times` are the columns of times if they are known."""
     columns, source = header.columns, body.source
-    rows, beginning = next(body.pieces(()))
+    rows, beginning = next(body.pieces(None))
     left_out = []
     stamp = body.layout.stamp
     if times is None and stamp is not None:
@@ -550,8 +552,8 @@ def assembled(header: Header, body: Body, warnings: list[str], asked: Asked, tim
         raise BadData(f"{source}: a recording must have a channel besides time, there is none; export it again")
     # Gaps in a channel matter only if it is read, but times must be complete.
     finite: NDArray[np.bool_] = np.all(np.isfinite(rows), axis=0)
-    if not finite[times].all():
-        rows, beginning = next(body.pieces(times))
+    if not finite[times].all() or body.skip_broken:
+        rows, beginning = next(body.pieces(times, samples_columns if body.skip_broken else ()))
         finite = np.all(np.isfinite(rows), axis=0)
     measured = None
     if clock is not None and len(rows) > 1:

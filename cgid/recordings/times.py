@@ -125,8 +125,8 @@ def clocks_of(columns: Sequence[ColumnHeader], rows: Floats, source: str) -> lis
 
 def clock_of(column: ColumnHeader, times: Floats, source: str, at: int = 0) -> Clock:
     """Return the clock of one column of times: its unit is stated, else in its name, else told by the numbers."""
-    part = None if column.unit else _part(column.name)
-    factor = _WORDS[part][0] if part is not None else 0.0
+    place = None if column.unit else part(column.name)
+    factor = _WORDS[place][0] if place is not None else 0.0
     if not 0 < factor < 1:
         factor = _by_size(times, source) if not column.unit else seconds(column.unit, source)
         finite = times[np.isfinite(times)]
@@ -149,10 +149,8 @@ def _by_size(times: Floats, source: str) -> float:
         return _DAY
     if first < _EPOCH:
         return 1.0
-    factor = 1.0
-    while first * factor > _LATEST:
-        factor /= 1000
-    if step * factor > 1 or factor < 1e-9:
+    factor = next((one for one in (1.0, 1e-3, 1e-6, 1e-9) if first * one <= _LATEST), 0.0)
+    if step * factor > 1 or not factor:
         raise BadData(
             f"{source}: times of {first:.10g} without a unit must be since 1970, in s, ms, us or ns by their size, but "
             f"then they are {step * factor:.6g} s apart; state their unit in the header"
@@ -160,7 +158,7 @@ def _by_size(times: Floats, source: str) -> float:
     return factor
 
 
-def _part(name: str) -> int | None:
+def part(name: str) -> int | None:
     """Return the place in `_WORDS` of the last word of a name, None for another word."""
     match = _LAST_WORD.fullmatch(name)
     return next((at for at, (_, words) in enumerate(_WORDS) if match and re.fullmatch(words, match[1].lower())), None)
@@ -171,12 +169,12 @@ def _parts(columns: Sequence[ColumnHeader], rows: Floats) -> dict[int, int]:
     parts: dict[int, int] = {}
     seconds_at = next(at for at, (factor, _) in enumerate(_WORDS) if factor == 1)
     for at, column in enumerate(columns):
-        part = _part(f"{column.name} {column.unit}".strip())
+        place = part(f"{column.name} {column.unit}".strip())
         last = list(parts.values())[-1:]
-        if part is not None and (not last or (last[0] < part and at - 1 in parts)):
-            parts[at] = part
+        if place is not None and (not last or (last[0] < place and at - 1 in parts)):
+            parts[at] = place
         elif len(parts) < 2:
-            parts = {} if part is None else {at: part}
+            parts = {} if place is None else {at: place}
     whole = [at for at, part in parts.items() if part <= seconds_at]
     # Each column that runs evenly is a time of its own.
     if len(parts) < 2 or seconds_at not in parts.values() or runs_evenly(rows[:, whole[0]]):
@@ -407,8 +405,10 @@ def _printed_digit(times: Floats) -> float:
     # power may all end in zeros by chance, so they remove one place only.
     last_power = 10.0 ** math.floor(math.log10(largest))
     digit = min(_last_digit(sizes[sizes >= last_power]), 10 * _last_digit(sizes[sizes >= largest / 2]))
+    if largest >= _DAY * _SPREADSHEET_DAYS[0]:
+        digit = max(digit, _DAY * _last_digit(sizes / _DAY))
     # Nor are they known better than their type holds them.
-    return max(digit, 2 * float(np.spacing(largest)))
+    return digit + 2 * float(np.spacing(largest))
 
 
 def _last_digit(sizes: Floats) -> float:

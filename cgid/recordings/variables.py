@@ -19,7 +19,7 @@ from cgid._lib.validation import rates_agree
 from cgid.errors import BadData
 from cgid.recordings.recording import SIMULTANEOUS, Asked, Blocks, ReadBlocks, Remark, require_one_rate
 from cgid.recordings.text_layout import ColumnHeader, column_of
-from cgid.recordings.times import clocks_of, is_time_name, rate_of_blocks, seconds
+from cgid.recordings.times import clocks_of, is_time_name, part, rate_of_blocks, seconds
 from cgid.units import hertz_of, known_unit, number_and_unit, plain_unit, ratio_of, seconds_of
 
 #: Values with names in a file; a list has one value per channel.
@@ -497,6 +497,7 @@ def _measured(
     times: Sequence[Variable], source: str, given: float | None
 ) -> Iterator[tuple[str, tuple[float, list[tuple[int, int]]]]]:
     """Yield the path of arrays of times with the rate [Hz] and the gaps that they give."""
+    times = sorted(times, key=lambda one: part(one.name) or 0)
     for one in times:
         _require_readable(one, source)
     shown = [next(iter(one.read(_SHOWN, (0,))))[0] for one in times]

@@ -59,7 +59,7 @@ class ForeignArray:
     path: str
     shape: tuple[int, ...]
     attributes: dict[str, Any]
-    is_integer: bool
+    dtype: np.dtype[Any]
     fault: str
     warning: str
 
@@ -102,7 +102,7 @@ def survey(
                         path=item.name,
                         shape=item.shape,
                         attributes=attributes,
-                        is_integer=item.dtype.kind != "f",
+                        dtype=item.dtype,
                         fault=fault,
                         warning=warning,
                     )
