@@ -97,10 +97,12 @@ class Poles:
     def without_window(self, tau: float) -> Poles:
         """Return the modes without the damping that an exponential window of this time constant [s] adds."""
         pole = self.pole + 1 / tau
-        damped = np.flatnonzero(pole.real < -MIN_DAMPING * np.abs(pole))
+        # Of a damping that is nearly all the window's, little is known.
+        with np.errstate(divide="ignore"):
+            unsure = self.deviation[1] * np.abs(self.pole.real / pole.real)
+        damped = np.flatnonzero((pole.real < -MIN_DAMPING * np.abs(pole)) & (unsure < _MAX_UNSURE))
         found = self.taken(damped)
-        ratio = found.pole.real / pole[damped].real
-        deviation = np.stack([found.deviation[0], found.deviation[1] * ratio])
+        deviation = np.stack([found.deviation[0], unsure[damped]])
         apart = self.apart + 1 / tau
         apart = apart[apart.real < -MIN_DAMPING * np.abs(apart)]
         return replace(found, pole=pole[damped], deviation=deviation, apart=apart)

@@ -71,7 +71,7 @@ def events(
     """
     from cgid._lib.files import check_new, write_whole
     from cgid.identification.prediction.settings import require_groups
-    from cgid.identification.training.audacity import read_track
+    from cgid.identification.training.audacity import fill_in, read_track
     from cgid.identification.training.manifest import manifest_text, recordings_of, require_labels_kept
 
     beams = require_groups(same_beam)
@@ -94,7 +94,12 @@ def events(
     errors, n_read = FileErrors(strict=strict), 0
     for file in errors.each(every):
         with errors:
-            rows += _labelled_rows(file, folder, reading, beams, rates)
+            if file == "-":
+                raise InvalidValue("stdin: a table of impacts must name files, a stream has no name; save it first")
+            recording = reading.recording(file)
+            found = list(_rows(recording, cells_of(file, folder, reading), reading, beams, rates))
+            fill_in(found, recording.labels(), "column")
+            rows += found
             n_read += 1
     if not rows:
         return errors.code
@@ -178,28 +183,8 @@ def cells_of(file: str, folder: Path, reading: ReadingOptions) -> dict[str, str]
     }
 
 
-def _labelled_rows(
-    file: str, folder: Path, reading: ReadingOptions, beams: Groups, rates: Collection[float]
-) -> list[dict[str, str]]:
-    """Return a row for each impact of a recording, with the label of its column of labels."""
-    from cgid.identification.training.audacity import fill_in
-
-    if file == "-":
-        raise InvalidValue("stdin: a table of impacts must name files, a stream has no name; save it first")
-    recording = reading.recording(file)
-    rows = list(_rows(file, folder, recording, reading, beams, rates))
-    if marks := recording.labels():
-        fill_in(rows, marks, "column")
-    return rows
-
-
 def _rows(
-    file: str,
-    folder: Path,
-    recording: RecordingFile,
-    reading: ReadingOptions,
-    beams: Groups,
-    rates: Collection[float],
+    recording: RecordingFile, given: dict[str, str], reading: ReadingOptions, beams: Groups, rates: Collection[float]
 ) -> Iterator[dict[str, str]]:
     """Yield a row for each impact of a recording; the columns are those of a manifest and informative ones."""
     from cgid.identification.detection import Event
@@ -216,7 +201,6 @@ def _rows(
         recording, kind, sorted(rates), sign, dead_time=reading.dead_time, joint=not beams, told=warn
     )
     names = [channel.name for channel in recording.channels]
-    given = cells_of(file, folder, reading)
     if not beams:
         yield from ({**given, **row} for row in interval_rows([[event] for event in events], unit))
         return

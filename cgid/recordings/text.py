@@ -19,14 +19,7 @@ from cgid._lib.terminal import counted
 from cgid._lib.validation import rates_agree
 from cgid.errors import BadData
 from cgid.recordings.gaps import counts
-from cgid.recordings.recording import (
-    MAX_CHANNELS,
-    Asked,
-    Blocks,
-    Remark,
-    require_one_rate,
-    with_gaps,
-)
+from cgid.recordings.recording import MAX_CHANNELS, Asked, Blocks, Remark, require_one_rate, with_gaps
 from cgid.recordings.text_layout import (
     MIXED,
     SNIFFED,
@@ -558,12 +551,9 @@ def assembled(header: Header, body: Body, warnings: list[str], asked: Asked, tim
     measured = None
     if clock is not None and len(rows) > 1:
         last = None if beginning.is_last else body.last_row()
-        measured = _measured_rate(columns, clocks, rows, last, source, asked.sampling_rate)
-        if (
-            columns
-            and (unit := column_of(columns[times[0]].name).unit)
-            and (len(clock.columns) == 1 and seconds(unit, source) != clock.factors[0])
-        ):
+        measured = _measured_rate([one.name for one in columns], clocks, rows, last, source, asked.sampling_rate)
+        unit = column_of(columns[times[0]].name).unit if columns and len(clock.columns) == 1 else ""
+        if unit and seconds(unit, source) != clock.factors[0]:
             warnings.append(
                 f"the time column {columns[times[0]].name!r} is stated to be in {columns[times[0]].unit or 's'}; check "
                 f"the sampling rate of {measured:.6g} Hz"
@@ -637,12 +627,7 @@ def _for_each(stated: tuple[str, ...], n_channels: int) -> Sequence[str]:
 
 
 def _measured_rate(
-    columns: tuple[ColumnHeader, ...],
-    clocks: Sequence[Clock],
-    rows: Floats,
-    last: Floats | None,
-    source: str,
-    given: float | None,
+    names: Sequence[str], clocks: Sequence[Clock], rows: Floats, last: Floats | None, source: str, given: float | None
 ) -> float:
     """Return the sampling rate [Hz] of the time columns, which must agree."""
     rates = []
@@ -655,8 +640,8 @@ def _measured_rate(
     for (earlier, a), (later, b) in pairwise(zip(clocks, rates, strict=True)):
         if not rates_agree(a, b):
             raise BadData(
-                f"{source}: the sampling rate must be one to 0.1 %, time column {columns[earlier.columns[0]].name!r} "
-                f"gives {a:.10g} Hz and {columns[later.columns[0]].name!r} {b:.10g} Hz; export the channels of one "
+                f"{source}: the sampling rate must be one to 0.1 %, time column {names[earlier.columns[0]]!r} "
+                f"gives {a:.10g} Hz and {names[later.columns[0]]!r} {b:.10g} Hz; export the channels of one "
                 "rate only"
             )
     return rates[0]

@@ -39,17 +39,8 @@ _CHANNEL_NAMES = frozenset(("channelnames", "channelname", "channels", "channell
 _GAIN_NAMES = frozenset(("gain", "chargegain", "amplifiergain"))
 _SCALE_NAMES = frozenset(("scale", "slope", "gain", "scalefactor"))
 _OFFSET_NAMES = frozenset(("offset", "intercept", "addoffset"))
-_NAMES = (
-    _RATE_NAMES
-    | _INTERVAL_NAMES
-    | _UNIT_NAMES
-    | _X_UNIT_NAMES
-    | _START_NAMES
-    | _CHANNEL_NAMES
-    | _GAIN_NAMES
-    | _SCALE_NAMES
-    | _OFFSET_NAMES
-)
+_NAMES = _RATE_NAMES | _INTERVAL_NAMES | _UNIT_NAMES | _X_UNIT_NAMES | _START_NAMES | _CHANNEL_NAMES | _GAIN_NAMES
+_NAMES |= _SCALE_NAMES | _OFFSET_NAMES
 #: Groups beside the arrays whose values are those of the file.
 _HEADERS = frozenset(("header", "info", "meta", "metadata", "fileheader"))
 
