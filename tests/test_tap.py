@@ -10,7 +10,7 @@ import pytest
 from cgid.calibration import Flaw, tap_test
 from cgid.calibration.agreement import shifted
 from cgid.calibration.matching import matched
-from cgid.calibration.poles import poles_of
+from cgid.calibration.poles import Poles, poles_of
 from cgid.calibration.splice import Splice, moved, spans_of
 from cgid.cli.main import run
 from cgid.errors import BadData
@@ -409,6 +409,22 @@ def test_an_exponential_window_is_undone(tau):
     assert test.modes.frequency.size <= 6
     np.testing.assert_allclose(test.modes.frequency[near], FREQUENCY[:5], rtol=3e-4)
     np.testing.assert_allclose(test.modes.damping_ratio[near], DAMPING[:5], rtol=0.05)
+
+
+def test_a_mode_whose_damping_is_that_of_the_window_is_none():
+    # 1 / tau is 20 / s: of the first mode 10 / s remain, known to 6 %; of the second .2 / s, known to 200 %.
+    pole = np.array([-30.0 + 1000j, -20.2 + 2000j])
+    modes = Poles(
+        pole=pole,
+        deviation=np.full((2, 2), 0.02),
+        amplitude=np.ones((1, 2), complex),
+        amplitude_deviation=np.zeros((2, 1, 2)),
+        orders=np.ones(2, int),
+        chart=np.empty((0, 4)),
+        apart=pole,
+    ).without_window(0.05)
+    assert modes.pole.tolist() == [-10 + 1000j]
+    np.testing.assert_allclose(modes.deviation[:, 0], [0.02, 0.06])
 
 
 def test_a_weak_mode_on_the_flank_of_a_strong_one_is_found():
