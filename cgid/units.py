@@ -20,17 +20,20 @@ STANDARD_GRAVITY = 9.80665
 
 #: Units of samples: quantity -> unit -> factor to the SI unit, which comes first.
 UNITS: Mapping[str, Mapping[str, float]] = {
-    "force": {"N": 1.0, "kN": 1e3, "MN": 1e6, "mN": 1e-3, "lbf": 4.4482216152605},
+    "force": {"N": 1.0, "kN": 1e3, "MN": 1e6, "mN": 1e-3, "lbf": 4.4482216152605, "kgf": STANDARD_GRAVITY},
     "acceleration": {
         "m/s^2": 1.0,
         "m/s2": 1.0,
         "m/s²": 1.0,
         "m/s**2": 1.0,
         "mm/s^2": 1e-3,
+        "cm/s^2": 1e-2,
+        "in/s^2": 0.0254,
+        "ft/s^2": 0.3048,
         "g": STANDARD_GRAVITY,
         "mg": 1e-3 * STANDARD_GRAVITY,
     },
-    "velocity": {"m/s": 1.0, "cm/s": 1e-2, "mm/s": 1e-3, "km/h": 1 / 3.6},
+    "velocity": {"m/s": 1.0, "cm/s": 1e-2, "mm/s": 1e-3, "in/s": 0.0254, "km/h": 1 / 3.6},
     "displacement": {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "µm": 1e-6},
     "pressure": {"Pa": 1.0, "kPa": 1e3, "MPa": 1e6, "GPa": 1e9},
     "voltage": {"V": 1.0, "mV": 1e-3, "uV": 1e-6, "µV": 1e-6},
@@ -103,12 +106,17 @@ _WRITTEN_OUT = {
     **dict.fromkeys(("s/s", "sps"), "Hz"),
     **dict.fromkeys(("volt", "volts"), "V"),
     **dict.fromkeys(("mvolt", "mvolts", "millivolt", "millivolts"), "mV"),
-    **dict.fromkeys(("ms-2", "ms^-2", "ms⁻²", "m/s/s"), "m/s^2"),
+    **dict.fromkeys(("ms-2", "ms^-2", "ms⁻²", "m/s/s", "mps2", "m.s-2", "m.s^-2", "m*s^-2", "m s-2"), "m/s^2"),
+    **dict.fromkeys(("m s^-2", "m s⁻²", "m·s⁻²"), "m/s^2"),
+    **dict.fromkeys(("gal", "gals", "cm/s2", "cm/s²"), "cm/s^2"),
+    **dict.fromkeys(("in/s2", "in/s²"), "in/s^2"),
+    **dict.fromkeys(("ft/s2", "ft/s²"), "ft/s^2"),
+    **dict.fromkeys(("lbs", "lb"), "lbf"),
     **dict.fromkeys(("newton", "newtons"), "N"),
     **dict.fromkeys(("pascal", "pascals"), "Pa"),
     **dict.fromkeys(("meters", "metres"), "m"),
     "strain": "m/m",
-    "gs": "g",
+    **dict.fromkeys(("gs", "gn", "g_n", "g0"), "g"),
 }
 
 _NUMBER = re.compile(r"([-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+))(?:[eE]([-+]?[0-9]{1,9}))?\s*(.*)")
@@ -153,17 +161,18 @@ def known_unit(text: str) -> str | None:
     ('kN', 'V', None)
     """
     unit = plain_unit(text)
-    unit = unit if unit in KNOWN_UNITS else _WRITTEN_OUT.get(unit.lower(), "")
+    unit = unit if unit in KNOWN_UNITS else "g" if unit == "G" else _WRITTEN_OUT.get(unit.lower(), "")
     return unit if unit in KNOWN_UNITS else None
 
 
 def seconds_of(unit: str) -> float | None:
-    """Return the factor from a unit of sample times to seconds: 1 for "", None for any other unit.
+    """Return the factor from a unit of sample times, in any case, to seconds: 1 for "", None for any other unit.
 
-    >>> seconds_of("msec"), seconds_of(""), seconds_of("h")
-    (0.001, 1.0, None)
+    >>> seconds_of("msec"), seconds_of("MS"), seconds_of(""), seconds_of("h")
+    (0.001, 0.001, 1.0, None)
     """
-    factor = _TIME.get(_WRITTEN_OUT.get(unit.lower(), unit)) if unit else 1.0
+    name = unit.lower().replace("\u03bc", "µ")
+    factor = _TIME.get(_WRITTEN_OUT.get(name, name)) if unit else 1.0
     return factor if factor is not None and factor <= 1 else None
 
 

@@ -14,6 +14,7 @@ from scipy.io import savemat
 from cgid.errors import BadData, CgidError, MissingOption
 from cgid.recordings import open_recording
 from cgid.recordings import tdms as tdms_reader
+from cgid.recordings.recording import Asked
 from cgid.recordings.variables import Variable, contents_of
 from cgid.store.table import is_table
 from tests import few, recording_files
@@ -355,15 +356,20 @@ def test_tdms_is_what_nptdms_reads(tmp_path, monkeypatch, dtype, longest):
     monkeypatch.setattr(tdms_reader, "MAX_CHUNK_SIZE", longest)
     values = (100 * np.abs(SAMPLES)).astype(dtype)
     path = write_tdms(tmp_path / "a.tdms", whole(values))
-    recording, found = read(path)
+    # A unit does not say how many of it one step of integers is.
+    scale = {} if dtype.startswith("f") else {"full_scale": "32768 g at 16 bit"}
+    if scale:
+        with pytest.raises(MissingOption, match="--full-scale"):
+            open_recording(path)
+    recording, found = read(path, **scale)
     with nptdms.TdmsFile.open(path) as file:
         expected = np.stack([channel[:] for channel in file["beam"].channels()])
     assert np.array_equal(found, expected) and np.array_equal(found, values)
     assert found.dtype == (np.float32 if dtype == "f4" else np.float64)
     assert recording.sampling_rate == 25_600.0 and units(recording) == ["g"] * 3
     assert names(recording) == [f"cDAQ1Mod1/ai{k}" for k in range(3)]
-    assert np.array_equal(read(path, variable="cDAQ1Mod1/ai2")[1][0], values[2])
-    assert np.array_equal(read(path, variable="beam/cDAQ1Mod1/ai1", length=5000)[1][0], values[1])
+    assert np.array_equal(read(path, variable="cDAQ1Mod1/ai2", **scale)[1][0], values[2])
+    assert np.array_equal(read(path, variable="beam/cDAQ1Mod1/ai1", length=5000, **scale)[1][0], values[1])
 
 
 def test_tdms_of_several_groups_lengths_and_rates(tmp_path):
@@ -518,7 +524,7 @@ def test_parquet_is_what_was_written(parquet, compression):
     columns = {"t [ms]": np.arange(N) / 20, "force (kN)": SAMPLES[0], "n": (9 * SAMPLES[1]).astype("i2")}
     path = parquet(columns | {"acc": SAMPLES[2].astype("f4")}, {"unit": "g"}, compression=compression)
     assert not is_table(path)
-    recording, found = read(path)
+    recording, found = read(path, full_scale={"n": "32768 g"})
     expected = [SAMPLES[0], columns["n"], SAMPLES[2].astype("f4")]
     assert np.array_equal(found, expected)
     assert recording.sampling_rate == pytest.approx(20_000, rel=1e-12) and recording.format == "Parquet"
@@ -541,12 +547,12 @@ def test_channels_that_come_in_pieces_of_different_length_stay_together():
         Variable(name=f"c{k}", n_channels=1, n_samples=N, read=pieces(SAMPLES[k], most), about={"fs": 5.0})
         for k, most in enumerate((100, 37, 1000))
     ]
-    contents = contents_of(parts, {}, "made", "c*", [])
+    contents = contents_of(parts, {}, "made", Asked(variable="c*"), [])
     for channels in ((0, 1, 2), (2,), (1, 0)):
         assert np.array_equal(np.concatenate(list(contents.read(64, channels)), axis=1), SAMPLES[list(channels)])
     short = Variable(name="short", n_channels=1, n_samples=N, read=pieces(SAMPLES[0, :9], 5))
     with pytest.raises(BadData, match="3001 samples are declared, the file contains 9"):
-        list(contents_of([parts[0], short], {"": {"fs": 5.0}}, "made", "*", []).read(64, (0, 1)))
+        list(contents_of([parts[0], short], {"": {"fs": 5.0}}, "made", Asked(variable="*"), []).read(64, (0, 1)))
 
 
 _MEMORY = r"""

@@ -441,7 +441,7 @@ def test_the_readers_of_the_documentation_read_their_format(install, tmp_path, n
     for code in re.findall(r"```python\n(.*?)```", PAGE.read_text(), re.DOTALL)[:n]:
         exec(code, names)
     install("XYLOG", is_format=names["is_format"], read=names["read"])
-    samples = np.arange(-300, 300).reshape(300, 2)
+    samples = (np.arange(600) ** 2 % 601 - 300).reshape(300, 2)
     path = tmp_path / "hit.xyl"
     path.write_bytes(b"XYLOG001" + np.float64(51_200).tobytes() + samples.astype("<i2").tobytes())
     for name in (None, "xylog"):

@@ -124,7 +124,7 @@ def test_rate_of_a_long_text_is_that_of_its_ends(write, small_pieces):
     [
         (250, "0.1,oops", ["sample 249", "line 251", "'oops'"]),
         (250, "0.005646258", ["sample 249", "line 251", "has 1"]),
-        (250, "0.005660,2", ["even steps to 1 %, sample 25", "resample"]),
+        (250, "0.005660,2", ["even steps to 1 %, sample 25", "--rate"]),
         (250, "0.001,2", ["increase", "sample 249"]),
         (300, "0.0068,", ["sample 299", "line 301", "column 2 is empty"]),
     ],

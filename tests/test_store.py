@@ -462,3 +462,16 @@ def test_memory_does_not_grow_with_the_number_of_signals(tmp_path, monkeypatch):
         tracemalloc.stop()
     assert few > 256 * 256 * 4
     assert many < 1.2 * few
+
+
+@pytest.mark.parametrize(
+    "index", [slice(3, 9), slice(None, None, -70), slice(5, 5), (slice(290, 310), slice(0, 100)), (3, slice(0, 9))]
+)
+def test_slices_of_a_dataset_are_arrays_as_dask_wants_them(made, index):
+    dataset = Dataset(made / "cut300")
+    whole = np.stack([signal.samples for signal in dataset])
+    assert (dataset.shape, dataset.dtype, dataset.ndim) == (whole.shape, whole.dtype, 2)
+    np.testing.assert_array_equal(dataset[index], whole[index])
+    dask = pytest.importorskip("dask.array")
+    array = dask.from_array(dataset, chunks=(100, -1))
+    np.testing.assert_array_equal(array[10:400:3, ::5].compute(), whole[10:400:3, ::5])

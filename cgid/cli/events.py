@@ -55,7 +55,7 @@ def events(
     each beam and each other channel has rows of its own.
     """
     from cgid._lib.files import check_new, write_whole
-    from cgid.identification.training.audacity import read_track
+    from cgid.identification.training.audacity import fill_in, read_track
     from cgid.identification.training.manifest import manifest_text, recordings_of, require_labels_kept
 
     beams = reading.has_beams
@@ -78,7 +78,12 @@ def events(
     errors, n_read = FileErrors(), 0
     for file in errors.each(every):
         with errors:
-            rows += _rows(file, folder, reading, beams, rates)
+            if file == "-":
+                raise InvalidValue("stdin: a table of impacts must name files, a stream has no name; save it first")
+            recording = reading.recording(file)
+            found = list(_rows(recording, cells_of(file, folder, reading), reading, beams, rates))
+            fill_in(found, recording.labels(), "column")
+            rows += found
             n_read += 1
     if not rows:
         return errors.code
@@ -164,7 +169,7 @@ def cells_of(file: str, folder: Path, reading: ReadingOptions) -> dict[str, str]
 
 
 def _rows(
-    file: str, folder: Path, reading: ReadingOptions, beams: bool, rates: Collection[float]
+    recording: RecordingFile, given: dict[str, str], reading: ReadingOptions, beams: bool, rates: Collection[float]
 ) -> Iterator[dict[str, str]]:
     """Yield a row for each impact of a recording; the columns are those of a manifest and informative ones."""
     from cgid.identification.detection import Event
@@ -173,15 +178,11 @@ def _rows(
     from cgid.identification.training.recordings import unit_of
     from cgid.measure.features.extraction import kind_for
 
-    if file == "-":
-        raise InvalidValue("stdin: a table of impacts must name files, a stream has no name; save it first")
-    recording = reading.recording(file)
     unit = unit_of(recording)
     named = reading.beams(recording)
     kind = kind_for(quantity_of(unit))
     events = measured_impacts(recording, kind, sorted(rates), dead_time=reading.dead_time, joint=not beams, told=warn)
     names = [channel.name for channel in recording.channels]
-    given = cells_of(file, folder, reading)
     if not beams:
         yield from ({**given, **row} for row in interval_rows([[event] for event in events], unit))
         return

@@ -17,9 +17,17 @@ from numpy.lib import format as npy_format
 from numpy.typing import NDArray
 
 from cgid.errors import BadData, InvalidValue
-from cgid.recordings.recording import DATASET_HINT, MAX_ARRAYS, MAX_CHANNELS, Blocks, Remark, library_errors
+from cgid.recordings.recording import DATASET_HINT, MAX_ARRAYS, MAX_CHANNELS, Asked, Blocks, Remark, library_errors
 from cgid.recordings.text_layout import column_of
-from cgid.recordings.variables import Value, Variable, contents_of, full_scale_of, is_statement, orientation
+from cgid.recordings.variables import (
+    MATLAB_OBJECT,
+    Value,
+    Variable,
+    contents_of,
+    full_scale_of,
+    is_statement,
+    orientation,
+)
 
 if TYPE_CHECKING:
     from cgid.store.foreign import ForeignArray
@@ -28,13 +36,13 @@ if TYPE_CHECKING:
 _HEADER_SIZE = 1 << 16
 
 
-def read_npy(path: Path, source: str) -> Blocks:
+def read_npy(path: Path, source: str, asked: Asked) -> Blocks:
     """Return the channels of an NPY file; the longer of two axes is that of the samples."""
     with path.open("rb") as file:
         shape, fortran_order, dtype, offset = _header(file.read(_HEADER_SIZE), source)
         stored = os.fstat(file.fileno()).st_size - offset
     if dtype.names and len(shape) == 1 and math.prod(shape) * dtype.itemsize == stored:
-        return _records(path, source, shape[0], dtype, offset)
+        return _records(path, source, asked, shape[0], dtype, offset)
     if dtype.kind not in "fiu":
         raise BadData(f"{source}: samples must be real numbers, got type {dtype}; save them as float64")
     if len(shape) not in (1, 2) or min(shape) < 0:
@@ -79,7 +87,7 @@ def read_npy(path: Path, source: str) -> Blocks:
     )
 
 
-def _records(path: Path, source: str, n_samples: int, dtype: np.dtype[Any], offset: int) -> Blocks:
+def _records(path: Path, source: str, asked: Asked, n_samples: int, dtype: np.dtype[Any], offset: int) -> Blocks:
     """Return the fields of the records of an NPY file as channels, with the times among them."""
 
     def variable(name: str, stored: np.dtype[Any]) -> Variable:
@@ -109,7 +117,7 @@ def _records(path: Path, source: str, n_samples: int, dtype: np.dtype[Any], offs
     variables = [variable(name, stored) for name, stored in fields if stored.kind in "fiu" and not stored.shape]
     left_out = [name for name, stored in fields if stored.kind not in "fiu" or stored.shape]
     warnings: list[str] = [Remark(f"field {name} contains no numbers and is left out") for name in left_out]
-    return contents_of(variables, {}, source, None, warnings, group_is_one=True)
+    return contents_of(variables, {}, source, asked, warnings, group_is_one=True)
 
 
 def _header(start: bytes, source: str) -> tuple[tuple[int, ...], bool, np.dtype[Any], int]:
@@ -146,7 +154,9 @@ def require_readable_size(size: int, source: str, hint: str) -> None:
         )
 
 
-def blocks_of_arrays(arrays: Iterable[tuple[str, NDArray[Any]]], source: str, variable: str | None) -> Blocks:
+def blocks_of_arrays(
+    arrays: Iterable[tuple[str, NDArray[Any]]], source: str, asked: Asked, warnings: list[str]
+) -> Blocks:
     """Return the recording among arrays in memory, each with its path; single numbers and texts are metadata."""
     variables, statements = [], dict[str, dict[str, Value]]()
     for array_path, array in arrays:
@@ -156,7 +166,7 @@ def blocks_of_arrays(arrays: Iterable[tuple[str, NDArray[Any]]], source: str, va
             statements.setdefault(group, {})[name] = value
         elif array.dtype.kind in "fiu" and axes is not None and array.size:
             variables.append(_variable(group, name, array, axes))
-    return contents_of(variables, statements, source, variable, [])
+    return contents_of(variables, statements, source, asked, warnings)
 
 
 def _value(array: NDArray[Any]) -> Value | None:
@@ -189,7 +199,7 @@ def _variable(group: str, name: str, array: NDArray[Any], axes: tuple[int | None
     )
 
 
-def read_npz(path: Path, source: str, variable: str | None) -> Blocks:
+def read_npz(path: Path, source: str, asked: Asked) -> Blocks:
     """Return the channels of an array in an NPZ archive, or of several of one length."""
     arrays = []
     damage = library_errors(source, "the archive is damaged or cut off", "copy or save it again")
@@ -214,7 +224,7 @@ def read_npz(path: Path, source: str, variable: str | None) -> Blocks:
                 array = npy_format.read_array(file, allow_pickle=False)
                 file.read()  # zipfile compares the checksum at the end
             arrays.append((member.filename.removesuffix(".npy"), array))
-    return blocks_of_arrays(arrays, source, variable)
+    return blocks_of_arrays(arrays, source, asked, [])
 
 
 # ---- HDF5 ------------------------------------------------------------------------------------------------------------
@@ -241,33 +251,25 @@ def read_generated(path: Path) -> Blocks:
     )
 
 
-#: Attributes of packed numbers and their defaults: CF conventions 1.11, section 8.1.
-_PACKING = {"scale_factor": 1.0, "add_offset": 0.0}
-
-
-def read_hdf5(path: Path, source: str, variable: str | None) -> Blocks:
+def read_hdf5(path: Path, source: str, asked: Asked) -> Blocks:
     """Return the channels of one array of an HDF5 file, or of several arrays of one length."""
-    # Values of the array, its groups and the root state rate, unit, start and names: the nearest first. Packed numbers
-    # have `scale_factor` and `add_offset` (CF conventions).
+    # Values of the array, its groups and the root state rate, unit, start and names: the nearest first.
     from cgid.store.description import RECORDING_FORMAT, hdf5_format
     from cgid.store.foreign import array_blocks, survey
 
     stated_format = hdf5_format(path)
     if stated_format == RECORDING_FORMAT:
-        if variable not in (None, "samples"):
-            raise InvalidValue(f"{source}: the variable of a recording of cgid is 'samples', got {variable!r}")
+        if asked.variable not in (None, "samples"):
+            raise InvalidValue(f"{source}: the variable of a recording of cgid is 'samples', got {asked.variable!r}")
         return read_generated(path)
-    arrays, values, warnings = survey(path, source, lambda name: name in _PACKING or is_statement(name))
+    arrays, values, warnings, objects = survey(path, source, is_statement)
+    warnings += [Remark(MATLAB_OBJECT.format(*one)) for one in objects]
     if stated_format is None or stated_format.startswith("cgid"):
         raise BadData(f"{source}: an HDF5 file is a dataset, not one recording; {DATASET_HINT}")
 
     def variable_of(array: ForeignArray, axes: tuple[int | None, int]) -> Variable:
-        about = dict(array.attributes)
-        factor, offset = (_number(about.pop(name, default)) for name, default in _PACKING.items())
-
         def read(length: int, channels: Sequence[int], begin: int = 0) -> Iterator[NDArray[Any]]:
-            stored = array_blocks(path, source, array, axes, length, channels, begin)
-            return stored if (factor, offset) == (1.0, 0.0) else (offset + factor * block for block in stored)
+            return array_blocks(path, source, array, axes, length, channels, begin)
 
         across, along = axes
         return Variable(
@@ -277,16 +279,12 @@ def read_hdf5(path: Path, source: str, variable: str | None) -> Blocks:
             n_samples=array.shape[along],
             read=read,
             seekable=True,
-            about=about,
-            is_integer=array.is_integer and (factor, offset) == (1.0, 0.0),
+            about=array.attributes,
+            full_scale=full_scale_of(array.dtype),
+            is_integer=array.dtype.kind in "iu",
             fault=array.fault,
             warning=array.warning,
         )
 
     variables = [variable_of(array, axes) for array in arrays if (axes := orientation(array.shape)) is not None]
-    return contents_of(variables, values, source, variable, warnings)
-
-
-def _number(value: Any) -> float:
-    """Return a number unchanged, nan for anything else, so that the samples are rejected."""
-    return float(value) if isinstance(value, int | float) else float("nan")
+    return contents_of(variables, values, source, asked, warnings)

@@ -359,10 +359,10 @@ def _full_scale(scale: FullScale, stated: str | None, contents: Blocks, index: i
 
 
 def _require_full_scale(unit: str | None, contents: Blocks, index: int, source: str) -> None:
-    """Raise `MissingOption` for integers whose unit the user states: it does not state how many of it one step is."""
-    is_integer = _of_file(contents.integers, index)
-    if not is_integer or unit is None or unit == "FS" or _of_file(contents.units, index) is not None:
+    """Raise `MissingOption` for integers of which only the unit is known, not how many of it one step is."""
+    if not _of_file(contents.integers, index) or unit in (None, "FS"):
         return
+    assert unit is not None
     bits = "" if _of_file(contents.full_scales, index) else " at 24 bit"
     example = {"acceleration": "500 g", "voltage": "10 V"}.get(quantity_of(unit), f"500 {unit}")
     raise MissingOption(

@@ -14,13 +14,13 @@ from dataclasses import dataclass, replace
 from importlib import import_module
 from pathlib import Path
 from threading import Timer
-from typing import TYPE_CHECKING, Any, BinaryIO
+from typing import TYPE_CHECKING, Any
 
 from cgid._lib import validation
 from cgid._lib.validation import require_rate
 from cgid.errors import BadData, InvalidValue, NoInput, WriteFailed
 from cgid.recordings.chain import Chain, Statement, units_of
-from cgid.recordings.recording import DATASET_HINT, Blocks, RecordingFile, clear_errors, library_errors
+from cgid.recordings.recording import DATASET_HINT, Asked, Blocks, RecordingFile, clear_errors, library_errors
 from cgid.signals import Signal
 
 if TYPE_CHECKING:
@@ -48,6 +48,10 @@ _UFF = re.compile(rb"(?: {4}-1 *\r?\n)+(?: {3}(?:151|164)| {4}(?:15|18|55|58|82)
 _HDF5_SUFFIXES = (".h5", ".hdf5", ".hdf")
 _TEXT_SUFFIXES = ("", ".asc", ".csv", ".dat", ".log", ".prn", ".tsv", ".txt")
 
+#: First bytes of archives; a file that is in each of Office; how a text in JSON begins.
+_GZIP, _ZIP, _OFFICE = b"\x1f\x8b", b"PK\3\4", "[Content_Types].xml"
+_JSON = re.compile(rb"(?:\xef\xbb\xbf)?\s*(?:\{\s*[\"}]|\[\s*(?:[\[{\"]|-?[\d.eE+-]+\s*,))")
+
 #: Entry points of the readers of other packages.
 READERS = "cgid.readers"
 
@@ -68,16 +72,15 @@ class Format:
     endings: tuple[str, ...]
     takes_variable: bool = False
 
-    def read(self, path: Path, source: str, variable: str | None) -> Blocks:
+    def read(self, path: Path, source: str, asked: Asked) -> Blocks:
         """Return the blocks of a file of this format; raises as `cgid.recordings.open_recording`."""
-        if variable is not None and not self.takes_variable:
+        if asked.variable is not None and not self.takes_variable:
             raise InvalidValue(
-                f"{source}: a {self.name} file holds one recording, there is no variable {variable!r}; leave out "
+                f"{source}: a {self.name} file holds one recording, there is no variable {asked.variable!r}; leave out "
                 "variable"
             )
         module, _, function = self.reader.partition(":")
-        read = getattr(import_module(f"cgid.recordings.{module}"), function)
-        blocks: Blocks = read(path, source, variable) if self.takes_variable else read(path, source)
+        blocks: Blocks = getattr(import_module(f"cgid.recordings.{module}"), function)(path, source, asked)
         return blocks
 
 
@@ -93,10 +96,10 @@ class OutsideFormat:
         with self._reader_errors():
             return bool(self.reader.is_format(head))
 
-    def read(self, path: Path, source: str, variable: str | None) -> Blocks:
+    def read(self, path: Path, source: str, asked: Asked) -> Blocks:
         """Return the blocks of a file of this format; any error of the reader becomes a one-line `BadData`."""
         with self._reader_errors(source):
-            blocks = self.reader.read(path, variable)
+            blocks = self.reader.read(path, asked.variable)
             if not isinstance(blocks, Blocks):
                 raise TypeError(f"its function read must return cgid.recordings.Blocks, got {type(blocks).__name__}")
 
@@ -186,6 +189,8 @@ def format_of(path: Path, source: str) -> Format | OutsideFormat:
         outside = next((one for one in outside_formats() if one.is_format(head)), None)
         if outside is not None:
             return outside
+    if format_.name == "text" and _JSON.match(head):
+        raise BadData(f"{source}: a recording must be of a known format, this is JSON; export it as CSV or WAV")
     if format_.name == "text" and suffix in _HDF5_SUFFIXES:
         raise BadData(
             f"{source}: named like a dataset, but its content is not HDF5; rename it if it is text, else {DATASET_HINT}"
@@ -231,7 +236,7 @@ def is_dataset(path: str | Path) -> bool:
     return stated_format is None or (stated_format.startswith("cgid") and stated_format != RECORDING_FORMAT)
 
 
-def open_recording(
+def open_recording(  # noqa: PLR0913 - one argument a statement about a file
     path: str | Path,
     *,
     sampling_rate: float | None = None,
@@ -242,6 +247,7 @@ def open_recording(
     gain: Statement | None = None,
     full_scale: Statement | None = None,
     format: str | None = None,
+    skip_broken: bool = False,
     site: Site | str | Path | None = None,
 ) -> RecordingFile:
     r"""Open a recording; its content determines the format, not its name, unless `format` does.
@@ -279,6 +285,8 @@ def open_recording(
         as in a text file.
     format : str, optional
         Name of the format, such as "WAV" or that of another package's reader; by default detected from the content.
+    skip_broken : bool
+        Whether lines of a text that are no rows are missing samples; their times stay, and a warning counts them.
     site : Site, str or Path, optional
         A site, or its file, which states what the other arguments do not, and the names of channels.
 
@@ -330,13 +338,16 @@ def open_recording(
 
         site = sites.Site.of(site)
         variable, format = variable or site.get("variable"), format or site.get("format")
+        skip_broken = skip_broken or bool(site.get("skip_broken"))
     source = "stdin" if str(path) == "-" else str(path)
-    regular, spool = _regular(path, source)
+    regular, spool = _unpacked(*_regular(path, source), source)
     try:
         with clear_errors(source):
             file_format = format_of(regular, source) if format is None else format_named(format)
             recording = RecordingFile(
-                file_format.read(regular, source, variable),
+                file_format.read(
+                    regular, source, Asked(variable=variable, sampling_rate=sampling_rate, skip_broken=skip_broken)
+                ),
                 source=source,
                 format=file_format.name,
                 sampling_rate=sampling_rate,
@@ -352,7 +363,7 @@ def open_recording(
     return recording
 
 
-def read_recording(
+def read_recording(  # noqa: PLR0913 - as open_recording
     path: str | Path,
     *,
     sampling_rate: float | None = None,
@@ -363,13 +374,14 @@ def read_recording(
     gain: Statement | None = None,
     full_scale: Statement | None = None,
     format: str | None = None,
+    skip_broken: bool = False,
     site: Site | str | Path | None = None,
 ) -> list[Signal]:
     r"""Read a complete recording into memory.
 
     Parameters
     ----------
-    path, sampling_rate, unit, channel, variable, sensitivity, gain, full_scale, format, site
+    path, sampling_rate, unit, channel, variable, sensitivity, gain, full_scale, format, skip_broken, site
         As in `open_recording`.
 
     Returns
@@ -434,7 +446,34 @@ def _regular(path: str | Path, source: str) -> tuple[Path, ExitStack]:
         raise NoInput(f"{source!r}: the file cannot be opened ({error}); check the name") from None
 
 
-def _saved(given: Path | BinaryIO, source: str) -> tuple[Path, ExitStack]:
+def _unpacked(path: Path, spool: ExitStack, source: str) -> tuple[Path, ExitStack]:
+    """Return the only file in an archive, saved, and the stack that removes it; any other file as it is."""
+    with clear_errors(source), path.open("rb") as file:
+        head = file.read(len(_ZIP))
+    damage = library_errors(source, "the archive is damaged, cut off or encrypted", "unpack it")
+    if head.startswith(_GZIP):
+        import gzip
+
+        with spool, damage, gzip.open(path) as content:
+            return _saved(content, source)
+    if head != _ZIP:
+        return path, spool
+    import zipfile
+
+    with damage, zipfile.ZipFile(path) as archive:
+        names = [one.filename for one in archive.infolist() if not one.is_dir()]
+        if any(name.endswith(".npy") for name in names) or not names:
+            return path, spool
+        if len(names) > 1:
+            what = "an Office file, save its sheet as CSV" if _OFFICE in names else "unpack it"
+            raise BadData(
+                f"{source}: an archive must contain one recording, it has {len(names)} files ({names[0]}, ...); {what}"
+            )
+        with spool, archive.open(names[0]) as content:
+            return _saved(content, source)
+
+
+def _saved(given: Any, source: str) -> tuple[Path, ExitStack]:
     """Save a stream to a temporary file; return its path and the stack that removes it."""
     import tempfile
 

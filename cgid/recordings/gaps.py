@@ -7,6 +7,7 @@ writes for a lost sample nor a flipped bit affects filters or levels.
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -22,8 +23,41 @@ if TYPE_CHECKING:
 
 #: Maximum number of channels that are named.
 _MAX_NAMED = 5
+#: Numbers that converters write for a lost sample, and those that loggers write for many.
+_END_STOPS = (-(2.0**15), -(2.0**23), -(2.0**31))
+_FILLERS = (-999.0, -999.25, -9999.0, -99999.0)
+#: Samples beside them must not exceed this part of them; fillers come at least so many in a row.
+_NEAR = 0.5
+_FILLED = 3
 #: In a live stream, the gaps of a channel are over after this time without any [s].
 _OVER = 60.0
+
+
+#: Names of channels that only count samples; without one of these, so many samples must show it, of so many first ones.
+_NAMES_OF_COUNTERS = re.compile(
+    "index|no|nr|n|i|x|counte?r?|samples?|sample[ _]no|point|row|seq|sequence|packet|序号", re.IGNORECASE
+)
+_MIN_COUNTED = 50
+COUNTED = 256
+#: Steps of a counter in a stream are equal to this part of them, since samples may be rounded to float32.
+_ALIKE = 1e-2
+
+
+def is_name_of_counter(name: str) -> bool:
+    """Return whether a channel of this name, or without one, may only count samples."""
+    return not name or _NAMES_OF_COUNTERS.fullmatch(name.strip(" .:#")) is not None
+
+
+@np.errstate(all="ignore")
+def counts(name: str, samples: NDArray[Any], *, whole: bool = True) -> bool:
+    """Return whether samples, `whole` numbers, only count: they stay or grow by one step, or begin again."""
+    steps = np.diff(samples)
+    step = float(steps.max(initial=0.0))
+    is_step = np.abs(steps - step) <= (0 if whole else _ALIKE * step)
+    begins_again = (samples[1:] == samples.min(initial=np.inf)) & (samples[:-1] == samples.max(initial=-np.inf))
+    least = 1 if name and is_name_of_counter(name) else _MIN_COUNTED
+    is_counter = step > 0 and (is_step | (steps == 0) | begins_again).all() and np.ptp(samples) >= least * step
+    return bool(is_counter and not (whole and (step % 1 or samples[0] % 1)))
 
 
 class Gaps:
@@ -56,6 +90,9 @@ class Gaps:
         self.n_samples, self.n_gaps = np.zeros((2, n_channels), np.int64)
         self._n_told = np.zeros((2, n_channels), np.int64)  # of these
         self._latest = np.zeros(n_channels, np.int64)  # the sample after the latest gap
+        # The first samples of a live stream, until they show which channels only count.
+        self._beginning: NDArray[Any] | None = np.empty((n_channels, 0)) if at_once else None
+        self._counting: list[int] = []
         self._first: dict[int, tuple[int, float]] = {}  # by channel: sample and value of its first gap
 
     def marked(self, blocks: Iterable[NDArray[Any]]) -> Iterator[NDArray[Any]]:
@@ -106,6 +143,7 @@ class Gaps:
 
     def _marked(self, block: NDArray[Any]) -> NDArray[Any]:
         first = self.n_seen
+        self._look_for_counters(block)
         low, high = block.min(axis=1, initial=0.0), block.max(axis=1, initial=0.0)
         # False for nan.
         sound = (-self._limits <= low) & (high <= self._limits)
@@ -122,10 +160,24 @@ class Gaps:
                 self._count(row, missing[row], block[row], first)
             self._goes_on = missing[:, -1].copy()
             block = np.where(missing, block.dtype.type(np.nan), block)
+        if self._counting:
+            block = block.copy()
+            block[self._counting] = np.nan
         self.n_seen += block.shape[1]
         if self._at_once:
             self._say_changes([row for row in self._first if row not in known])
         return block
+
+    def _look_for_counters(self, block: NDArray[Any]) -> None:
+        """Name the channels of a live stream that only count, which are given up."""
+        if self._beginning is None:
+            return
+        self._beginning = np.concatenate([self._beginning, block], axis=1)[:, :COUNTED]
+        if self._beginning.shape[1] == COUNTED:
+            self._counting = [row for row, samples in enumerate(self._beginning) if counts("", samples, whole=False)]
+            self._beginning = None
+            if self._counting:
+                self._say(f"channel {self._named(self._counting)} only counts and is given up; leave it out")
 
     def _given_up(self, missing: NDArray[np.bool_], first: int) -> int | None:
         """Return the sample at which nothing has been readable for too long; None without."""
@@ -172,3 +224,18 @@ def largest(unit: str | None) -> float:
     """Return the largest sample that a sensor can give, in a unit; without one, that of full scale."""
     quantity = "level" if unit is None else quantity_of(unit)
     return LARGEST[quantity] / (1.0 if unit is None else UNITS[quantity][unit])
+
+
+def without_fillers(blocks: Iterable[NDArray[Any]]) -> Iterator[NDArray[Any]]:
+    """Yield blocks of the numbers of a file with nan for what stands for no reading, unless others come near it."""
+    for block in blocks:
+        lowest = np.fmin.reduce(block, axis=1, initial=np.inf)
+        rows = np.flatnonzero(np.isin(lowest, (*_END_STOPS, *_FILLERS)))
+        block = block.copy() if rows.size else block
+        for row, low in zip(rows, lowest[rows], strict=True):
+            is_filler = block[row] == low
+            starts, stops = _runs(is_filler)
+            is_run = low in _END_STOPS or (stops - starts).min() >= _FILLED
+            if is_run and not (block[row][~is_filler] < _NEAR * low).any():
+                block[row][is_filler] = np.nan
+        yield block

@@ -19,7 +19,7 @@ from typing import Any
 from cgid._lib.terminal import counted
 from cgid._lib.validation import STATED_RATE
 from cgid.errors import BadData
-from cgid.recordings.recording import MAX_CHANNELS, Blocks, Remark
+from cgid.recordings.recording import MAX_CHANNELS, Asked, Blocks, Remark
 from cgid.recordings.text import Body, Piece, assembled, encoding_and_end, n_lines, whole_lines
 from cgid.recordings.text_layout import NUMBER, ColumnHeader, Header, Layout, stamped_moment
 
@@ -41,11 +41,11 @@ _FINE = 1e-3
 _GAP, _STAMP = 1.5, 2e-6
 
 
-def read_lvm(path: Path, source: str, variable: str | None) -> Blocks:
-    """Return the channels of a LabVIEW measurement file; `variable` is the number of a segment from 1."""
+def read_lvm(path: Path, source: str, asked: Asked) -> Blocks:
+    """Return the channels of a LabVIEW measurement file."""
     encoding, warnings = encoding_and_end(path, source)
     lvm = _Segments(path, encoding, source, warnings)
-    only = None
+    only, variable = None, asked.variable
     if variable is not None:
         only = int(variable) if variable.isascii() and variable.isdigit() and len(variable) < 9 else 0
     first, text = lvm.beginning(variable, only)
@@ -75,7 +75,7 @@ def read_lvm(path: Path, source: str, variable: str | None) -> Blocks:
     body = _Rows(**arguments, layout=layout, segments=lvm, only=only, channel=channels[0])
     rate_from = "column of x" if x else "Delta_X"
     starts = [] if x else [first.start_time(one) for one in channels]
-    return replace(assembled(header, body, warnings, list(range(len(x)))), rate_from=rate_from, starts=starts)
+    return replace(assembled(header, body, warnings, asked, list(range(len(x)))), rate_from=rate_from, starts=starts)
 
 
 @dataclass(frozen=True, kw_only=True)

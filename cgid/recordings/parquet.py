@@ -14,8 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid.errors import BadData
-from cgid.recordings.recording import Blocks, Remark, library, library_errors
+from cgid.recordings.recording import Asked, Blocks, Remark, library, library_errors
 from cgid.recordings.text_layout import ColumnHeader, column_of
+from cgid.recordings.times import is_time_name
 from cgid.recordings.variables import Value, Variable, contents_of, full_scale_of
 from cgid.units import seconds_of
 
@@ -33,7 +34,7 @@ _MAX_ROWS_A_BYTE = 1000
 _INDEX = "__index_level_"
 
 
-def read_parquet(path: Path, source: str) -> Blocks:
+def read_parquet(path: Path, source: str, asked: Asked) -> Blocks:
     """Return the columns of a Parquet file as channels; those without numbers are skipped with a warning."""
     file = _Parquet(path, source)
     warnings, variables, names = list[str](), list[Variable](), list[str]()
@@ -57,7 +58,7 @@ def read_parquet(path: Path, source: str) -> Blocks:
             f"{source}: a recording must have a column of numbers besides time, there is none; export it again"
         )
     start = [file.first_time(name) for name in names[: is_time.index(True) + 1][-1:]] if any(is_time) else [None]
-    blocks = contents_of(variables, {"": file.messages}, source, None, warnings, group_is_one=True)
+    blocks = contents_of(variables, {"": file.messages}, source, asked, warnings, group_is_one=True)
     numeric = [name for name, is_one in zip(names, is_time, strict=True) if not is_one]
 
     def read(length: int, channels: Sequence[int]) -> Iterator[NDArray[Any]]:
@@ -72,7 +73,7 @@ def _variable(file: _Parquet, name: str, kind: str, values: dict[str, Value], co
         column = ColumnHeader(unit="s")
     is_time = column.is_named_time or (not column.name and column.has_time_unit)
     return Variable(
-        name="time" if is_time else column.name or column.unit,
+        name="time" if is_time and not is_time_name(column.name) else column.name or column.unit,
         n_channels=1,
         n_samples=file.n_rows,
         read=lambda length, channels: file.blocks([name], length),

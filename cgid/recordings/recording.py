@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
@@ -17,7 +16,7 @@ from numpy.typing import NDArray
 from cgid._lib.validation import STATED_RATE, rates_agree, require_rate, whole
 from cgid.errors import BadData, CgidError, InvalidValue, MissingOption, NoInput, optional
 from cgid.recordings.chain import Chain, scaled
-from cgid.recordings.gaps import Gaps
+from cgid.recordings.gaps import COUNTED, Gaps, counts, is_name_of_counter, without_fillers
 from cgid.signals import Signal, channel_name
 from cgid.units import meaning_of, quantity_of
 
@@ -49,6 +48,15 @@ ReadBlocks = Callable[..., Iterator[NDArray[Any]]]
 
 class Remark(str):
     """A warning that does not concern damage."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Asked:
+    """What the user says of a file that its reader must know: which array, its rate [Hz], to skip broken lines."""
+
+    variable: str | None = None
+    sampling_rate: float | None = None
+    skip_broken: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -90,6 +98,8 @@ class Blocks:
     gaps : sequence of (int, int)
         Index among the stored samples of each that follows a gap, and the number of samples missing before it, which
         `n_samples` includes.
+    labels : callable or None
+        Yields the first sample, the one after the last and the text of each stretch with a label.
     warnings : list of str
         One line for each damaged part that was skipped; may grow during reading.
 
@@ -117,6 +127,7 @@ class Blocks:
     start_time: datetime | None = None
     starts: Sequence[datetime | None] = ()
     gaps: Sequence[tuple[int, int]] = ()
+    labels: Callable[[], Iterator[tuple[int, int, str]]] | None = None
     warnings: list[str] = field(default_factory=list)
 
     @classmethod
@@ -262,28 +273,6 @@ def with_gaps(places: NDArray[np.int64], samples: NDArray[Any]) -> Iterator[tupl
     for first, end in pairwise([0, *ends.tolist(), len(places)]):
         if end > first:
             yield int(places[first]), samples[:, first:end]
-
-
-#: Names of channels that only count samples, and the least number of these that shows it without such a name.
-_NAMES_OF_COUNTERS = re.compile(
-    "index|no|nr|n|i|x|counte?r?|samples?|sample[ _]no|point|row|seq|sequence|packet|序号", re.IGNORECASE
-)
-_MIN_COUNTED = 50
-
-
-def is_name_of_counter(name: str) -> bool:
-    """Return whether a channel of this name, or without one, may only count samples."""
-    return not name or _NAMES_OF_COUNTERS.fullmatch(name.strip(" .:#")) is not None
-
-
-def counts(name: str, samples: NDArray[Any]) -> bool:
-    """Return whether samples only count: they grow by one, or begin again at the lowest."""
-    with np.errstate(all="ignore"):
-        if len(samples) < 2 or not ((name and is_name_of_counter(name)) or np.ptp(samples) >= _MIN_COUNTED):
-            return False
-        steps = np.diff(samples)
-        begins_again = (samples[1:] == samples.min()) & (samples[:-1] == samples.max())
-        return bool(((steps == 1) | begins_again).all() and (steps == 1).any() and samples[0] == np.rint(samples[0]))
 
 
 def _numbered(index: int, name: str) -> str:
@@ -483,6 +472,11 @@ class RecordingFile:
             first += block.shape[1]
             yield block
 
+    def labels(self) -> list[tuple[float, float, str]]:
+        """Return begin, end [s] and text of the stretches that a column of labels marks; none without one."""
+        marks = [] if self._contents.labels is None else self._contents.labels()
+        return [(first / self.sampling_rate, end / self.sampling_rate, text) for first, end, text in marks]
+
     def samples(self, start: int = 0, stop: int | None = None) -> NDArray[Any]:
         """Return the samples from index `start` to before `stop`, fewer at the end of the recording.
 
@@ -573,7 +567,8 @@ class RecordingFile:
         # Memory must not grow with the number of channels.
         length = min(length, max(MAX_NUMBERS // self._contents.n_channels, 1))
         with clear_errors(self.source):
-            for block in scaled(self._contents.joined(length, self._selected, start), self._factors):
+            numbers = without_fillers(self._contents.joined(length, self._selected, start))
+            for block in scaled(numbers, self._factors):
                 count += block.shape[1]
                 yield block
         if not count:
@@ -606,14 +601,13 @@ def _require_one_start(contents: Blocks, selected: Sequence[int], rate: float, s
 
 def _counters(contents: Blocks) -> list[int]:
     """Return the channels without a unit that only count, if their names say so or they have none."""
-    without_unit = [
-        index for index in range(contents.n_channels) if not (contents.units or [None] * MAX_CHANNELS)[index]
-    ]
-    by_name = [index for index in without_unit if is_name_of_counter(contents.name(index))]
-    if contents.n_channels < 2 or not by_name or contents.fallback_unit is not None:
+    units = contents.units or [None] * contents.n_channels
+    rows = [index for index in range(contents.n_channels) if not units[index]]
+    rows = [index for index in rows if is_name_of_counter(contents.name(index))]
+    if contents.n_channels < 2 or not rows or contents.fallback_unit is not None:
         return []
-    first = next(iter(contents.joined(_MIN_COUNTED * 2, by_name)), np.empty((0, 0)))
-    return [index for index, row in zip(by_name, first, strict=False) if counts(contents.name(index), row)]
+    first = next(iter(contents.joined(COUNTED, rows)), np.empty((0, 0)))
+    return [index for index, row in zip(rows, first, strict=False) if counts(contents.name(index), row)]
 
 
 def _selected(contents: Blocks, channel: int | str | Sequence[int | str] | None, source: str) -> tuple[int, ...]:

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid.errors import BadData, InvalidValue
-from cgid.recordings.recording import Blocks, library, library_errors
+from cgid.recordings.recording import Asked, Blocks, library, library_errors
 
 #: Sizes from here on mean "until the end": 0xFFFFFFFF in the standards; into pipes, some programs write the largest
 #: signed 32-bit number, rounded down.
@@ -189,7 +189,7 @@ def _start_time(broadcast: bytes) -> datetime | None:
 # ---- WAV files -------------------------------------------------------------------------------------------------------
 
 
-def read_wav(path: Path, source: str) -> Blocks:
+def read_wav(path: Path, source: str, _asked: Asked) -> Blocks:
     """Return the channels of a WAV file (RIFF, RIFX or RF64), integers scaled to a full scale of 1.0."""
     # A truncated or never closed file gives its complete samples and a warning.
     with path.open("rb") as file:
@@ -313,7 +313,7 @@ _BEST_PACKING = 1 << 13
 _PAGE_HEAD, _MAX_PAGE_SIZE, _LAST_PAGE = 27, 65_307, 4
 
 
-def read_audio(path: Path, source: str) -> Blocks:
+def read_audio(path: Path, source: str, _asked: Asked) -> Blocks:
     """Return the channels of a FLAC, OGG, W64, AIFF, CAF or AU file, with a full scale of 1.0."""
     soundfile = library("soundfile", "FLAC, OGG, W64, AIFF, CAF and AU files", source)
     fault, hint = "the audio file is damaged or cut off", "copy or export it again"

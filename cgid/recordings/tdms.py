@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid.errors import BadData
-from cgid.recordings.recording import MAX_ARRAYS, Blocks, Remark, library, library_errors
+from cgid.recordings.recording import MAX_ARRAYS, Asked, Blocks, Remark, library, library_errors
+from cgid.recordings.times import is_time_name
 from cgid.recordings.variables import Value, Variable, contents_of, full_scale_of, is_statement, stated_start
 
 _LEAD_IN, _TAG = 28, b"TDSm"
@@ -43,7 +44,7 @@ class _Tdms:
         self._file.seek(0)
         with self.library_errors():
             # Given a file handle, nptdms does not look for an index file.
-            self.tdms = nptdms.TdmsFile.open(self._file)
+            self.tdms = nptdms.TdmsFile.open(self._file, raw_timestamps=True)
             groups = self.tdms.groups()
             every = [self.tdms, *groups, *(channel for group in groups for channel in group.channels())]
         #: What offsets of channels count from where no channel states a start.
@@ -92,18 +93,23 @@ class _Tdms:
         for first in range(start, len(channel), step):
             count = min(step, len(channel) - first)
             with self.library_errors():
-                samples = np.asarray(channel.read_data(first, count))
+                samples = channel.read_data(first, count)
+                # Cut to microseconds, stamps would be uneven.
+                samples = samples.as_datetime64("ns") if channel.dtype.kind == "M" else np.asarray(samples)
             if len(samples) != count:
                 raise BadData(
                     f"{self.source}: channel {channel.name} must have {len(channel)} samples, got "
                     f"{first + len(samples)}; the file is damaged, copy it again"
                 )
+            if samples.dtype.kind == "M":
+                origin = samples[0] if not first else channel.read_data(0, 1).as_datetime64("ns")[0]
+                samples = np.rint((samples - origin) / np.timedelta64(1, "us")) / 1e6
             channels_with_numbers = np.float32 if samples.dtype == np.float32 else np.float64
             for begin in range(0, len(samples), length):
                 yield samples[np.newaxis, begin : begin + length].astype(channels_with_numbers)
 
 
-def read_tdms(path: Path, source: str, variable: str | None) -> Blocks:
+def read_tdms(path: Path, source: str, asked: Asked) -> Blocks:
     """Return the channels of one group of a TDMS file; an index file next to it is not used."""
     # Rate, unit and start come from waveform properties of the channels, else of group or file, or from a channel of
     # times.
@@ -119,7 +125,7 @@ def read_tdms(path: Path, source: str, variable: str | None) -> Blocks:
         for group in file.tdms.groups():
             statements[group.name] = _values(group.properties)
             for channel in group.channels():
-                if len(channel) and channel.dtype.kind in "fiu":
+                if len(channel) and channel.dtype.kind in "fiuM":
                     variables.append(_variable(file, group.name, channel))
                 elif not len(channel):
                     warnings.append(Remark(f"channel {group.name}/{channel.name} contains no samples and is skipped"))
@@ -127,7 +133,7 @@ def read_tdms(path: Path, source: str, variable: str | None) -> Blocks:
                     warnings.append(Remark(f"channel {group.name}/{channel.name} contains no numbers and is skipped"))
     if file.is_cut and not variables:
         raise BadData(f"{source}: the TDMS file is cut off before its first sample; copy it again")
-    blocks = contents_of(variables, statements, source, variable, warnings, group_is_one=True, is_cut=file.is_cut)
+    blocks = contents_of(variables, statements, source, asked, warnings, group_is_one=True, is_cut=file.is_cut)
     return blocks if file.origin is None else replace(blocks, start_time=None)
 
 
@@ -147,8 +153,10 @@ def _variable(file: _Tdms, group: str, channel: Any) -> Variable:
     if start is not None and isinstance(offset, int | float) and abs(offset) < 1e9:
         about.pop("wf_start_time", None)
         about = {"wf_start_time": start + timedelta(seconds=float(offset)), **about}
+    is_stamp = channel.dtype.kind == "M"
+    about = {**about, "unit": "s"} if is_stamp else about
     return Variable(
-        name=channel.name,
+        name="time" if is_stamp and not is_time_name(channel.name) else channel.name,
         group=group,
         n_channels=1,
         n_samples=len(channel),
@@ -169,9 +177,9 @@ def _values(properties: Any) -> dict[str, Value]:
     for name, value in properties.items():
         if not is_statement(name):
             continue
-        if isinstance(value, np.datetime64):
+        if hasattr(value, "as_datetime64"):
             # TDMS timestamps are in UTC; datetime covers only the years 1 to 9999.
-            stamp = value.astype("datetime64[us]").item()
+            stamp = value.as_datetime64("us").item()
             if isinstance(stamp, datetime) and stamp.replace(tzinfo=UTC) != _EPOCH:
                 units[name] = stamp.replace(tzinfo=UTC)
         elif isinstance(value, str | int | float):

@@ -7,7 +7,7 @@ import math
 import re
 from collections import deque
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -18,14 +18,8 @@ from numpy.typing import NDArray
 from cgid._lib.terminal import counted
 from cgid._lib.validation import STATED_RATE, rates_agree
 from cgid.errors import BadData
-from cgid.recordings.recording import (
-    MAX_CHANNELS,
-    Blocks,
-    Remark,
-    counts,
-    require_one_rate,
-    with_gaps,
-)
+from cgid.recordings.gaps import counts
+from cgid.recordings.recording import MAX_CHANNELS, Asked, Blocks, Remark, require_one_rate, with_gaps
 from cgid.recordings.text_layout import (
     MIXED,
     SNIFFED,
@@ -37,13 +31,16 @@ from cgid.recordings.text_layout import (
     has_ambiguous_date,
     is_comment,
     layout_of,
+    loose_layout_of,
     plain_rows,
     quoted_layout_of,
     read_header,
+    simpler,
     stamped_layout_of,
     stamped_moment,
 )
-from cgid.recordings.times import EvenTimes, Floats, rate_of, refined_rate, runs_evenly, seconds
+from cgid.recordings.times import Clock, EvenTimes, Floats, clocks_of, rate_of, refined_rate, seconds
+from cgid.units import known_unit
 
 #: Characters to read at once; the header must end within the first piece.
 PIECE = 1 << 20
@@ -54,25 +51,30 @@ _MAX_LINE_LENGTH = 1 << 18
 #: End mark of DOS texts.
 _END_MARK = "\x1a"
 
+#: A decimal comma in a head whose fields semicolons divide.
+_DECIMAL_COMMA = re.compile(r";\s*[+-]?\d+,\d+(?:[eE][+-]?\d+)?\s*(?:[;A-Za-z]|$)")
 #: A comma in a row, before any comment.
 _COMMA = re.compile(r"^[^#%/\n]*,", re.MULTILINE)
 
-#: Numbers that converters write for a lost sample, and the part of them that samples beside it must not exceed.
-_END_STOPS, _NEAR = (-(2.0**15), -(2.0**23), -(2.0**31)), 0.5
+#: A line of a head that states a scale, such as "tscale,0.001".
+_SCALED = re.compile(r"\s*[a-z]?scale\s*[,;:=]\s*[\d.]", re.IGNORECASE)
+_DAY = 86_400.0
+#: Names of a column of labels.
+_LABELS = ("label", "labels", "class", "material", "标签")
 #: A column with fewer numbers than this part of the first rows is a slow channel.
 _SLOW = 0.5
 
 
-def read_text(path: Path, source: str) -> Blocks:
+def read_text(path: Path, source: str, asked: Asked) -> Blocks:
     """Return the channels of a text file, with the statements of its header and its time column."""
     encoding, warnings = encoding_and_end(path, source)
-    header, body = _header_and_body(path, encoding, source, warnings)
+    header, body = _header_and_body(path, encoding, source, warnings, asked)
     if body.layout.n_columns > MAX_CHANNELS:
         raise BadData(
             f"{source}: at most {MAX_CHANNELS} columns, line {body.first_line} has {body.layout.n_columns}; "
             "transpose it: one sample a row, one channel a column"
         )
-    return assembled(header, body, warnings)
+    return assembled(header, body, warnings, asked)
 
 
 def encoding_and_end(path: Path, source: str) -> tuple[str, list[str]]:
@@ -108,6 +110,10 @@ class Body:
     first_line: int
     layout: Layout
     source: str
+    is_dated: bool = True
+    skip_broken: bool = False
+    warnings: list[str] = field(default_factory=list)
+    broken: set[int] = field(default_factory=set)
 
     def texts(self) -> Iterator[Piece]:
         """Yield the rows as they are written."""
@@ -116,17 +122,17 @@ class Body:
             yield Piece(text, line, is_last)
             line += text.count("\n")
 
-    def pieces(self, times: Sequence[int], samples: Sequence[int] = ()) -> Iterator[tuple[Floats, Piece]]:
+    def pieces(self, times: Sequence[int] | None, samples: Sequence[int] = ()) -> Iterator[tuple[Floats, Piece]]:
         """Yield rows (n, n_columns) in order, and as they are written; raises `BadData` with sample and line."""
         # Times must be finite; in columns of samples nan and inf stand for a lost sample; elsewhere invalid fields
-        # become nan.
-        needed = [*times, *samples]
+        # become nan. Whether there are times is not known from the beginning.
+        needed = [*(times or ()), *samples]
         layout, sample, points = self.layout, 0, bool(self.layout.picked)
         comment: tuple[int, str] | None = None
         for piece in self.texts():
             # Comments are allowed after the last row; among the rows they may replace samples.
             without_end = _without_end(piece.text)
-            if without_end and comment is not None and not piece.is_restart:
+            if without_end and comment is not None and not (piece.is_restart or (self.skip_broken and times != [])):
                 raise _among_rows(*comment, sample, self.source)
             if comment is None and len(without_end) < len(piece.text):
                 comment = piece.line + without_end.count("\n"), piece.text[len(without_end) :].partition("\n")[0]
@@ -138,12 +144,44 @@ class Body:
             rows = _parsed_at_once(text, layout) if text else np.empty((0, layout.n_columns))
             if rows is None or len(rows) < n_lines(text) or not np.isfinite(rows[:, needed]).all():
                 # Parsing line by line either finds the error or skips the text that numpy could not parse.
-                checked = list(_checked_rows(text, layout, times, needed, sample, piece.line, self.source))
+                checked = list(self._checked_rows(text, layout, times, needed, sample, piece))
                 rows = np.loadtxt(checked, comments=None, ndmin=2) if checked else np.empty((0, layout.n_columns))
-            if rows.size and rows.min() in _END_STOPS:
-                rows = _without_end_stops(rows)
             yield rows, piece
             sample += len(rows)
+
+    def _checked_rows(
+        self, text: str, layout: Layout, times: Sequence[int] | None, needed: Sequence[int], sample: int, piece: Piece
+    ) -> Iterator[str]:
+        # Only the last line of the file may lack its line feed.
+        unended = piece.line + text.count("\n") if piece.is_last else 0
+        for number, line in enumerate(text.removesuffix("\n").split("\n"), piece.line):
+            try:
+                yield _checked_row(line, layout, times or (), needed, number, sample, self.source)
+            except BadData:
+                if number == unended and sample:
+                    self.warnings.append(f"the last line ({number}) is cut off and was left out")
+                    return
+                # Times show where a sample is missing; without them a comment may or may not stand for one.
+                if not self.skip_broken or (is_comment(line) and times == []):
+                    raise
+                self.broken.add(number)
+                if times or is_comment(line):
+                    continue
+                yield " ".join(["nan"] * layout.n_columns)
+            sample += 1
+
+    @property
+    def message(self) -> list[str]:
+        """How many broken lines were skipped, one line at most."""
+        lines = counted(len(self.broken), "broken line")
+        return [f"{lines} skipped, the first is line {min(self.broken)}; samples are missing"] if self.broken else []
+
+    def words(self, piece: Piece) -> list[str]:
+        """Return the labels of the rows of a piece."""
+        lines = enumerate(piece.text.split("\n"), piece.line)
+        delimiter, at = self.layout.delimiter, self.layout.label or 0
+        rows = [line.split(delimiter) for number, line in lines if number not in self.broken]
+        return [row[at].strip("\"' \r") if at < len(row) else "" for row in rows]
 
     def last_row(self) -> Floats | None:
         """Return the last row, (n_columns,), None if the end of the file does not show it."""
@@ -192,18 +230,6 @@ def with_decimal_mark(layout: Layout, text: str) -> Layout:
     return replace(layout, decimal_comma=True) if is_decimal else layout
 
 
-def _without_end_stops(rows: Floats) -> Floats:
-    """Return rows with nan for the lowest number of a converter, unless the samples beside it come near it."""
-    rows = rows.copy()
-    for column in rows.T:
-        for stop in _END_STOPS:
-            is_stop = column == stop
-            others = column[~is_stop]
-            if is_stop.any() and not (others < _NEAR * stop).any():
-                column[is_stop] = np.nan
-    return rows
-
-
 def _parsed_at_once(text: str, layout: Layout) -> Floats | None:
     if layout.decimal_comma and "." in text:
         return None
@@ -225,34 +251,40 @@ def _parsed_at_once(text: str, layout: Layout) -> Floats | None:
     return rows
 
 
-def _checked_rows(
-    text: str, layout: Layout, times: Sequence[int], needed: Sequence[int], sample: int, first_line: int, source: str
-) -> Iterator[str]:
-    # Only the last line of the file may lack its line feed.
-    unended = first_line + text.count("\n")
-    for number, line in enumerate(text.removesuffix("\n").split("\n"), first_line):
-        if is_comment(line):
-            raise _among_rows(number, line, sample, source)
-        fields = layout.fields(line.partition("#")[0])
-        cut = "; the file looks cut off" if number == unended else ""
-        if len(fields) != layout.n_columns:
-            ending = cut if len(fields) < layout.n_columns else ""
+def _checked_row(
+    line: str, layout: Layout, times: Sequence[int], needed: Sequence[int], number: int, sample: int, source: str
+) -> str:
+    """Return a row as Python writes numbers; raise `BadData` unless it has all fields, and numbers where needed."""
+    if is_comment(line):
+        raise _among_rows(number, line, sample, source)
+    fields = layout.fields(line.partition("#")[0])
+    n_needed, n_fields = layout.n_columns, len(fields)
+    if layout.words:
+        n_needed, n_fields = max(layout.picked) + 1, line.count(layout.delimiter or "") + 1
+    if n_fields < n_needed or (n_fields > n_needed and not layout.words):
+        raise BadData(
+            f"{source}: every row must have {n_needed} fields as the first one has, sample {sample} "
+            f"(line {number}) has {n_fields}{_decimal_hint(fields, layout)}; repair or cut the recording there, or "
+            "leave such lines out by --set skip_broken=true"
+        )
+    values = [layout.number(field) for field in fields]
+    for column in needed:
+        value = values[column]
+        if value is None or (column in times and not math.isfinite(float(value))):
+            place = (layout.picked or range(layout.n_columns))[column]
+            shown = repr(fields[column][:40]) if fields[column] else "empty"
             raise BadData(
-                f"{source}: every row must have {layout.n_columns} fields as the first one has, sample {sample} "
-                f"(line {number}) has {len(fields)}{ending}; repair or cut the recording there"
+                f"{source}: every field must be a finite number, sample {sample} (line {number}) column "
+                f"{place + 1} is {shown}; repair or cut the recording there, or leave such lines out by "
+                "--set skip_broken=true"
             )
-        values = [layout.number(field) for field in fields]
-        for column in needed:
-            value = values[column]
-            if value is None or (column in times and not math.isfinite(float(value))):
-                place = (layout.picked or range(layout.n_columns))[column]
-                shown = repr(fields[column][:40]) if fields[column] else "empty"
-                raise BadData(
-                    f"{source}: every field must be a finite number, sample {sample} (line {number}) column "
-                    f"{place + 1} is {shown}{cut if value is None else ''}; repair or cut the recording there"
-                )
-        yield " ".join(value or "nan" for value in values)
-        sample += 1
+    return " ".join(value or "nan" for value in values)
+
+
+def _decimal_hint(fields: Sequence[str], layout: Layout) -> str:
+    """Return what more fields than columns may be: numbers with a decimal comma, divided by commas."""
+    is_likely = layout.delimiter in (",", MIXED) and layout.n_columns < len(fields) <= 2 * layout.n_columns
+    return ", since a decimal comma divides fields, too" if is_likely else ""
 
 
 def _among_rows(number: int, line: str, sample: int, source: str) -> BadData:
@@ -279,14 +311,14 @@ def n_lines(text: str) -> int:
 # ---- the first piece -------------------------------------------------------------------------------------------------
 
 
-def _header_and_body(path: Path, encoding: str, source: str, warnings: list[str]) -> tuple[Header, Body]:
+def _header_and_body(path: Path, encoding: str, source: str, warnings: list[str], asked: Asked) -> tuple[Header, Body]:
     with path.open(encoding=encoding, errors="replace") as file:
         piece = file.read(PIECE)
         if file.read(1):
             # The last line of the piece may be incomplete.
             piece = piece[: piece.rfind("\n") + 1] or piece
     above: deque[str] = deque()
-    start, layout = 0, None
+    start, layout, loose = 0, None, None
     lines = _lines(piece)
     line = next(lines, "")
     while line:
@@ -294,9 +326,16 @@ def _header_and_body(path: Path, encoding: str, source: str, warnings: list[str]
         layout = None if is_comment(line) else _layout(line, following, piece, start)
         if layout is not None:
             break
+        # Words and units beside the numbers count only where no row is without.
+        if loose is None and not is_comment(line):
+            found = loose_layout_of(simpler(line), simpler(following), above)
+            loose = None if found is None else (found, line, following, start, deque(above))
         above.append(line)
         start += len(line)
         line = following
+    # A broken row among such rows may have numbers alone.
+    if loose is not None and (layout is None or loose_layout_of(simpler(above[-1]), simpler(loose[1]), loose[-1])):
+        layout, line, following, start, above = loose
     if layout is None:
         raise _not_understood(above, source)
     if layout.quoted == "unclear":
@@ -304,27 +343,53 @@ def _header_and_body(path: Path, encoding: str, source: str, warnings: list[str]
             f"{source}: a comma between quotes must be decimal or between thousands, that of {line.strip()[:40]!r} may "
             "be both; write decimal points, and no commas between thousands"
         )
+    line = simpler(line)
     moment = None if layout.stamp is None else stamped_moment(line)
     if layout.stamp is not None and has_ambiguous_date(line):
         warnings.append(
             Remark(f"the date of {line.strip()[:40]!r} may begin with day or month; no start time was read")
         )
+    if layout.delimiter == "," and layout.n_columns == 2 and any(map(_DECIMAL_COMMA.search, above)):
+        layout = Layout(delimiter=";", n_columns=1, decimal_comma=True)
     layout = _corrected(layout, following or line, above)
     layout = with_decimal_mark(layout, plain_rows(piece[start:], layout))
     while above and _is_damaged_row(above[-1], layout):
         start -= len(above.pop())
     header = read_header(above, layout)
+    if any("scale" in line.lower() and _SCALED.match(line) for line in above):
+        raise BadData(
+            f"{source}: the numbers of a text must be in their units, its head states scales to multiply them by "
+            "(GCSV); export them multiplied"
+        )
+    if layout.words or layout.units:
+        header, layout = _without_words(header, layout, source, warnings)
     narrow = _without_slow(layout, piece[start:])
     if narrow is not layout:
         names = [column.name for column in header.columns[narrow.n_columns :]]
         named = ", ".join(filter(None, names)) or f"from {narrow.n_columns + 1} on"
         warnings.append(Remark(f"columns {named} have no value in most rows and are left out"))
         header = replace(header, columns=header.columns[: narrow.n_columns])
-    body = Body(path=path, encoding=encoding, start=start, first_line=len(above) + 1, layout=narrow, source=source)
+    body = Body(
+        path=path,
+        encoding=encoding,
+        start=start,
+        first_line=len(above) + 1,
+        layout=narrow,
+        source=source,
+        is_dated=moment is not None or has_ambiguous_date(line),
+        skip_broken=asked.skip_broken,
+        warnings=warnings,
+    )
     if moment is not None:
         header = replace(header, start_time=moment)
     _refuse_doubtful_comma(body, header, line, above)
-    if not header.columns and (n_names := _n_names(above, layout)):
+    n_names = 0 if header.columns else _n_names(above, layout)
+    if n_names > layout.n_columns:
+        raise BadData(
+            f"{source}: a row must have a number below each name, the line above the numbers has {n_names} fields and "
+            f"rows have {layout.n_columns}; correct the names"
+        )
+    if n_names:
         warnings.append(
             Remark(
                 f"the line above the numbers has {counted(n_names, 'field')} and rows have {layout.n_columns}; names "
@@ -334,7 +399,30 @@ def _header_and_body(path: Path, encoding: str, source: str, warnings: list[str]
     return header, body
 
 
+def _without_words(header: Header, layout: Layout, source: str, warnings: list[str]) -> tuple[Header, Layout]:
+    """Return header and layout of the columns of numbers, with the units behind the numbers."""
+    columns = list(header.columns or [ColumnHeader()] * layout.n_columns)
+    for at, unit in layout.units:
+        stated = columns[at].unit
+        if stated and (known_unit(stated) or stated) != (known_unit(unit) or unit):
+            raise BadData(
+                f"{source}: column {columns[at].name or at + 1} must be in one unit, its header states {stated} and "
+                f"its numbers {unit}; correct one"
+            )
+        columns[at] = replace(columns[at], unit=unit)
+    picked = tuple(at for at in range(layout.n_columns) if at not in layout.words)
+    named = ", ".join(columns[at].name or str(at + 1) for at in layout.words)
+    warnings += [Remark(f"column {named} contains words and is left out")] if layout.words else []
+    stamp = None if layout.stamp is None else picked.index(layout.stamp)
+    narrow = replace(layout, n_columns=len(picked), picked=picked if layout.words else (), stamp=stamp)
+    label = [at for at in layout.words if columns[at].name.lower() in _LABELS]
+    has_names = bool(header.columns or layout.units)
+    header = replace(header, columns=tuple(columns[at] for at in picked) if has_names else ())
+    return header, replace(narrow, label=label[0] if label else None)
+
+
 def _layout(line: str, following: str, piece: str, start: int) -> Layout | None:
+    line, following = simpler(line), simpler(following)
     quoted = quoted_layout_of(line, piece, start) if '"' in piece else None
     return quoted or layout_of(line) or stamped_layout_of(line, following)
 
@@ -374,7 +462,9 @@ def _n_names(above: Sequence[str], layout: Layout) -> int:
     if layout.delimiter is None or len(layout.delimiter) > 1 or is_comment(last):
         return 0
     fields = last.strip().strip(layout.delimiter).split(layout.delimiter)
-    is_list = len(fields) > 1 and all(column_of(one).name for one in fields) and not re.search("[:=]", last)
+    is_list = (
+        len(fields) > 1 and all(column_of(one) != ColumnHeader() for one in fields) and not re.search("[:=]", last)
+    )
     return len(fields) if is_list else 0
 
 
@@ -427,39 +517,51 @@ def _refuse_doubtful_comma(body: Body, header: Header, first: str, above: deque[
 # ---- header, rows and time together ----------------------------------------------------------------------------------
 
 
-def assembled(header: Header, body: Body, warnings: list[str], times: list[int] | None = None) -> Blocks:
+def assembled(header: Header, body: Body, warnings: list[str], asked: Asked, times: list[int] | None = None) -> Blocks:
     """Return the channels of rows below a header; `times` are the columns of times if they are known."""
     columns, source = header.columns, body.source
-    rows, beginning = next(body.pieces(()))
+    rows, beginning = next(body.pieces(None))
     left_out = []
-    if times is None:
-        times = time_columns(columns, rows) if body.layout.stamp is None else [body.layout.stamp]
-        for index in set(range(rows.shape[1])).difference(times):
-            name, n_numbers = columns[index].name if columns else "", int(np.isfinite(rows[:, index]).sum())
-            is_slow = 0 < n_numbers < _SLOW * len(rows)
-            if is_slow or ((not columns or columns[index].known_unit is None) and counts(name, rows[:, index])):
-                what = f"has numbers in {n_numbers} of {len(rows)} rows" if is_slow else "only counts"
-                warnings.append(Remark(f"column {name or index + 1} {what} and is left out"))
-                left_out.append(index)
+    stamp = body.layout.stamp
+    if times is None and stamp is not None:
+        clocks = [Clock(columns=(stamp,), factors=(1.0,), period=math.inf if body.is_dated else _DAY)]
+    elif times is None:
+        # Any comment above a single column looks like its name, even "time of day unknown".
+        is_comment_above = len(columns) == 1 and " " in columns[0].name
+        clocks = [] if is_comment_above else clocks_of(columns, rows, source)
+    else:
+        clocks = [Clock(columns=(at,), factors=(1.0,)) for at in times]
+    clock = clocks[0] if clocks else None
+    of_times = [at for one in clocks for at in one.columns]
+    for index in set(range(rows.shape[1])).difference(of_times) if times is None else ():
+        name, n_numbers = columns[index].name if columns else "", int(np.isfinite(rows[:, index]).sum())
+        is_slow = n_numbers < _SLOW * len(rows)
+        if is_slow or ((not columns or columns[index].known_unit is None) and counts(name, rows[:, index])):
+            what = f"has numbers in {n_numbers} of {len(rows)} rows" if is_slow else "only counts"
+            warnings.append(Remark(f"column {name or index + 1} {what} and is left out"))
+            left_out.append(index)
+    times = of_times
     samples_columns = [index for index in range(rows.shape[1]) if index not in (*times, *left_out)]
     if not samples_columns:
         raise BadData(f"{source}: a recording must have a channel besides time, there is none; export it again")
     # Gaps in a channel matter only if it is read, but times must be complete.
     finite: NDArray[np.bool_] = np.all(np.isfinite(rows), axis=0)
-    if not finite[times].all():
-        next(body.pieces(times))
+    if not finite[times].all() or body.skip_broken:
+        rows, beginning = next(body.pieces(times, samples_columns if body.skip_broken else ()))
+        finite = np.all(np.isfinite(rows), axis=0)
     measured = None
-    factor = _factor(columns, times[0], body) if times else 1.0
-    if times and len(rows) > 1:
-        measured = _measured_rate(columns, times, rows, None if beginning.is_last else body.last_row(), body)
-        if columns and (unit := column_of(columns[times[0]].name).unit) and seconds(unit, source) != factor:
+    if clock is not None and len(rows) > 1:
+        last = None if beginning.is_last else body.last_row()
+        measured = _measured_rate([one.name for one in columns], clocks, rows, last, source, asked.sampling_rate)
+        unit = column_of(columns[times[0]].name).unit if columns and len(clock.columns) == 1 else ""
+        if unit and seconds(unit, source) != clock.factors[0]:
             warnings.append(
                 f"the time column {columns[times[0]].name!r} is stated to be in {columns[times[0]].unit or 's'}; check "
                 f"the sampling rate of {measured:.6g} Hz"
             )
     rate = _agreed_rate(header.sampling_rates, measured, source)
     if rate is None or not finite[samples_columns].any():
-        next(body.pieces((), samples_columns))
+        next(body.pieces(times, samples_columns))
     named = [columns[index] for index in samples_columns] if columns else []
     units = [column.known_unit or (None if column.unit else header.unit) for column in named]
     about: dict[str, Any] = {
@@ -472,30 +574,50 @@ def assembled(header: Header, body: Body, warnings: list[str], times: list[int] 
         "gains": _for_each(header.gains, len(samples_columns)),
         "warnings": warnings,
     }
-    if beginning.is_last and finite[[*times, *samples_columns]].all():
-        if measured is not None:
-            clock = EvenTimes(measured, source)
-            places = clock.feed(rows[:, times[0]] * factor)
-            lost = np.diff(places, prepend=-1) - 1
-            about["gaps"] = [(at, int(lost[at])) for at in np.flatnonzero(lost).tolist()]
-            about["n_samples"] = int(places[-1]) + 1
-            warnings += clock.message
-        return Blocks.of_array(np.ascontiguousarray(rows.T[samples_columns]), **about)
+
+    def new_times() -> EvenTimes:
+        return EvenTimes(measured or 0.0, source, asked.sampling_rate, clock.period if clock else math.inf)
+
+    def placed(picked: Sequence[int]) -> Iterator[tuple[NDArray[np.int64], Floats, Piece]]:
+        even, count, end = None if measured is None else new_times(), 0, 0
+        for rows, piece in body.pieces(times, picked):
+            places = np.arange(end, end + len(rows))
+            if even is not None and clock is not None:
+                if piece.is_restart:
+                    even, count = new_times(), end
+                places = count + even.feed(clock.times(rows))
+            yield places, rows, piece
+            end = int(places[-1]) + 1 if len(rows) else end
+        warnings.extend([*([] if even is None else even.message), *body.message])
 
     def blocks(length: int, channels: Sequence[int]) -> Iterator[tuple[int, NDArray[Any]]]:
         picked = [samples_columns[channel] for channel in channels]
-        clock, count, end = None if measured is None else EvenTimes(measured, source), 0, 0
-        for rows, piece in body.pieces(times, picked):
-            places = np.arange(end, end + len(rows))
-            if clock is not None:
-                if piece.is_restart:
-                    clock, count = EvenTimes(measured or 0.0, source), end
-                places = count + clock.feed(rows[:, times[0]] * factor)
+        for places, rows, _ in placed(picked):
             for at, samples in with_gaps(places, np.ascontiguousarray(rows.T[picked])):
                 for first in range(0, samples.shape[1], length):
                     yield at + first, samples[:, first : first + length]
-            end = int(places[-1]) + 1 if len(rows) else end
-        warnings.extend([] if clock is None else clock.message)
+
+    def labels() -> Iterator[tuple[int, int, str]]:
+        begin, end, label = 0, 0, ""
+        for places, _, piece in placed(()):
+            for place, word in zip(places.tolist(), body.words(piece), strict=False):
+                if word != label:
+                    yield from [(begin, end, label)] if label else []
+                    begin, label = place, word
+                end = place + 1
+        yield from [(begin, end, label)] if label else []
+
+    about["labels"] = None if body.layout.label is None else labels
+    if beginning.is_last and finite[[*times, *samples_columns]].all():
+        if measured is not None and clock is not None:
+            even = EvenTimes(measured, source, asked.sampling_rate, clock.period)
+            places = even.feed(clock.times(rows))
+            lost = np.diff(places, prepend=-1) - 1
+            about["gaps"] = [(at, int(lost[at])) for at in np.flatnonzero(lost).tolist()]
+            about["n_samples"] = int(places[-1]) + 1
+            warnings += even.message
+        warnings += body.message
+        return Blocks.of_array(np.ascontiguousarray(rows.T[samples_columns]), **about)
 
     return Blocks(n_channels=len(samples_columns), read=blocks, **about)
 
@@ -505,42 +627,23 @@ def _for_each(stated: tuple[str, ...], n_channels: int) -> Sequence[str]:
     return stated * n_channels if len(stated) == 1 else stated if len(stated) == n_channels else ()
 
 
-def time_columns(columns: tuple[ColumnHeader, ...], rows: Floats) -> list[int]:
-    """Return the indices of the time columns, of which the first one counts; `rows` are (n_samples, n_columns)."""
-    # Named for time, else in a unit of time; without a header, the first of several if it increases in even steps.
-    # Others named for time count, too, if they do so: some programs write one for each channel.
-    if len(columns) == 1 and " " in columns[0].name:
-        # Any comment above a single column looks like its name, even "time of day unknown".
-        return []
-    named = [index for index, column in enumerate(columns) if column.is_named_time and column.known_unit in (None, "m")]
-    if named:
-        return named[:1] + [index for index in named[1:] if runs_evenly(rows[:, index])]
-    for index, column in enumerate(columns):
-        if column.has_time_unit:
-            return [index]
-    is_time = not columns and rows.shape[1] > 1 and runs_evenly(rows[:, 0]) and not counts("", rows[:, 0])
-    return [0] if is_time else []
-
-
-def _factor(columns: tuple[ColumnHeader, ...], at: int, body: Body) -> float:
-    """Return the factor from a time column to seconds; stamps are in seconds already."""
-    return 1.0 if at == body.layout.stamp or not columns else seconds(columns[at].unit, body.source)
-
-
 def _measured_rate(
-    columns: tuple[ColumnHeader, ...], times: Sequence[int], rows: Floats, last: Floats | None, body: Body
+    names: Sequence[str], clocks: Sequence[Clock], rows: Floats, last: Floats | None, source: str, given: float | None
 ) -> float:
     """Return the sampling rate [Hz] of the time columns, which must agree."""
     rates = []
-    for at in times:
-        factor = _factor(columns, at, body)
-        rate = rate_of(rows[:, at] * factor, body.source)
-        rates.append(rate if last is None else refined_rate(rate, rows[0, at] * factor, last[at] * factor))
-    for (earlier, a), (later, b) in pairwise(zip(times, rates, strict=True)):
+    for clock in clocks:
+        times = clock.times(rows)
+        rate = rate_of(times, source, given)
+        if last is not None and rate != given:
+            rate = refined_rate(rate, float(times[0]), float(clock.times(last[None])[0]))
+        rates.append(rate)
+    for (earlier, a), (later, b) in pairwise(zip(clocks, rates, strict=True)):
         if not rates_agree(a, b, STATED_RATE):
             raise BadData(
-                f"{body.source}: the sampling rate must be one to 0.1 %, time column {columns[earlier].name!r} gives "
-                f"{a:.10g} Hz and {columns[later].name!r} {b:.10g} Hz; export the channels of one rate only"
+                f"{source}: the sampling rate must be one to 0.1 %, time column {names[earlier.columns[0]]!r} "
+                f"gives {a:.10g} Hz and {names[later.columns[0]]!r} {b:.10g} Hz; export the channels of one "
+                "rate only"
             )
     return rates[0]
 

@@ -6,13 +6,14 @@ import codecs
 import csv
 import math
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from datetime import datetime, timedelta, timezone
 from functools import lru_cache
 
 from cgid.errors import BadData
+from cgid.recordings.times import begins_as_time, is_time_name
 from cgid.units import KNOWN_UNITS, hertz_of, known_unit, number_and_unit, ratio_of, seconds_of
 
 #: First bytes, enough to recognise the encoding; the header ends within them.
@@ -84,6 +85,8 @@ class Layout:
     stamp : column with times of day, which become seconds before a row is divided
     picked : the fields of a row that count, in a row that may have others; all if there are none
     quoted : what a comma means within quotes, "decimal" or "thousands"; "" if there is none
+    has_date_column : whether the date of the times of day is in a column before them
+    words, units, label : columns of words, units behind the numbers of others, and the column of labels
     """
 
     delimiter: str | None
@@ -93,6 +96,10 @@ class Layout:
     stamp: int | None = None
     picked: tuple[int, ...] = ()
     quoted: str = ""
+    has_date_column: bool = False
+    words: tuple[int, ...] = ()
+    units: tuple[tuple[int, str], ...] = ()
+    label: int | None = None
 
     def fields(self, line: str) -> list[str]:
         """Return the fields of a row without quotes and surrounding blanks."""
@@ -183,11 +190,34 @@ def _candidates(line: str) -> Iterator[Layout]:
 _EPOCH = datetime(2000, 1, 1)
 
 _STAMP = re.compile(
-    r"(?<![\d.:])(?:(?:(\d{4})[-/.](\d\d?)[-/.](\d\d?)|(\d\d?)([-/.])(\d\d?)\5(\d{4}))[ T])?"
+    r"(?<![\d.:])(?:(?:(\d{4})[-/.](\d\d?)[-/.](\d\d?)|(\d\d?)([-/.])(\d\d?)\5(\d{4}))(?:[ T]|[,;\t|] ?))?"
     r"(\d\d?):(\d\d):(\d\d)(?:[.,](\d+))?(?:\s?([AaPp])[Mm])?(Z|[+-]\d\d:?\d\d)?(?![\d.:])",
     re.ASCII,
 )
 _STAMP_BEFORE_COMMA = re.compile(_STAMP.pattern.replace("[.,](", "[.]("), re.ASCII)
+
+
+#: Names of months in dates such as 04-Mar-2024, English and German, by their first letters.
+_MONTHS = ("jan", "feb", "mar|mär", "apr", "may|mai", "jun", "jul", "aug", "sep", "oct|okt", "nov", "dec|dez")
+_MONTH_NAMED = re.compile(
+    r"(?<!\d)(\d\d?)([-/. ])(?:" + "|".join(f"({names})" for names in _MONTHS) + r")[a-zä]*\.?\2(\d{4})(?!\d)",
+    re.IGNORECASE,
+)
+#: Marks between thousands other than commas: apostrophes and narrow or fixed blanks.
+_MARKS = "'\u2019\u2009\u202f\u00a0"
+_BETWEEN_THOUSANDS = re.compile(rf"(?<=\d)[{_MARKS}](?=\d{{3}}(?!\d))")
+
+
+def simpler(text: str) -> str:
+    """Return rows with months as numbers, and no marks between thousands."""
+    if any(mark in text for mark in _MARKS):
+        text = _BETWEEN_THOUSANDS.sub("", text)
+    return _MONTH_NAMED.sub(_as_numbers, text) if ":" in text else text
+
+
+def _as_numbers(date: re.Match[str]) -> str:
+    month = next(number for number in range(1, 13) if date[number + 2])
+    return f"{date[15]}-{month}-{date[1]}"
 
 
 def stamped_layout_of(line: str, following: str) -> Layout | None:
@@ -200,9 +230,12 @@ def stamped_layout_of(line: str, following: str) -> Layout | None:
 
 def plain_rows(text: str, layout: Layout) -> str:
     """Return rows with seconds instead of stamps, and without quotes around numbers with commas."""
+    text = simpler(text)
     if layout.quoted and '"' in text:
         mark = "." if layout.quoted == "decimal" else ""
         text = _QUOTED.sub(lambda match: match[1].replace(",", mark), text)
+    for _, unit in layout.units:
+        text = re.sub(rf"(?<=[\d.])\s*{re.escape(unit)}(?=\s*[\"']?\s*(?:[;,\t|\r\n]|$))", "", text)
     if layout.stamp is None:
         return text
     mark = "," if layout.decimal_comma else "."
@@ -271,7 +304,54 @@ def _layout(line: str) -> Layout | None:
             and (pattern is _STAMP_BEFORE_COMMA) == (layout.delimiter == ",")
         ):
             fields = layout.fields(pattern.sub("!", line))
-            return replace(layout, stamp=fields.index("!")) if "!" in fields else None
+            return _stamped(layout, pattern, line, fields.index("!")) if "!" in fields else None
+    return None
+
+
+def _stamped(layout: Layout, pattern: re.Pattern[str], line: str, stamp: int) -> Layout:
+    found = pattern.search(line)
+    date = found[0][: found.start(8) - found.start()] if found else ""
+    return replace(layout, stamp=stamp, has_date_column=any(mark in date for mark in ",;\t|"))
+
+
+_WITH_UNIT = re.compile(r"(.*[\d.])\s*([^\d\s.][^\d]*\d?)")
+
+
+def loose_layout_of(line: str, following: str, above: Sequence[str]) -> Layout | None:
+    """Return the layout of `line` if it has words or units beside its numbers, as the next row; else None."""
+    first, second = _loose(line), _loose(following)
+    if first is None or second is None or (first.n_columns, first.stamp) != (second.n_columns, second.stamp):
+        return None
+    if {*first.words} != {*second.words}:
+        return None
+    # Lines such as "serial, 123" above each other are no rows; names above rows or words that repeat show a table.
+    repeats = all(first.fields(line)[at] == first.fields(following)[at] for at in first.words)
+    names = [column.name for column in read_header(above, first).columns]
+    return first if repeats or (names and not any(map(first.number, names))) else None
+
+
+def _loose(line: str) -> Layout | None:
+    for mark in ";\t|,":
+        if mark not in line:
+            continue
+        pattern = _STAMP_BEFORE_COMMA if mark == "," else _STAMP
+        layout = Layout(delimiter=mark, n_columns=0, decimal_comma=mark != "," and "," in line and "." not in line)
+        fields = layout.fields(pattern.sub("!", line))
+        words, units, n_numbers = list[int](), list[tuple[int, str]](), 0
+        for at, text in enumerate(fields):
+            match = _WITH_UNIT.fullmatch(text)
+            if text in ("", "!") or layout.number(text):
+                n_numbers += text not in ("", "!")
+            elif match and layout.number(match[1]) and (known_unit(match[2]) or _is_time_unit(match[2])):
+                units.append((at, match[2].strip()))
+            elif text[0].isalpha():
+                words.append(at)
+            else:
+                return None
+        if fields.count("!") > 1 or n_numbers + len(units) == 0:
+            return None
+        layout = replace(layout, n_columns=len(fields), words=tuple(words), units=tuple(units))
+        return _stamped(layout, pattern, line, fields.index("!")) if "!" in fields else layout
     return None
 
 
@@ -288,16 +368,17 @@ def _seconds(match: re.Match[str], mark: str) -> str:
 
 # ---- the lines above the numbers: names, units, sampling rate, start -------------------------------------------------
 
-_TIME_NAME = re.compile(r"(?i:time|zeit|temps|tiempo|tempo|时间|時間)|t(?![^\W\d_])")
 _IN_BRACKETS = re.compile(r"(.*)[(\[{<]([^()\[\]{}<>]*)[)\]}>]")
+#: A decimal comma has not three digits behind it, which might be thousands.
+_STATED_NUMBER = r"([+-]?\d[\d.]*(?:,\d{1,2}|,\d{4,})?(?:[eE][+-]?\d+)?)"
 _STATED_RATE = re.compile(
     r"[\s#%;/\"]*(?i:(?:sampling|sample|data)[ _-]?(?:rate|frequency|freq)|fs|abtast(?:rate|frequenz)|采样率|采样频率)"
     r"[\s\"]*(?:[(\[]\s*([kKMG]?(?i:hz))\s*[)\]])?"
-    r"[\s\":=,;]+([+-]?\d[\d.]*(?:[eE][+-]?\d+)?)[\s\",;]*([kKMG]?(?i:hz)|(?i:s/s|sps))?[\s\",;.]*"
+    rf"[\s\":=,;]+{_STATED_NUMBER}[\s\",;]*([kKMG]?(?i:hz)|(?i:s/s|sps))?[\s\",;.]*"
 )
 _STATED_INTERVAL = re.compile(
     r"[\s#%;/\"]*(?i:(?:sampling|sample|time)[ _-]?(?:interval|period|step)|delta[ _]?[tx]|dt|采样间隔|采样周期)[\s\"]*"
-    r"(?:[(\[]\s*([mnuµ]?s)\s*[)\]])?[\s\":=,;]+([+-]?\d[\d.]*(?:[eE][+-]?\d+)?)[\s\",;]*([mnuµ]?s(?:ec)?)?[\s\",;.]*"
+    rf"(?:[(\[]\s*([mnuµ]?s)\s*[)\]])?[\s\":=,;]+{_STATED_NUMBER}[\s\",;]*([mnuµ]?s(?:ec)?)?[\s\",;.]*"
 )
 #: Between several statements of one comment, as in "config: fs = 1000 Hz, filter = 488 Hz".
 _PARTS = re.compile(r"(?:[,;]|(?<=[A-Za-z]):)\s+(?=[^\W\d])")
@@ -305,7 +386,7 @@ _STATED_START = re.compile(
     r"[\s#%;/\"]*(?i:start[ _-]?(?:date[ _-]?)?time|start(?:ed)?|recorded|date[ _-]?time)[\s\"]*[:=,;\t][\s\"]*"
     r"(\d{4}-\d\d-\d\d[ T]\d\d:\d\d[\d:.+Z-]*)[\s\",;]*"
 )
-_STATED_UNIT = re.compile(r"[\s#%;/\"]*(?i:units?|单位)[\s\"]*[:=][\s\"]*([^\s\",;]+)[\s\",;]*")
+_STATED_UNIT = re.compile(r"[\s#%;/\"]*(?i:units?|einheit|单位)[\s\"]*[:=;][\s\"]*([^\s\",;]+)[\s\",;]*")
 #: A sensitivity or a gain of all channels, or one of each with commas or semicolons between them.
 _STATED_CHAIN = re.compile(
     r"[\s#%;/\"]*(?:sensor[\s_-]*|transducer[\s_-]*|charge[\s_-]*)?(sensitivity|sensitivities|gain|gains)\s*"
@@ -314,7 +395,9 @@ _STATED_CHAIN = re.compile(
 )
 #: Numbers with a decimal comma and a unit, semicolons between them.
 _DECIMAL_COMMAS = re.compile(r"\s*\d+,\d+\s*[^\d\s,;][^,;]*(?:;\s*\d+(?:,\d+)?\s*[^\d\s,;][^,;]*)*")
-_COLUMNS_FOLLOW = re.compile(r"(?i:columns?|fields?|channels?|header)\s*[:=]\s*")
+_COLUMNS_FOLLOW = re.compile(
+    r"(?i:columns?|fields?|channels?|header|(?:channel[ _]?)?names?|units?|einheiten)\s*[:=]\s*"
+)
 _WORDS_WITH_BRACKETS = re.compile(r'"[^"]*"|[^\s()\[\]]+(?:\s*[(\[][^()\[\]]*[)\]])?|[(\[][^()\[\]]*[)\]]')
 
 #: Greek mu to the micro sign, full-width punctuation of Chinese headers to ASCII.
@@ -334,7 +417,7 @@ class ColumnHeader:
     @property
     def is_named_time(self) -> bool:
         """Whether the name means time."""
-        return bool(_TIME_NAME.match(self.name))
+        return begins_as_time(self.name)
 
     @property
     def has_time_unit(self) -> bool:
@@ -380,7 +463,8 @@ def column_of(text: str) -> ColumnHeader:
     text = " ".join(text.translate(_SAME).strip("\"' \t\r\n").split())
     if len(text) > _MAX_NAME_LENGTH:
         return ColumnHeader(name=text[:_MAX_NAME_LENGTH])
-    if text in KNOWN_UNITS or _is_time_unit(text):
+    # Alone, S may be a channel as well as X and Y.
+    if text in KNOWN_UNITS or (_is_time_unit(text) and not text.isupper()):
         return ColumnHeader(unit=text)
     if match := _IN_BRACKETS.fullmatch(text):
         return ColumnHeader(name=match[1].rstrip(" /_"), unit=match[2].strip())
@@ -388,8 +472,10 @@ def column_of(text: str) -> ColumnHeader:
         # Units contain slashes, names rarely do: split at the first slash, but at the last underscore or blank.
         name, _, unit = text.partition(mark) if mark == "/" else text.rpartition(mark)
         name, unit = name.strip(), unit.strip()
-        is_time = _is_time_unit(unit) and _TIME_NAME.match(name)
-        if any(character.isalpha() for character in name) and (unit in KNOWN_UNITS or is_time):
+        is_time = _is_time_unit(unit) and (begins_as_time(name) or is_time_name(name))
+        if any(character.isalpha() for character in name) and (
+            unit in KNOWN_UNITS or is_time or (known_unit(unit) and not unit.isalpha())
+        ):
             return ColumnHeader(name=name, unit=unit)
     return ColumnHeader(name=text)
 
@@ -448,9 +534,9 @@ def _stated_rate(comment: str) -> float | None:
         return next((rate for part in parts if (rate := _stated_rate(part)) is not None), None)
     with suppress(ValueError):  # a number with two points
         if match := _STATED_RATE.fullmatch(comment):
-            return float(match[2]) * (hertz_of(match[3] or match[1] or "") or 1.0)
+            return float(match[2].replace(",", ".")) * (hertz_of(match[3] or match[1] or "") or 1.0)
         if match := _STATED_INTERVAL.fullmatch(comment):
-            interval = float(match[2]) * (seconds_of(match[3] or match[1] or "") or 1.0)
+            interval = float(match[2].replace(",", ".")) * (seconds_of(match[3] or match[1] or "") or 1.0)
             return 1 / interval if interval else math.inf
     return None
 
@@ -459,10 +545,16 @@ def _columns(line: str, layout: Layout) -> tuple[ColumnHeader, ...]:
     text = re.sub(r"^\s*(?:#+|%+|//+)", "", line).strip(" \r\n")
     if text.startswith(";") and text.count(";") != layout.n_columns - 1:
         text = text.lstrip("; ")
-    text = _COLUMNS_FOLLOW.sub("", text, count=1) if _COLUMNS_FOLLOW.match(text) else text
+    follow = _COLUMNS_FOLLOW.match(text)
+    text = text[follow.end() :] if follow else text
     for fields in _divisions(text, layout):
         while len(fields) > layout.n_columns and not fields[-1].strip():
             fields = fields[:-1]
+        if follow and len(fields) == layout.n_columns - 1 and len(fields) > 1:
+            # Names and units of the channels, none of the times before them.
+            fields = ["s", *fields]
+        if layout.has_date_column and layout.stamp is not None and len(fields) == layout.n_columns + 1:
+            del fields[layout.stamp]
         # "Operator: Smith" is a comment, not a name.
         if len(fields) == layout.n_columns and any(map(str.strip, fields)) and not re.search("[:=]", "".join(fields)):
             return tuple(map(column_of, fields))

@@ -20,10 +20,10 @@ from numpy.typing import NDArray
 
 from cgid._lib.validation import rates_agree
 from cgid.errors import BadData
-from cgid.recordings.recording import Blocks, library, library_errors
+from cgid.recordings.recording import Asked, Blocks, library, library_errors
 from cgid.recordings.text_layout import stated_chain
-from cgid.recordings.times import lost_before, rate_of
-from cgid.units import known_unit, seconds_of
+from cgid.recordings.times import lost_before, rate_of, seconds
+from cgid.units import hertz_of, known_unit, seconds_of
 
 #: Largest file [bytes], since pyuff reads files at once and needs several times their size.
 MAX_FILE_SIZE = 256 << 20
@@ -93,8 +93,8 @@ class _DataSet:
         return f"{self.number} ({self.name or 'no name'}, {self.n_samples} samples)"
 
 
-def read_uff(path: Path, source: str, variable: str | None) -> Blocks:
-    """Return the channels of a universal file: its data sets 58 over time; `variable` is the number or name of one."""
+def read_uff(path: Path, source: str, asked: Asked) -> Blocks:
+    """Return the channels of a universal file: its data sets 58 over time."""
     pyuff = library("pyuff", "universal files", source)
     content = _whole(path, source)
     fault, hint = "the universal file is damaged", "copy or export it again"
@@ -114,12 +114,12 @@ def read_uff(path: Path, source: str, variable: str | None) -> Blocks:
             _DataSet(number=number, position_in_file=place, header=header)
             for number, (place, header) in enumerate(zip(positions, headers, strict=True), 1)
         ]
-        selected = _select(sets, source, variable)
+        selected = _select(sets, source, asked.variable)
         _require_recordings(selected, source)
         data_sets = [file.read_sets(one.position_in_file) for one in selected]
     samples = np.stack([_samples(one, its, source) for one, its in zip(data_sets, selected, strict=True)])
     first = selected[0]
-    rates = [_rate_of(one, its, source) for one, its in zip(data_sets, selected, strict=True)]
+    rates = [_rate_of(one, its, source, asked.sampling_rate) for one, its in zip(data_sets, selected, strict=True)]
     if not all(rates_agree(rate, rates[0]) for rate in rates):
         raise BadData(f"{source}: data sets must be of one rate, got {rates} Hz; pick one by --set variable=NUMBER")
     names = [one.name for one in selected]
@@ -198,6 +198,8 @@ def _require_recordings(selected: Sequence[_DataSet], source: str) -> None:
                 f"{source}: the abscissa of data set {one} must increase, its step is {one.step:g} s; correct it"
             )
         label = _text(header["abscissa_axis_units_lab"])
+        if hertz_of(label) is not None and label:
+            seconds(label, source)
         if header["abscissa_spec_data_type"] == _TIME_AXIS and seconds_of(label) not in (None, 1.0):
             raise BadData(
                 f"{source}: the abscissa of data set {one.number} must be in s, as the format has it, its label states "
@@ -227,17 +229,17 @@ def _samples(data_set: dict[str, Any], one: _DataSet, source: str) -> NDArray[An
     return samples.astype(np.float32) if binary and single else samples
 
 
-def _rate_of(data_set: dict[str, Any], one: _DataSet, source: str) -> float:
+def _rate_of(data_set: dict[str, Any], one: _DataSet, source: str, given: float | None) -> float:
     """Return the sampling rate [Hz] of a data set by its step, or by its times where a flag calls them uneven."""
     if one.header["abscissa_spacing"] == _EVEN:
         return _rate(one.step)
     times = np.asarray(data_set["x"], np.float64)[: one.n_samples]
-    if len(times) < 2 or not np.isfinite(times).all() or lost_before(times, source).any():
+    if len(times) < 2 or not np.isfinite(times).all() or lost_before(times, source, given=given).any():
         raise BadData(
-            f"{source}: the samples of data set {one} must be at even times without a gap, they are not; resample and "
-            "export them again"
+            f"{source}: the samples of data set {one} must be at even times without a gap, they are not; export "
+            "them again"
         )
-    return rate_of(times, source)
+    return rate_of(times, source, given)
 
 
 def _rate(step: float) -> float:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from datetime import datetime
@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 from cgid._lib.terminal import counted
 from cgid._lib.validation import rates_agree
 from cgid.errors import BadData
-from cgid.recordings.recording import SIMULTANEOUS, Blocks, ReadBlocks, Remark, require_one_rate
-from cgid.recordings.text_layout import column_of
-from cgid.recordings.times import rate_of_vector
+from cgid.recordings.recording import SIMULTANEOUS, Asked, Blocks, ReadBlocks, Remark, require_one_rate
+from cgid.recordings.text_layout import ColumnHeader, column_of
+from cgid.recordings.times import clocks_of, is_time_name, part, rate_of_blocks, seconds
 from cgid.units import hertz_of, known_unit, number_and_unit, plain_unit, ratio_of, seconds_of
 
 #: Values with names in a file; a list has one value per channel.
@@ -32,11 +32,17 @@ _RATE_NAMES = frozenset(
 _INTERVAL_NAMES = frozenset(
     ("dt", "samplinginterval", "sampleinterval", "samplingperiod", "sampleperiod", "timestep", "deltat", "wfincrement")
 )
+_X_UNIT_NAMES = frozenset(("wfxunitstring", "xunit", "xunits", "xunitstring"))
 _UNIT_NAMES = frozenset(("unit", "units", "unitstring", "yunit", "yunits", "engineeringunit", "engineeringunits"))
 _START_NAMES = frozenset(("starttime", "wfstarttime", "startdatetime", "acquisitionstart", "recordingstart"))
 _CHANNEL_NAMES = frozenset(("channelnames", "channelname", "channels", "channellabels", "labels"))
 _GAIN_NAMES = frozenset(("gain", "chargegain", "amplifiergain"))
-_NAMES = _RATE_NAMES | _INTERVAL_NAMES | _UNIT_NAMES | _START_NAMES | _CHANNEL_NAMES | _GAIN_NAMES
+_SCALE_NAMES = frozenset(("scale", "slope", "gain", "scalefactor"))
+_OFFSET_NAMES = frozenset(("offset", "intercept", "addoffset"))
+_NAMES = _RATE_NAMES | _INTERVAL_NAMES | _UNIT_NAMES | _X_UNIT_NAMES | _START_NAMES | _CHANNEL_NAMES | _GAIN_NAMES
+_NAMES |= _SCALE_NAMES | _OFFSET_NAMES
+#: Groups beside the arrays whose values are those of the file.
+_HEADERS = frozenset(("header", "info", "meta", "metadata", "fileheader"))
 
 #: What structs of axes state, see `_nested`.
 _NESTED = ("increment", "label")
@@ -63,8 +69,12 @@ def _sensitivity(name: str) -> re.Match[str] | None:
 def stated_rate(values: Values, source: str) -> tuple[float, str] | None:
     """Return the stated sampling rate [Hz] and the name that states it, None without one; raises `BadData`."""
     rates: list[tuple[float, str]] = []
+    x_unit = next((str(value) for _, value, _, _ in _named(values, _X_UNIT_NAMES)), "")
     for name, value, plain, unit in _named(values, _RATE_NAMES | _INTERVAL_NAMES):
         is_rate = plain in _RATE_NAMES
+        if x_unit.strip() and plain == "wfincrement":
+            seconds(x_unit.strip(), source)
+            unit = unit or x_unit.strip()
         number = _number(value, unit, hertz_of if is_rate else seconds_of)
         if number is not None and not is_rate:
             number = _rate_of(number)
@@ -145,13 +155,13 @@ def stated_start(values: Values) -> datetime | None:
     return None
 
 
-def stated_time_unit(name: str, values: Values) -> str:
-    """Return the unit of an array of times: its attribute, else the unit in its name, else ""."""
-    for _, value, _, _ in _named(values, _UNIT_NAMES):
-        if isinstance(value, str) and value.strip():
-            return plain_unit(value)
-    column = column_of(name.rpartition("/")[2])
-    return column.unit if column.has_time_unit else ""
+def _column_of(variable: Variable) -> ColumnHeader:
+    """Return name and unit of an array: its attribute, else the unit behind its name, as in a text."""
+    stated = next((value for _, value, _, _ in _named(variable.about, _UNIT_NAMES) if isinstance(value, str)), "")
+    column = column_of(variable.name)
+    if stated.strip():
+        return ColumnHeader(name=variable.name, unit=plain_unit(stated))
+    return column if column.known_unit or column.has_time_unit else ColumnHeader(name=variable.name)
 
 
 def _named(values: Values, names: frozenset[str]) -> Iterator[tuple[str, Value, str, str]]:
@@ -204,8 +214,11 @@ def _number(value: Value, unit: str, factor_of: Callable[[str], float | None]) -
 
 # ---- arrays ----------------------------------------------------------------------------------------------------------
 
-#: Names of an array of times; a capital T may as well be a temperature or a torque.
-_TIME_NAME = re.compile(r"(?i:(?:.*[\s_.-])?(?:time|zeit)(?:[\s_.(\[-].*)?)|t(?:\s*[(\[].*|_(?:m|u|µ)?s)?")
+#: What is said of an object of MATLAB: its name and class.
+MATLAB_OBJECT = "{} is a MATLAB {} and is left out; to read it, save its columns as arrays, as in x = T.x"
+#: Times read at once, and the first of them, which show what they are.
+_BLOCK_LENGTH = 1 << 18
+_SHOWN = 1 << 10
 #: Maximum number of names in a message.
 _LISTED = 12
 Answer = TypeVar("Answer")
@@ -235,7 +248,7 @@ class Variable:
     @property
     def is_time(self) -> bool:
         """Whether its name means the times of samples."""
-        return self.n_channels == 1 and _TIME_NAME.fullmatch(self.name) is not None
+        return self.n_channels == 1 and is_time_name(self.name)
 
     def __str__(self) -> str:
         shape = f"{self.n_channels} x {self.n_samples}" if self.n_channels > 1 else str(self.n_samples)
@@ -257,7 +270,7 @@ def contents_of(
     variables: Sequence[Variable],
     statements: Mapping[str, Values],
     source: str,
-    variable: str | None,
+    asked: Asked,
     warnings: list[str],
     *,
     group_is_one: bool = False,
@@ -266,7 +279,7 @@ def contents_of(
     """Return the recording among the arrays of a file, by name, pattern or group if there are several."""
     # statements : path of a group ("" is the top) -> named values; group_is_one : its arrays are the channels of one
     # recording; is_cut : the shortest channel counts
-    selected = _select(variables, source, variable, group_is_one)
+    selected = _select(variables, source, asked.variable, group_is_one, warnings)
     first = selected[0]
     n_samples = min(one.n_samples for one in selected)
     if len(selected) > 1 and any(one.n_channels > 1 or (one.n_samples != n_samples and not is_cut) for one in selected):
@@ -277,12 +290,15 @@ def contents_of(
     for one in selected:
         _require_readable(one, source)
     levels = [list(_levels(one, statements)) for one in selected]
+    selected = [_as_stated(one, level, source, warnings) for one, level in zip(selected, levels, strict=True)]
+    first = selected[0]
+    levels = [list(_levels(one, statements)) for one in selected]
     starts: list[datetime | None] = [_first(level, stated_start) for level in levels]
     times, measured = [one for one in variables if one.is_time], dict[str, tuple[float, list[tuple[int, int]]] | None]()
     rates = []
     for one, level in zip(selected, levels, strict=True):
         stated = _first(level, lambda values: stated_rate(values, source))
-        rates.append(_rate(one, stated, times, measured, source, warnings))
+        rates.append(_rate(one, stated, times, measured, source, warnings, asked.sampling_rate))
     for (rate, _), one in zip(rates[1:], selected[1:], strict=True):
         if (rate is None) != (rates[0][0] is None) or (rate and rates[0][0] and not rates_agree(rate, rates[0][0])):
             raise BadData(
@@ -298,10 +314,14 @@ def contents_of(
         names = names if len(names) == first.n_channels else []
     else:
         names = [one.name for one in selected]
+    columns = list(map(column_of, names))
+    # A unit behind a name counts as in a text.
+    names = [one.name if one.name and one.known_unit else name for one, name in zip(columns, names, strict=True)]
     units, sensitivities, gains = list[str | None](), list[str | None](), list[str | None]()
     for one, level in zip(selected, levels, strict=True):
         for values, stated_of in ((units, stated_units), (sensitivities, stated_sensitivities), (gains, stated_gains)):
             values += _first(level, partial(stated_of, n_channels=one.n_channels)) or [None] * one.n_channels
+    units = [unit or one.known_unit for unit, one in zip(units, columns, strict=True)] if columns else units
     gaps_of = [_gaps(one, times, measured) for one in selected]
     gaps = gaps_of[0]
     if any(one != gaps for one in gaps_of):
@@ -369,12 +389,14 @@ def _from(
         first = max(first - block.shape[1], 0)
 
 
-def _select(variables: Sequence[Variable], source: str, variable: str | None, group_is_one: bool) -> list[Variable]:
+def _select(
+    variables: Sequence[Variable], source: str, variable: str | None, group_is_one: bool, warnings: Sequence[str]
+) -> list[Variable]:
     signals = [one for one in variables if not one.is_time]
     if not variables:
         raise BadData(
-            f"{source}: a recording must be an array of real numbers with one or two axes, there is none; save the "
-            "samples as one"
+            f"{source}: a recording must be an array of real numbers with one or two axes, there is none; "
+            f"{'; '.join(warnings) or 'save the samples as one'}"
         )
     if {"header", "neighbourhood.centres"} <= {one.path for one in signals}:
         raise BadData(f"{source}: must be a recording, it is a model; give it by --model beside a recording")
@@ -417,6 +439,7 @@ def _levels(variable: Variable, statements: Mapping[str, Values]) -> Iterator[Va
         yield {**statements.get(group, {}), **_nested(statements, group)}
         group = group.rpartition("/")[0]
     yield statements.get("", {})
+    yield from (values for name, values in statements.items() if name.lower() in _HEADERS)
 
 
 def _nested(statements: Mapping[str, Values], group: str) -> Values:
@@ -443,26 +466,43 @@ def _rate(
     measured: dict[str, tuple[float, list[tuple[int, int]]] | None],
     source: str,
     warnings: list[str],
+    given: float | None,
 ) -> tuple[float | None, str]:
     """Return the rate [Hz] of an array and its origin, or None and "header"; `measured` keeps those of times."""
-    rates = [] if stated is None else [stated]
-    for one in _times_of(variable, times):
-        if one.path not in measured and one.n_samples > 1:
-            try:
-                _require_readable(one, source)
-                unit = stated_time_unit(one.name, one.about)
-                measured[one.path] = rate_of_vector(one, unit, f"{source}: {one.path}")
-            except BadData:
-                if stated is None:
-                    raise
-                warnings.append(Remark(f"the times of {one.path} are not even, the rate is that of {stated[1]}"))
-                measured[one.path] = None
+    rates, its_times = [] if stated is None else [stated], _times_of(variable, times)
+    if its_times and its_times[0].n_samples > 1 and its_times[0].path not in measured:
+        measured.update(dict.fromkeys(one.path for one in its_times))
+        try:
+            measured.update(_measured(its_times, source, given))
+        except BadData:
+            if stated is None:
+                raise
+            listed = ", ".join(one.path for one in its_times)
+            warnings.append(Remark(f"the times of {listed} are not even, the rate is that of {stated[1]}"))
+    for one in its_times:
         found = measured.get(one.path)
         if found is not None:
             rates.append((found[0], f"array {one.path}"))
     for other in rates[1:]:
         require_one_rate(rates[0], other, source)
     return rates[0] if rates else (None, "header")
+
+
+def _measured(
+    times: Sequence[Variable], source: str, given: float | None
+) -> Iterator[tuple[str, tuple[float, list[tuple[int, int]]]]]:
+    """Yield the path of arrays of times with the rate [Hz] and the gaps that they give."""
+    times = sorted(times, key=lambda one: part(one.name) or 0)
+    for one in times:
+        _require_readable(one, source)
+    shown = [next(iter(one.read(_SHOWN, (0,))))[0] for one in times]
+    precision = max(float(np.finfo(one.dtype).eps) for one in shown)
+    rows = np.stack(shown, axis=1).astype(np.float64)
+    where = f"{source}: {', '.join(one.path for one in times)}"
+    for clock in clocks_of([_column_of(one) for one in times], rows, where):
+        blocks = _joined(times, times[0].n_samples, source)(_BLOCK_LENGTH, range(len(times)))
+        seconds_of_rows = (clock.times(block.T.astype(np.float64)) for block in blocks)
+        yield times[clock.columns[0]].path, rate_of_blocks(seconds_of_rows, precision, where, given)
 
 
 def _gaps(
@@ -473,11 +513,51 @@ def _gaps(
 
 
 def _times_of(variable: Variable, times: Sequence[Variable]) -> list[Variable]:
-    return [
-        one
-        for one in times
-        if one is not variable and (one.group, one.n_samples) == (variable.group, variable.n_samples)
-    ]
+    """Return the arrays of times of an array: of its length, in its group, else in the nearest above."""
+    group = variable.group
+    while True:
+        found = [
+            one
+            for one in times
+            if one.path != variable.path and (one.group, one.n_samples) == (group, variable.n_samples)
+        ]
+        if found or not group:
+            return found
+        group = group.rpartition("/")[0]
+
+
+def _as_stated(variable: Variable, levels: Sequence[Values], source: str, warnings: list[str]) -> Variable:
+    """Return packed numbers, and integers, times the scale that they state, plus their offset."""
+    # Packed numbers: CF conventions 1.11, section 8.1. A gain of a group is that of an amplifier.
+    about = dict(variable.about)
+    scale = _stated_number(about, _SCALE_NAMES if variable.is_integer else {"scalefactor"})
+    offset = _stated_number(about, _OFFSET_NAMES if variable.is_integer else {"addoffset"})
+    if variable.is_integer and scale is None:
+        scale = _first(levels[1:], lambda values: _stated_number(dict(values), _SCALE_NAMES - {"gain"}))
+    factor, offset = 1.0 if scale is None else scale, offset or 0.0
+    if not (np.isfinite([factor, offset]).all() and factor):
+        raise BadData(
+            f"{source}: the scale of {variable.path} must be a number other than 0, and its offset one, they are "
+            f"{factor:g} and {offset:g}; correct them"
+        )
+    if (factor, offset) == (1.0, 0.0):
+        return variable
+
+    def read(length: int, channels: Sequence[int], *start: int) -> Iterator[NDArray[Any]]:
+        return (offset + factor * block for block in variable.read(length, channels, *start))
+
+    if variable.is_integer:
+        warnings.append(Remark(f"{variable.path}: integers times {factor:g}" + (f" plus {offset:g}" if offset else "")))
+    return replace(variable, read=read, about=about, is_integer=False, full_scale=None)
+
+
+def _stated_number(values: dict[str, Value], names: Collection[str]) -> float | None:
+    """Take the number of one of some names from values, nan for a text; None without one."""
+    for name, value, plain, _ in list(_named(values, frozenset(names))):
+        if isinstance(value, int | float) or plain != "gain":
+            del values[name]
+            return float(value) if isinstance(value, int | float) else np.nan
+    return None
 
 
 def _require_readable(variable: Variable, source: str) -> None:

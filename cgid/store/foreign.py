@@ -40,6 +40,8 @@ _SLOTS = 10_007
 #: Where MATLAB stores the targets of cells and objects.
 _MATLAB_INNER = ("#refs#", "#subsystem#")
 _MATLAB_NAMES = frozenset(("MATLAB_class", "MATLAB_empty"))
+_MATLAB_NUMBERS = tuple(f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64))
+_MATLAB_PLAIN = frozenset(("double", "single", "logical", "char", "cell", "struct", *_MATLAB_NUMBERS))
 _HINT = "save it again as plain arrays"
 #: Bytes of a column read at once.
 _MAX_PART = 1 << 24
@@ -57,18 +59,21 @@ class ForeignArray:
     path: str
     shape: tuple[int, ...]
     attributes: dict[str, Any]
-    is_integer: bool
+    dtype: np.dtype[Any]
     fault: str
     warning: str
 
 
 def survey(
     path: Path, source: str, required: Callable[[str], bool]
-) -> tuple[list[ForeignArray], dict[str, dict[str, Any]], list[str]]:
-    """Return the arrays, the `required` values (group -> name -> value) and the warnings of a foreign HDF5 file."""
+) -> tuple[list[ForeignArray], dict[str, dict[str, Any]], list[str], list[tuple[str, str]]]:
+    """Return the arrays, the `required` values (group -> name -> value), the warnings and the objects of an HDF5 file.
+
+    Objects of MATLAB have a name and a class.
+    """
     arrays: list[ForeignArray] = []
     values: dict[str, dict[str, Any]] = {}
-    texts: list[tuple[str, str]] = []
+    texts, objects = list[tuple[str, str]](), list[tuple[str, str]]()
     size = path.stat().st_size
     with _opened(path, source) as file:
         for name, item in _walk(file, source):
@@ -80,6 +85,9 @@ def survey(
                 continue
             group, _, last = name.rpartition("/")
             matlab = attributes.get("MATLAB_class", "")
+            if matlab and matlab not in _MATLAB_PLAIN:
+                objects.append((name, matlab))
+                continue
             if _is_text_of_any_length(item.dtype):
                 texts += [(name, "")] if item.size == 1 and required(last) else []
             elif item.dtype.kind == "S" or (item.dtype.kind in "biuf" and (matlab == "char" or item.size == 1)):
@@ -94,14 +102,14 @@ def survey(
                         path=item.name,
                         shape=item.shape,
                         attributes=attributes,
-                        is_integer=item.dtype.kind != "f",
+                        dtype=item.dtype,
                         fault=fault,
                         warning=warning,
                     )
                 )
         lost = _add_texts(file, texts, {array.name: array.attributes for array in arrays}, values)
     warning = f"texts of variable length ({', '.join(lost[:5])}) could not be read; the file may be damaged"
-    return arrays, values, [warning] if lost else []
+    return arrays, values, [warning] if lost else [], objects
 
 
 def _add_texts(

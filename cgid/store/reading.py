@@ -147,11 +147,30 @@ class Dataset:
             f"{self.sampling_rate:g} Hz [{self.unit}])"
         )
 
-    def __getitem__(self, index: int) -> Signal:
-        """Return one signal; a negative index counts from the end."""
-        if isinstance(index, slice):
-            raise InvalidValue(f"{self.path}: index must be one number, got a slice; batches() yields several signals")
-        return self.signal(index)
+    ndim = 2
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Number of signals, and of samples of each."""
+        return len(self), self.header.n_samples
+
+    @property
+    def dtype(self) -> np.dtype[Any]:
+        """Type of the samples."""
+        return np.dtype(self.header.dtype)
+
+    def __getitem__(self, index: Any) -> Any:
+        """Return one signal, of a negative index from the end; of a slice the samples of signals, as an array."""
+        picked, *samples = index if isinstance(index, tuple) else (index,)
+        if not isinstance(picked, slice):
+            return self.signal(picked).samples[samples[0]] if samples else self.signal(picked)
+        numbers, parts, begin = range(len(self))[picked], [np.empty((0, self.shape[1]), self.dtype)], 0
+        first, stop = (min(numbers), max(numbers) + 1) if numbers else (0, 0)
+        for shard, count in enumerate(self._counts):
+            low, high = max(first - begin, 0), min(stop - begin, count)
+            parts += [batch.signals for batch in self._read(shard, low, high, None)] if low < high else []
+            begin += count
+        return np.concatenate(parts)[[number - first for number in numbers]][:, *samples]
 
     def _repr_html_(self) -> str:
         header = self.header

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from bisect import bisect_left
 from collections.abc import Iterable, MutableMapping, Sequence
 from pathlib import Path
@@ -40,7 +41,10 @@ def read_track(path: Path) -> list[tuple[float, float, str]]:
             span = float(begin.replace(",", ".")), float(end.replace(",", "."))
         except ValueError:
             span = math.nan, math.nan
-        if not 0 <= span[0] <= span[1] < math.inf:
+        if span[0] <= span[1] < 0:
+            warnings.warn(f"{path}: line {number}: the mark is before the recording and is left out", stacklevel=2)
+            continue
+        if not -math.inf < span[0] <= span[1] < math.inf:
             raise BadData(
                 f"{path}: line {number}: a label track must have begin and end in s and a text, divided by tabs, got "
                 f"{shown(line)}; export it by File, Export Labels"
@@ -50,7 +54,9 @@ def read_track(path: Path) -> list[tuple[float, float, str]]:
     return found
 
 
-def fill_in(rows: Sequence[MutableMapping[str, str]], marks: Iterable[tuple[float, float, str]]) -> tuple[int, int]:
+def fill_in(
+    rows: Sequence[MutableMapping[str, str]], marks: Iterable[tuple[float, float, str]], by: str = "audacity"
+) -> tuple[int, int]:
     """Give the labels of marks to rows, in order of time, and return how many rows have one, and marks without a row.
 
     A longer mark is given first, so that shorter ones in it prevail.
@@ -62,6 +68,6 @@ def fill_in(rows: Sequence[MutableMapping[str, str]], marks: Iterable[tuple[floa
         if begin == end and inside:
             inside = range(*(min((abs(times[k] - begin), k) for k in inside)[1] + step for step in (0, 1)))
         for k in inside:
-            rows[k]["label"], rows[k]["by"] = text, "audacity"
+            rows[k]["label"], rows[k]["by"] = text, by
         lost += not inside
     return sum(bool(row["label"]) for row in rows), lost
