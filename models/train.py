@@ -34,6 +34,7 @@ import numpy as np
 from beside_force import beside_force, force_model, force_table
 from domain_shift import domain_shift, domain_shift_table
 from selection import select, selection_section
+from single_forces import of_batches, pool_of_pulses
 
 from cgid import shipped
 from cgid._lib.files import write_together
@@ -52,9 +53,9 @@ from cgid.identification.training.rows import (
     measure,
 )
 from cgid.identification.training.training import train_on_specimens
-from cgid.learning.seams import N_STREAMS, Pool, pool_of, pool_of_pulses, wide, with_seams
+from cgid.learning.seams import N_STREAMS, Pool, pool_of, wide, with_seams
 from cgid.learning.streams import StreamRows, finished, rows_of_streams, variations
-from cgid.learning.world import of_batches, of_streams, with_world
+from cgid.learning.world import of_streams, with_world
 from cgid.measure.modal.beam import Beam
 from cgid.scene import Scene, load_scene, parse_scene, synthesise
 from cgid.scene.synthesis.draws import BLOCK

@@ -8,10 +8,11 @@ import pytest
 from cgid import load_model, shipped
 from cgid.identification.model.model import Model
 from cgid.learning import seams, streams
-from cgid.learning.seams import Pool, pool_of_pulses, pulse_of, simulated, wide, with_seams
+from cgid.learning.seams import Pool, pulse_of, simulated, wide, with_seams
 from cgid.physics import HalfSpace, HuntCrossley, Impact, Sphere
 from cgid.physics.contact.materials import STEEL, Material
 from cgid.scene import load_scene, synthesise
+from models.single_forces import pool_of_pulses
 
 
 @pytest.fixture(scope="module")

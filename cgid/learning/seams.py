@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import json
 import warnings
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from contextlib import closing
 from dataclasses import dataclass, fields, replace
 from typing import Any
@@ -41,13 +41,11 @@ from cgid.identification.model.model import StoredModel
 from cgid.identification.prediction.fraction import estimate_of
 from cgid.identification.training.rows import BEAM_FEATURES, BEAM_GUARDS
 from cgid.learning.streams import DURATION, detected_features, impact_of, labels_of, variations
-from cgid.measure.features.extraction import extract_array
 from cgid.measure.modal.beam import Beam
 from cgid.physics.contact.closed_forms import damping_number, peak_force
 from cgid.scene.file.schema import Scene, parse_scene
 from cgid.scene.synthesis.rocks import arrivals_of, arriving
 from cgid.scene.synthesis.stream import record
-from cgid.signals import Batch
 from cgid.units import STANDARD_GRAVITY
 
 #: Ranges of rocks of the wide world, beyond those of any seam of the prior.
@@ -123,7 +121,7 @@ def _pooled(settings: tuple[int, Beam], numbered: tuple[int, Scene]) -> Pool:
             for stretch in arrivals_of(scene.stream).stretches(DURATION, seed, number)
         ]
     )[truth["rock"]]
-    pulse = _pulses(truth, restitution)
+    pulse = pulses_of(truth, restitution)
     events = find_impacts(signal, kind="vibration")
     with threadpool_limits(1):
         features = detected_features(events, (*BEAM_FEATURES, *BEAM_GUARDS), beam)
@@ -145,21 +143,7 @@ def _pooled(settings: tuple[int, Beam], numbered: tuple[int, Scene]) -> Pool:
     return Pool(pulse=pulse[whole], measured=measured[whole], told=told[whole], bounce=bounce[whole], back=back[whole])
 
 
-def pool_of_pulses(batches: Iterable[Batch], names: tuple[str, ...]) -> Pool:
-    """Return the impacts of frames of a force, each of a rock of its own, with these features and guards."""
-    pulses, measured = [], []
-    for batch in batches:
-        pulses.append(_pulses(batch.parameters, batch.parameters["restitution"]))
-        with threadpool_limits(1):
-            measured.append(
-                extract_array(batch.signals, batch.sampling_rate, names, pre_trigger=batch.pre_trigger, invalid="nan")
-            )
-    pulse = np.concatenate(pulses)
-    every, nothing = np.ones(len(pulse), bool), np.full(len(pulse), np.nan)
-    return Pool(pulse=pulse, measured=np.concatenate(measured), told=every, bounce=~every, back=nothing)
-
-
-def _pulses(truth: Mapping[str, Any], restitution: Floats) -> Floats:
+def pulses_of(truth: Mapping[str, Any], restitution: Floats) -> Floats:
     """Return the pulses of the formula, (n, 3), from the columns of a truth."""
     modulus = truth["youngs_modulus"] / (1 - truth["poisson_ratio"] ** 2)
     return pulse_of(truth["density"], truth["radius"], modulus, restitution, truth["velocity"])

@@ -6,7 +6,7 @@ tenth with the others, so that the largest distance of each is exchangeable with
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -17,8 +17,6 @@ from threadpoolctl import threadpool_limits
 from cgid._lib.validation import Floats
 from cgid.identification.model.model import StoredModel
 from cgid.identification.model.world import CHECKS, GROUPS, N_SUMMARY, World, powers, summary, trait_names
-from cgid.measure.features.extraction import extract_array
-from cgid.signals import Batch
 
 if TYPE_CHECKING:
     from cgid.learning.streams import StreamRows
@@ -59,22 +57,6 @@ def of_streams(streams: Iterable[StreamRows]) -> Iterator[tuple[Floats, float]]:
     """Yield simulated streams as recordings of `with_world`."""
     for stream in streams:
         yield stream.rows.columns(trait_names(stream.rows.names)), stream.fraction
-
-
-def of_batches(batches: Iterable[Batch], names: Sequence[str], seed: int) -> Iterator[tuple[Floats, float]]:
-    """Yield batches of single forces, half of them of gangue, as recordings of `with_world` with other fractions."""
-    rng = np.random.default_rng([seed, 32])
-    for batch in batches:
-        features = extract_array(
-            batch.signals, batch.sampling_rate, names, pre_trigger=batch.pre_trigger, invalid="nan"
-        )
-        sound = np.isfinite(features).all(axis=1)
-        gangue = rng.permutation(np.flatnonzero(sound & (batch.labels == "gangue")))
-        coal = rng.permutation(np.flatnonzero(sound & (batch.labels != "gangue")))
-        fraction = float(rng.random())
-        n = min(len(gangue), len(coal))
-        n_gangue = int(rng.binomial(n, fraction))
-        yield features[rng.permutation(np.append(gangue[:n_gangue], coal[: n - n_gangue]))], fraction
 
 
 def _summaries(traits: Floats, rng: np.random.Generator) -> Floats:
