@@ -15,7 +15,7 @@ from cgid.errors import InvalidValue
 from cgid.measure.modal.modes import Modes
 from cgid.physics.contact.bodies import ThinPlate
 from cgid.physics.contact.materials import Material
-from cgid.physics.structure.plates import PanelShapes, PolynomialShapes, Rigidities, SineShapes, on_panel, ritz_modes
+from cgid.physics.structure.plates import PanelShapes, PolynomialShapes, Rigidities, SineShapes, ritz_modes
 
 __all__ = ["Ribs", "TailBeam"]
 
@@ -182,7 +182,7 @@ class TailBeam:
     def plate(self) -> ThinPlate:
         """The panel as the target of an `Impact`: an unbounded plate with the impedance of skin and ribs.
 
-        Valid until waves return (`echo_time`), and with ribs up to `highest_smeared_frequency`.
+        Valid until waves return (`echoes`), and with ribs up to `highest_smeared_frequency`.
         """
         if self.ribs is None:
             return self.skin
@@ -213,19 +213,13 @@ class TailBeam:
         wave_number = math.pi / self.rib_spacing
         return wave_number * wave_number * math.sqrt(self.rigidities.across / self.mass_per_area) / (2 * math.pi)
 
-    def echo_time(self, x: ArrayLike, y: ArrayLike, frequency: ArrayLike) -> Floats:
-        """Return the time [s] at which flexural waves of a frequency [Hz] return from the nearest edge to (x, y) [m].
-
-        x is along the length from the clamped edge, y over the width; the arguments broadcast. A packet travels at the
-        group velocity `2 sqrt(omega) (D / m)^(1/4)`, straight to an edge and back. Higher frequencies are faster: for
-        an impact use its highest, about the inverse contact duration.
-        """
-        frequency = validation.positive("frequency", frequency, "Hz")
-        along, across = on_panel("x", x, self.length), on_panel("y", y, self.width)
-        return self.echoes(*validation.broadcast(x=along, y=across, frequency=frequency))
-
     def echoes(self, along: Floats, across: Floats, frequency: Floats) -> Floats:
-        """Return `echo_time` for points as fractions of the sides, without checks."""
+        """Return the time [s] in which flexural waves of a frequency [Hz] return from the nearest edge.
+
+        The points are fractions of length and width. A packet travels at the group velocity `2 sqrt(omega) (D /
+        m)^(1/4)`, straight to an edge and back. Higher frequencies are faster: for an impact use its highest, about
+        the inverse contact duration.
+        """
         omega = 2 * np.pi * frequency
         times = []
         for fraction, extent, rigidity in (
