@@ -715,7 +715,6 @@ _COMMANDS = r"""
 65 | tap two_taps.csv -o new.csv --sensor 0.1,0.1 | --taps
 65 | tap hammered.csv --hammer 2 -o new.csv --taps two_places.csv | --sensor
 65 | tap hammered.csv --hammer 2 -o new.csv --taps two_places.csv --sensor here | --sensor
-65 | tap hammered.csv --hammer 2 -o new.csv --taps two_places.csv --sensor 0.1,0.1 --uff new.uff | --uff
 65 | tap hammered.csv --hammer 2 -o new.csv --taps two_places.csv --sensor 0.1,0.1 | 6 places
 65 | tap hammered.csv --hammer 2 -o new.csv --taps places.csv --sensor 0.1,0.1 | got 3 for 2 taps
 65 | tap hammered.csv --hammer 2 -o new.csv --taps late_places.csv --sensor 0.1,0.1 | 7.5 s
@@ -724,8 +723,7 @@ _COMMANDS = r"""
 65 | tap two_taps.csv -o new.csv --scene reference | reference
 65 | tap two_taps.csv -o new.csv --set start_error=0 | start_error
 2 | tap two_taps.csv -o new.csv --window-tau 30 | --window-tau is withdrawn; record
-65 | tap two_taps.csv -o new.csv --uff new.uff | --hammer
-73 | tap two_taps.csv -o new.csv --uff new.txt | .uff
+2 | tap two_taps.csv -o new.csv --uff new.uff | --uff is withdrawn; --plot draws
 73 | tap two_taps.csv -o modes.csv | modes.csv
 65 | invert two_taps.csv | --modes
 65 | invert two_taps.csv --scene tail_beam --modes modes.csv | --scene

@@ -25,7 +25,7 @@ _OPTIONS = {
     "Signals": "--signals --seed",
     "Calibration": "--dimension-error",
     "Tap test": "--hammer --modes --band --taps",
-    "Output": "--output --summary --fractions --port --audacity --mirror --report --plot --plots --uff --write-site "
+    "Output": "--output --summary --fractions --port --audacity --mirror --report --plot --plots --write-site "
     "--overwrite --resume --json",
     _PLANT: "--mqtt --modbus --prometheus --live --on-shut --on-open --on-blind",
     "Speed": "--jobs",
@@ -65,6 +65,7 @@ WITHDRAWN = {
     "--kind": "state the quantity by --unit, motion and sound are vibrations",
     "--max-order": "leave it out, --band keeps fewer modes",
     "--window-tau": "record taps without a window, decays may last",
+    "--uff": "--plot draws the response; cgid tap -o modes.csv has its modes",
     "--compression": "pack what cgid export writes by h5repack -f GZIP=4",
     "--closed-form-only": "name the columns by --quantities, such as peak_force,contact_duration,impulse",
     "--level-free": "name features free of the gain by --features (relative_level_1000_hz,relative_level_1250_hz,...)",

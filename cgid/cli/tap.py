@@ -56,7 +56,6 @@ _COARSE = 0.3
 @click.option(
     "--plot", "picture", type=OUTPUT, help="Plot the poles of all orders of the model, and the response, as PNG."
 )
-@click.option("--uff", type=OUTPUT, help="Write the frequency response, measured and modelled, to this universal file.")
 @overwrite_option
 @json_option
 @reading_options()
@@ -72,7 +71,6 @@ def tap(
     scene_name: str | None,
     start_error: str,
     picture: str | None,
-    uff: str | None,
     overwrite: bool,
     as_json: bool,
     reading: ReadingOptions,
@@ -93,12 +91,9 @@ def tap(
     from cgid.plots.figure import new_picture
 
     path = check_new(Path(output), "a table of modes", (".csv",), overwrite=overwrite)
-    universal = None if uff is None else check_new(Path(uff), "a universal file", (".uff", ".unv"), overwrite=overwrite)
-    if universal is not None and hammer is None:
-        raise InvalidValue("--uff must be used with a hammer channel, whose force the response is over; give --hammer")
     drawing = None if picture is None else new_picture(picture, overwrite=overwrite)
     times, places = (None, None) if table is None else read_taps(table)
-    _require_roving(places is not None, hammer, sensor, uff)
+    _require_roving(places is not None, hammer, sensor)
     modes = None if scene_name is None else _modes_of(scene_name)
     error = share_of("start_error", start_error)
     if not 0 < error <= 0.1:
@@ -126,8 +121,6 @@ def tap(
         from cgid.plots.figure import stabilisation_picture
 
         write_whole(drawing, stabilisation_picture(test), overwrite=overwrite)
-    if universal is not None and test.frequency_response is not None:
-        write_whole(universal, test.frequency_response.universal(Path(recording).name), overwrite=overwrite)
     if len(test.used) == 1:
         warn("one tap: the standard deviations omit the variation between taps; tap about five times")
     _say(test, path, scene_name, known, alike, as_json)
@@ -145,14 +138,12 @@ def _later(hammer: Any, recording: Any) -> int:
     return count
 
 
-def _require_roving(roving: bool, hammer: str | None, sensor: str | None, uff: str | None) -> None:
+def _require_roving(roving: bool, hammer: str | None, sensor: str | None) -> None:
     """Raise `InvalidValue` unless the options fit a table of places, or one without."""
     if roving and (hammer is None or sensor is None):
         raise InvalidValue("--taps with places must be used with --hammer and --sensor; give its channel and its place")
     if not roving and sensor is not None:
         raise InvalidValue("--sensor must be used with a table of places; give --taps with the columns x_m and y_m")
-    if roving and uff is not None:
-        raise InvalidValue("--uff must be left out with a table of places, it is for taps at one place")
 
 
 def _modes_of(name: str) -> Modes:
