@@ -1,3 +1,2 @@
 from cgid.plots.answers import share_figure as share_figure
 from cgid.plots.figure import picture as picture
-from cgid.plots.recording import recording_picture as recording_picture

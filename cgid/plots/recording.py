@@ -7,13 +7,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cgid._lib.validation import Floats
-from cgid.measure.overview import Overview, OverviewStream
-from cgid.plots.figure import COLOURS, colours_of, plain, png, require_matplotlib, written
+from cgid.measure.overview import Overview
+from cgid.plots.figure import COLOURS, colours_of, plain, require_matplotlib, written
 from cgid.recordings import Channel
-from cgid.signals import Signal
 
 #: A picture with more channels is illegible.
 MAX_CHANNELS = 8
@@ -248,59 +246,3 @@ def hertz(frequency: float, digits: int = 6) -> str:
 def _density(unit: str | None) -> str:
     one = "unit" if unit is None else written(unit)
     return f"({one})²/Hz" if "/" in one else f"{one}²/Hz"
-
-
-def recording_picture(recording: Signal, truth: Mapping[str, NDArray[Any]]) -> bytes:
-    """Draw a generated recording as PNG: impacts, waveform, spectrogram and shares of the labels.
-
-    Parameters
-    ----------
-    recording : Signal
-    truth : dict of ndarray, each (n_impacts,)
-        time [s], bounce and label of every impact, as stored by `cgid generate`.
-
-    Returns
-    -------
-    bytes
-    """
-    stream = OverviewStream(recording.sampling_rate)
-    stream.feed(recording.samples[np.newaxis])
-    overview, channel = stream.overview(), Channel(name=recording.channel, unit=recording.unit)
-    clock, colours = Clock(0.0, recording.duration), colours_of(truth["label"].tolist())
-    marks = [
-        Mark(time=time, end=time, label=f"{label}, bounces" if bounce else label)
-        for time, bounce, label in zip(*(truth[name].tolist() for name in ("time", "bounce", "label")), strict=True)
-    ]
-    rows = {name: colour for label, colour in colours.items() for name in (label, f"{label}, bounces")}
-    figure = require_matplotlib()(figsize=(11, 8), layout="constrained")
-    grid = figure.add_gridspec(4, 2, height_ratios=(0.22 * len(rows), 2, 2, 2), width_ratios=(1, 0.016), wspace=0.01)
-    first = figure.add_subplot(grid[0, 0])
-    waveform, spectrogram, shares = (figure.add_subplot(grid[row, 0], sharex=first) for row in (1, 2, 3))
-    draw_marks(first, marks, rows, clock)
-    draw_waveform(waveform, overview, 0, channel, clock)
-    draw_spectrogram(spectrogram, figure.add_subplot(grid[2, 1]), overview, 0, channel, clock)
-    _shares(shares, clock, recording.duration, truth, colours)
-    for axes in (first, waveform, spectrogram):
-        axes.tick_params(labelbottom=False)
-    return png(figure)
-
-
-def _shares(
-    axes: Any,
-    clock: Clock,
-    duration: float,
-    truth: Mapping[str, NDArray[Any]],
-    colours: Mapping[str, str],
-    width: float = 0.05,
-) -> None:
-    """Draw the fraction of each label among the rocks arriving near a time, in a Gaussian window."""
-    first = truth["bounce"] == 0
-    arrivals, labels = truth["time"][first], truth["label"][first]
-    times = np.linspace(0, duration, 400)
-    weights = np.exp(-0.5 * ((times[:, None] - arrivals) / (width * duration)) ** 2)
-    total = np.maximum(weights.sum(axis=1), np.finfo(np.float64).tiny)
-    for label, colour in colours.items():
-        axes.plot(clock.of(times), weights[:, labels == label].sum(axis=1) / total, color=colour, label=label)
-    axes.set(ylim=(0, 1), ylabel=f"share of the arriving rocks\n(within {width * duration:g} s)", xlabel=clock.title)
-    axes.grid(alpha=0.3)
-    axes.legend(fontsize="small", loc="center left")

@@ -13,7 +13,10 @@ import numpy as np
 from matplotlib import pyplot as plt
 
 from cgid import find_impacts, load_scene
-from cgid.plots import recording_picture
+from cgid.measure.overview import OverviewStream
+from cgid.plots import picture
+from cgid.plots.recording import Mark, overview_figure
+from cgid.recordings import Channel
 from cgid.scene import parse_scene, record
 
 content = load_scene("caving").model_dump(mode="json", exclude_none=True)
@@ -22,9 +25,13 @@ content["stream"]["mixture"] = {"times": ["0 s", "10 s"], "gangue": [0.05, 0.9]}
 scene = parse_scene(content)
 signal, truth = record(scene, seed=1)
 
-picture = recording_picture(signal, truth)
+stream = OverviewStream(signal.sampling_rate)
+stream.feed(signal.samples[np.newaxis])
+hits = zip(truth["time"].tolist(), truth["label"].tolist(), strict=True)
+marks = [Mark(time=time, end=time, label=label) for time, label in hits]
+drawn = overview_figure(stream.overview(), [Channel(name="1", unit=signal.unit)], title="caving", marks=marks)
 figure, axes = plt.subplots(figsize=(9, 7), layout="constrained")
-axes.imshow(plt.imread(io.BytesIO(picture)))
+axes.imshow(plt.imread(io.BytesIO(picture(drawn, ".png"))))
 axes.axis("off")
 plt.show()
 
