@@ -13,7 +13,7 @@ from cgid.measure.features.extraction import extract_array
 from cgid.signals import Batch
 
 
-def pool_ofpulses_of(batches: Iterable[Batch], names: tuple[str, ...]) -> Pool:
+def pool_of_pulses(batches: Iterable[Batch], names: tuple[str, ...]) -> Pool:
     """Return the impacts of frames of a force, each of a rock of its own, with these features and guards."""
     pulses, measured = [], []
     for batch in batches:

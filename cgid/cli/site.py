@@ -10,6 +10,7 @@ from typing import Any
 
 import click
 
+from cgid.cli.output import say
 from cgid.errors import InvalidValue
 from cgid.recordings.site import CHANNEL_KEYS, KEYS, NOWHERE, Site
 
@@ -51,7 +52,8 @@ def _print_all(context: click.Context, _option: click.Parameter, wanted: bool) -
                 formatter.write_dl([(key, about.help) for key, about in KEYS[section].items()])
         with formatter.section("Keys of each channel in a site file, such as [channels.1]"):
             formatter.write_dl([(key, about.help) for key, about in CHANNEL_KEYS.items()])
-        click.echo(formatter.getvalue().rstrip("\n"))
+        for line in formatter.getvalue().splitlines():
+            say(line)
         context.exit()
 
 
