@@ -302,7 +302,7 @@ def _channels(recording: Any, as_json: bool, beams: Groups) -> tuple[dict[str, A
     lowest[n_read == 0] = highest[n_read == 0] = total[n_read == 0] = np.nan
     described = {}
     for row, (channel, ear) in enumerate(zip(names, ears, strict=True)):
-        add(row, ear.finish().events)
+        add(row, ear.feed(None).events)
         if is_known[row] and not impacts[row] and INVERT_HINT in ear.why_silent():
             warn(f"{channel_name(recording.source, channel.name)}: no impact: {INVERT_HINT}")
         stated = (
