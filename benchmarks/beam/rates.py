@@ -25,10 +25,11 @@ OWN = 25_600.0
 TEXT = (Path(__file__).parents[2] / "datasets" / "caving.toml").read_text()
 
 
-def recorded(rate: float, n: int, seed: int, folder: Path) -> list[Path]:
-    """Make recordings at a rate [Hz], with the modes that the scene has at its own."""
+def recorded(rate: float, n: int, seed: int, limit: str, folder: Path) -> list[Path]:
+    """Make recordings at a rate [Hz] up to a limit, with the modes that the scene has at its own."""
     text = re.sub('"25.6 kHz"', f'"{rate!r} Hz"', TEXT)
     text = text.replace('"10 kHz", order', f'"{10_000 * rate / OWN!r} Hz", order')
+    text = text.replace('"500 g"', f'"{limit}"')
     scene = folder / f"{rate:g}.toml"
     scene.write_text(text)
     highest = plan.highest_frequency(load_scene("caving"))
@@ -65,13 +66,14 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("-n", type=int, default=4, help="recordings of a minute")
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--range", default="500 g", help="of the recorder")
     parser.add_argument("--rates", type=float, nargs="+", default=[25_600, 51_200, 48_000, 40_000, 32_000, 20_000])
     parser.add_argument("--off", type=float, nargs="+", default=[3e-5, 9e-5], help="errors of the clock")
     given = parser.parse_args()
     print("| sampling rate | right | unknown | SHUT [s] |\n|---|---|---|---|")
     with tempfile.TemporaryDirectory() as folder:
         for rate in given.rates:
-            paths = recorded(float(rate), given.n, given.seed, Path(folder))
+            paths = recorded(float(rate), given.n, given.seed, given.range, Path(folder))
             of_rate = [(f"{rate / 1e3:g} kHz", 1.0)]
             if rate == OWN:
                 of_rate += [(f"{rate / 1e3:g} kHz, stated {off:g} faster", 1 + off) for off in given.off]

@@ -647,7 +647,7 @@ def _simulated_events(scene: Scene) -> Iterator[Event]:
             left -= samples.size
             if left <= 0:
                 break
-        yield from usable_impacts(events + ear.finish().events)[0]
+        yield from usable_impacts(events + ear.feed(None).events)[0]
         if left <= 0:
             return
 

@@ -430,7 +430,7 @@ def events_in(
             f"between {counted(len(events), 'impact')}; record hammer taps with silence between them, or list the taps "
             "in a table (--taps)"
         )
-    events += ear.feed(response[:, first:]).events + ear.finish().events
+    events += ear.feed(response[:, first:]).events + ear.feed(None).events
     if not events:
         raise BadData(f"{source}: a recording of taps must contain one, {ear.why_silent()}")
     sudden = [event for event in events if _jump(response, event.onset, sampling_rate) > JUMP] or events
@@ -502,7 +502,7 @@ def hammer_force(hammer: Floats, sampling_rate: float, source: str) -> tuple[Flo
     """Return the force during impacts, 0 between them, and the impacts; raises `BadData` if there is none."""
     for sign in (1.0, -1.0):
         ear = Ear(sampling_rate, kind="pulse", factor=sign)
-        hits = ear.feed(hammer[None]).events + ear.finish().events
+        hits = ear.feed(hammer[None]).events + ear.feed(None).events
         if hits and not ear.is_upside_down():
             break
     else:

@@ -297,7 +297,7 @@ def _channels(recording: Any, as_json: bool, beams: tuple[tuple[str, ...], ...])
     lowest[n_read == 0] = highest[n_read == 0] = total[n_read == 0] = np.nan
     described = {}
     for row, (channel, ear) in enumerate(zip(names, ears, strict=True)):
-        add(row, ear.finish().events)
+        add(row, ear.feed(None).events)
         if is_known[row] and not impacts[row] and ear.is_upside_down():
             warn(f"{channel_name(recording.source, channel.name)}: no impact: {INVERT_HINT}")
         stated = (

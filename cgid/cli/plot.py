@@ -141,7 +141,7 @@ class _Finder:
     def finish(self) -> list[Mark]:
         """Return a mark for each impact, in order of time."""
         for name, ear in self._ears:
-            self._keep(name, ear.finish().events)
+            self._keep(name, ear.feed(None).events)
         return sorted(self._marks, key=lambda mark: mark.time)
 
     def upside_down(self) -> list[str]:

@@ -134,7 +134,7 @@ class LabelledRecording:
         if is_first and rest.shape[1]:
             self._put(rest[:, None, :])
         for ear, waiting, *takes in ears:
-            self._found(waiting + ear.finish().events, np.inf, name, stopped, *takes)
+            self._found(waiting + ear.feed(None).events, np.inf, name, stopped, *takes)
         if not self.file.digest:  # reading it again takes seconds, so after all that is shown
             self.file = replace(self.file, digest=digest_of(self.file.annotations[0].path))
         self.measured.add(name)

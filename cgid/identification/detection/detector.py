@@ -104,7 +104,7 @@ class ImpactDetector:
         dead_time = validation.number("dead_time", dead_time, "s", validation.not_negative)
         self.n_channels, self.joint, self._gaps = n_channels, joint, gaps
         self._framing = Framing.of(kind, rate)
-        self.n_samples, self.n_quiet = self._framing.n_samples, self._framing.quiet
+        self.n_samples, self.n_quiet = self._framing.quiet + self._framing.length, self._framing.quiet
         self.pre_trigger = self._framing.pre_trigger
         self._onsets: PulseOnsets | VibrationOnsets
         if kind == "pulse":

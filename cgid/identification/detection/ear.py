@@ -7,6 +7,7 @@ the detector.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from itertools import chain
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -81,27 +82,23 @@ class Ear:
             self.lines = Lines(n_channels, self.rate, from_begin=bool(lines))
             self._stages.append(self.lines)
 
-    def feed(self, block: NDArray[Any]) -> Heard:
-        """Take the next samples (n_channels, n), nan where missing."""
-        if block.ndim == 2 and len(block) == self._detector.n_channels and block.dtype.kind in "fiu":
+    def feed(self, block: NDArray[Any] | None) -> Heard:
+        """Take the next samples (n_channels, n), nan where missing, or None at the end of the recording."""
+        detector = self._detector
+        if block is None:
+            block = np.empty((detector.n_channels, 0), np.float32)
+            for stage in self._stages:
+                block = np.concatenate([stage.feed(block), stage.finish()], axis=1)
+            events = detector.feed(block) if block.shape[1] else []
+            return Heard(events + detector.finish(), np.inf, block)
+        if block.ndim == 2 and len(block) == detector.n_channels and block.dtype.kind in "fiu":
             block = block if block.dtype in (np.float32, np.float64) else block.astype(np.float64)
             block = block if self._factor == 1 else block * self._factor
             for stage in self._stages:
                 block = stage.feed(block)
-        return self._heard(block)  # or the detector says what is wrong with it
-
-    def finish(self) -> Heard:
-        """Return what the end of the recording tells."""
-        rest = np.empty((self._detector.n_channels, 0), np.float32)
-        for stage in self._stages:
-            rest = np.concatenate([stage.feed(rest), stage.finish()], axis=1)
-        heard = self._heard(rest)
-        return Heard(heard.events + self._detector.finish(), np.inf, rest)
+        events = detector.feed(block)  # or it says what is wrong with the block
+        return Heard(events, detector.known_until, block)
 
     def heard(self, blocks: Iterable[NDArray[Any]]) -> Iterator[Heard]:
         """Yield what each of the blocks of a recording tells, and at last what its end does."""
-        yield from map(self.feed, blocks)
-        yield self.finish()
-
-    def _heard(self, samples: NDArray[Any]) -> Heard:
-        return Heard(self._detector.feed(samples), self._detector.known_until, samples)
+        return map(self.feed, chain(blocks, [None]))

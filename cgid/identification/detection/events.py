@@ -165,11 +165,6 @@ class Framing:
     shortest: int  # an impact that the recording cuts off sooner after its onset cannot be measured
     late: int  # how far before its onset the next impact may begin
 
-    @property
-    def n_samples(self) -> int:
-        """Length of a frame, but of a longer pulse."""
-        return self.quiet + self.length
-
     @classmethod
     def of(cls, kind: str, sampling_rate: float) -> Framing:
         """Return the framing for a kind of impact at a sampling rate [Hz]."""

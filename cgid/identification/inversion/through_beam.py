@@ -76,8 +76,10 @@ class ThroughBeam:
         if rates_agree(recorded, self.beam.sampling_rate):
             return self
         if recorded not in self._others:
+            # Tables are kept by rate: clocks that agree to five digits share them.
+            beam, lasting = self.beam.at(float(f"{recorded:.5g}")), self.inversion.lasting
             is_faster = recorded > _FASTER * self.beam.sampling_rate
-            other = copy(self) if is_faster else ThroughBeam(self.beam.at(recorded), lasting=self.inversion.lasting)
+            other = copy(self) if is_faster else ThroughBeam(beam, lasting=lasting)
             other.recorded = recorded
             self._others[recorded] = other
         return self._others[recorded]

@@ -10,6 +10,7 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
+from itertools import chain
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -170,15 +171,17 @@ def _impacts(
         lines, n_heard = ear.lines, 0
         if ear.rate != sampling_rate:
             yield Step([], 0.0, notes=(f"{source}: {_HEARD_AT.format(sampling_rate, ear.rate)}",))
-        for events, until, block in ear.heard(blocks):
+        for events, until, block in map(ear.feed, chain(blocks, [None])):
             ended, n_heard = until == np.inf, n_heard + block.shape[1]
             silent -= set(range(len(channels))) if joint and events else {event.channel for event in events}
             waiting += (replace(event, channel=0) for event in events) if joint else events
             loud = warned if quiet is None else quiet.loud(block) - silent
             heard = [f"{named(row)}: {_NEVER_QUIET}" for row in sorted(loud - warned)]
             heard += [f"{named(row)}: {_QUIET_AGAIN}" for row in sorted(warned - loud)]
-            heard += [f"{named(row)}: {_UNSTEADY}" for row in (() if lines is None else lines.told())]
-            notes, deaf = ({}, {}) if lines is None else (lines.tones(), lines.heard())
+            notes, deaf = dict[int, float](), dict[int, float]()
+            if lines is not None:
+                heard += [f"{named(row)}: {_UNSTEADY}" for row in lines.told()]
+                notes, deaf = lines.tones(), lines.heard()
             warned = loud
             if not (ended or heard or notes or deaf or not waiting or len(waiting) >= settings.batch):
                 continue

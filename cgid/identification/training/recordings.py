@@ -546,7 +546,8 @@ def _length(kind: Kind, rate: float, slicing: Slicing) -> int:
     """Return the number of samples of a row."""
     if kind == "window":
         return Grid.at(rate, slicing.window_time, slicing.hop_time).length
-    return Framing.of(kind, rate).n_samples
+    framing = Framing.of(kind, rate)
+    return framing.quiet + framing.length
 
 
 @dataclass(frozen=True)
