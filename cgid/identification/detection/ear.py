@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cgid.identification.detection.detector import ImpactDetector
+from cgid.identification.detection.detector import FASTEST, ImpactDetector
 from cgid.identification.detection.events import Event
 from cgid.measure.features.table import ImpactKind
 
@@ -69,7 +69,7 @@ class Ear:
     ) -> None:
         self.rate, self.lines = sampling_rate, None
         self._stages: list[OneRate | Lines] = []
-        if beam is not None and (brought := beam.brings(sampling_rate, n_channels)):
+        if beam is not None and sampling_rate <= FASTEST and (brought := beam.brings(sampling_rate, n_channels)):
             self.rate, self._stages = brought.rate, [brought]
         self._detector = detector = ImpactDetector(
             self.rate, n_channels, kind=kind, dead_time=dead_time, joint=joint, gaps=True

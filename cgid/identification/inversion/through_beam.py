@@ -77,9 +77,10 @@ class ThroughBeam:
             return self
         if recorded not in self._others:
             # Tables are kept by rate: clocks that agree to five digits share them.
-            beam, lasting = self.beam.at(float(f"{recorded:.5g}")), self.inversion.lasting
-            is_faster = recorded > _FASTER * self.beam.sampling_rate
-            other = copy(self) if is_faster else ThroughBeam(beam, lasting=lasting)
+            if recorded > _FASTER * self.beam.sampling_rate:
+                other = copy(self)
+            else:
+                other = ThroughBeam(self.beam.at(float(f"{recorded:.5g}")), lasting=self.inversion.lasting)
             other.recorded = recorded
             self._others[recorded] = other
         return self._others[recorded]
