@@ -311,13 +311,13 @@ def test_recordings_of_two_quantities_have_two_models(tmp_path: Path, capsys: py
     rows = [f"{t!r},{f!r},{f / 40!r}" for t, f in zip(times.tolist(), force.tolist(), strict=True)]
     (tmp_path / "m.csv").write_text("time (s),hammer (N),beam (m/s^2)\n" + "\n".join(rows) + "\n")
     assert run(["predict", str(tmp_path / "m.csv"), "--json"]) == 0
-    out, err = capsys.readouterr()
+    out = capsys.readouterr().out
     impacts = of_kind([json.loads(line) for line in out.splitlines()], "impact")
     assert [row["in_training_range"] for row in impacts if row["channel"] == "hammer"] == [True, True]
     assert {row["channel"] for row in impacts} == {"hammer", "beam"}
     # The model of vibrations, at the rate of its recorder, has not seen a pulse that does not ring.
     assert {row["label"] for row in impacts if row["channel"] == "beam"} == {"unknown"}
-    assert "25600 Hz" in err
+    assert min(row["novelty"] for row in impacts if row["channel"] == "beam") > 10
     text = (tmp_path / "m.csv").read_text().replace("beam (m/s^2)", "heat (V)")
     (tmp_path / "m.csv").write_text(text)
     assert run(["predict", str(tmp_path / "m.csv"), "--json"]) == 0
