@@ -317,7 +317,7 @@ def test_recordings_of_two_quantities_have_two_models(tmp_path: Path, capsys: py
     assert {row["channel"] for row in impacts} == {"hammer", "beam"}
     # The model of vibrations, at the rate of its recorder, has not seen a pulse that does not ring.
     assert {row["label"] for row in impacts if row["channel"] == "beam"} == {"unknown"}
-    assert min(row["novelty"] for row in impacts if row["channel"] == "beam") > 10
+    assert min(row["novelty"] for row in impacts if row["channel"] == "beam") > 1
     text = (tmp_path / "m.csv").read_text().replace("beam (m/s^2)", "heat (V)")
     (tmp_path / "m.csv").write_text(text)
     assert run(["predict", str(tmp_path / "m.csv"), "--json"]) == 0
