@@ -532,6 +532,23 @@ def test_a_recording_read_at_once_is_told_as_a_stream_of_short_blocks() -> None:
     assert told[1] == told[3] == told[60]
 
 
+@pytest.mark.parametrize("is_asked", [True, False])
+def test_no_switch_rests_on_impacts_that_only_get_older(is_asked: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Rocks stop coming after a SHUT: the window empties from its old end, and the few left would open it."""
+    if not is_asked:
+        monkeypatch.setattr(ShareWindow, "_is_current", lambda *_: True)
+    opened, shut_at = 0, []
+    for seed in range(12):
+        rng = np.random.default_rng(seed)
+        answers = flow(rng, 0, 15, 0.05) + flow(rng, 15, 31, 0.8)
+        watch = CavingWatch(MODEL, ["1"], PredictionSettings(share_step=0.5, hold=2.0))
+        reports = watch.feed(answers, 31.0)
+        shut_at.append(next((one.state.time for one in reports if one.kind == "shut"), 99.0))
+        opened += any(one.kind == "open" for one in watch.feed((), 60.0))
+    assert (opened == 0) if is_asked else (opened > 0)
+    assert np.median(shut_at) < 30  # steady rocks switch as before
+
+
 def test_a_switch_that_rests_on_tones_is_not_held() -> None:
     rng = np.random.default_rng(7)
     answers = flow(rng, 0, 20, 0.05) + flow(rng, 20, 31, 1.0) + flow(rng, 31.05, 60, 0.05)

@@ -63,6 +63,11 @@ LEVEL = 0.95
 LAPSE = 120.0
 #: Minimum number of identified impacts of a window for the networks of seams, whose windows have 5 rocks and more.
 MIN_WINDOW = 3
+#: The end of a window in which impacts are expected as before: this part of it, at most so long [s].
+_END = 0.2
+_LONGEST_END = 2.0
+#: Standard deviations of a count of rocks below which they have stopped coming: one look in 200 of steady ones.
+_STOPPED = 2.6
 #: Width of the narrowest interval of an accuracy.
 _NARROWEST = 1e-6
 #: Nodes of the density, evenly spaced in the angle of share = sin^2(angle): finer towards 0 and 1.
@@ -98,6 +103,9 @@ class Share:
         Number of impacts unmeasurable or outside the training range, which are excluded.
     channel : str
         Name of the channel.
+    is_current : bool
+        Whether its end has as many identified impacts as their rate lets expect; no switch rests on one that only gets
+        older.
     """
 
     time: float
@@ -112,6 +120,7 @@ class Share:
     above: float = float("nan")
     excess: float = float("nan")
     basis: Basis = Basis.TRAINED
+    is_current: bool = True
 
     @property
     def is_known(self) -> bool:
@@ -254,8 +263,19 @@ class ShareWindow:
             n_unknown=inside.n_unknown,
             channel=self.channel,
             basis=basis,
+            is_current=self._is_current(time),
             **estimate,
         )
+
+    def _is_current(self, time: float) -> bool:
+        """Return whether identified impacts come until a time [s] as they came before."""
+        known = [at for at, probability, _ in self._impacts if at <= time and np.isfinite(probability)]
+        end = min(_END * self.length, _LONGEST_END)
+        n_latest = sum(at > time - end for at in known)
+        if len(known) < 2 or time < 2 * end:
+            return n_latest == len(known)
+        expected = (len(known) - 1) / max(known[-1] - known[0], end) * end  # by the rate while they came
+        return bool(n_latest >= expected - _STOPPED * np.sqrt(expected))
 
     def _basis(self, time: float) -> Basis:
         if self.anchor is not None:
@@ -442,7 +462,7 @@ class ShutDecision:
         self._supported = share.time
         cost = self.cost(share)
         shut = cost > 0
-        if shut == self.shut or share.time < self._since + self.hold:
+        if shut == self.shut or share.time < self._since + self.hold or not share.is_current:
             return None
         self.shut = shut
         if not shut and not self._said_shut:

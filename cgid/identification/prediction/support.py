@@ -412,8 +412,10 @@ class _Support:
             # What came on another ground is no evidence.
             share = self.window.restart(share.time)
         if self.rule is not None and ground == Ground.SEEN:
-            # Where coal is stated, nothing is decided.
-            switch = None if share.basis == Basis.PENDING or not is_known else self.rule.watch(share)
+            if share.basis == Basis.PENDING:  # coal falls: what was decided is of the cycle before
+                self.rule.withdraw()
+            elif is_known:
+                switch = self.rule.watch(share)
         elif self.rule is not None:
             self.rule.withdraw()
         shut = None if self.rule is None else self.rule.shut
