@@ -533,9 +533,11 @@ def assembled(header: Header, body: Body, warnings: list[str], asked: Asked, tim
         clocks = [Clock(columns=(at,), factors=(1.0,)) for at in times]
     clock = clocks[0] if clocks else None
     of_times = [at for one in clocks for at in one.columns]
+    written = body.layout.fields(plain_rows(beginning.text.partition("\n")[0], body.layout))
     for index in set(range(rows.shape[1])).difference(of_times) if times is None else ():
         name, n_numbers = columns[index].name if columns else "", int(np.isfinite(rows[:, index]).sum())
-        is_slow = n_numbers < _SLOW * len(rows)
+        # A channel of nan is a dead one.
+        is_slow = n_numbers < _SLOW * len(rows) and (n_numbers > 0 or body.layout.number(written[index]) is None)
         if is_slow or ((not columns or columns[index].known_unit is None) and counts(name, rows[:, index])):
             what = f"has numbers in {n_numbers} of {len(rows)} rows" if is_slow else "only counts"
             warnings.append(Remark(f"column {name or index + 1} {what} and is left out"))
