@@ -180,8 +180,6 @@ def test_labels_of_a_column_are_those_of_impacts(write, tmp_path, monkeypatch):
     assert main(["events", "a.csv", "-o", "e.csv"]) == 0
     rows = (tmp_path / "e.csv").read_text().splitlines()[1:]
     assert len(rows) == 2 and ",coal," in rows[0] and ",gangue," in rows[1]
-    assert main(["train", "a.csv", "--template", "m.csv"]) == 0
-    assert (tmp_path / "m.csv").read_text().count("a.csv") == 2
 
 
 # ---- arrays ----
@@ -201,7 +199,7 @@ def hdf5(path, **datasets):
 def test_integers_with_a_unit_need_a_scale(tmp_path, name):
     about = {"unit": "N", "fs": RATE}
     integers = np.rint(FORCE * 10).astype(np.int16)
-    with pytest.raises(MissingOption, match="--full-scale"):
+    with pytest.raises(MissingOption, match="full_scale="):
         open_recording(hdf5(tmp_path / "a.h5", x=(integers, about)))
     recording, found = read(hdf5(tmp_path / "a.h5", x=(integers, {**about, name: 0.1})))
     np.testing.assert_allclose(found[0], integers * 0.1)
