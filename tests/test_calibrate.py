@@ -333,7 +333,7 @@ def test_a_model_of_modes_that_nobody_has_learned(known, tmp_path, capsys):
     assert run(["predict", str(tmp_path / "blows.h5"), "--model", str(model), "--json"]) == 0
     generate(known[1], tmp_path / "data", 64, seed=12)
     assert run(["train", str(tmp_path / "data"), "--set", "start_error=2 %", "-o", str(tmp_path / "other.npz")]) != 0
-    assert "--start-error must be left out" in capsys.readouterr().err
+    assert "start_error must be left out" in capsys.readouterr().err
 
 
 @pytest.mark.long

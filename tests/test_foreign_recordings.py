@@ -375,7 +375,8 @@ def test_tdms_is_what_nptdms_reads(tmp_path, monkeypatch, dtype, longest):
 def test_tdms_of_several_groups_lengths_and_rates(tmp_path):
     path = write_tdms(tmp_path / "groups.tdms", [whole(parts=1)[0] + whole(SAMPLES[:1, :50], "slow", 1)[0]])
     message = refused(path)
-    assert "beam/cDAQ1Mod1/ai0 (3001)" in message and "slow/cDAQ1Mod1/ai0 (50)" in message and "variable=NAME" in message
+    assert all(f"{name})" in message for name in ("beam/cDAQ1Mod1/ai0 (3001", "slow/cDAQ1Mod1/ai0 (50"))
+    assert "variable=NAME" in message
     assert read(path, variable="beam")[1].shape == (3, N) and read(path, variable="slow")[1].shape == (1, 50)
     assert "several" in refused(path, variable="cDAQ1Mod1/ai0")
     uneven = [[("g", "a", SAMPLES[0]), ("g", "b", SAMPLES[1, :100]), ("g", "c", SAMPLES[2])]]
