@@ -61,7 +61,7 @@ def prediction_by(path: Path, model: StoredModel, manifest: Manifest | None, rea
         "full_scale": "--full-scale",
     }
     fields = {"channel": "channels", "gain": "recording_gain"}
-    words, rows = site_words(), [] if manifest is None else manifest.annotations
+    words, rows = site_words()[0], [] if manifest is None else manifest.annotations
     for name, flag in flags.items():
         stated = {
             getattr(one, fields.get(name, name), None) or getattr(one, name, None) or own.get(name) for one in rows

@@ -13,6 +13,7 @@ import numpy as np
 
 from cgid._lib.validation import rates_agree
 from cgid.cli.answering import untold_beams
+from cgid.cli.reading import as_keys
 from cgid.identification.model.world import Misfit, MisfitPart
 from cgid.identification.prediction.diagnosis import (
     CauseKind,
@@ -298,7 +299,7 @@ class Hints(Diagnosis):
             InWords(
                 f"write {table} with the columns path, start_s, end_s and label, a row for each part of the recording"
             ),
-            shlex.join(["cgid", "train", table, *self._options, "--by", "window", "-o", model]),
+            shlex.join(["cgid", "train", table, *as_keys(self._options, self._source), "--by", "window", "-o", model]),
             self._predict_with(model),
         )
 
@@ -311,9 +312,10 @@ class Hints(Diagnosis):
         channels = self.channels.values()
         alone = sum(one.n_usable for one in channels) >= _ALONE * sum(one.n_answers for one in channels)
         scene = OWN_SCENE if not is_of_scene else SCENE if alone else STREAM_SCENE
+        given = as_keys(self._for_one(), self._source)
         return (
             *(() if is_of_scene else [InWords(f"write {scene}, a scene with the size and sensor of your beam")]),
-            shlex.join(["cgid", "calibrate", self._source, *self._for_one(), "--scene", scene, "-o", f"{name}.toml"]),
+            shlex.join(["cgid", "calibrate", self._source, *given, "--scene", scene, "-o", f"{name}.toml"]),
             f"cgid train {name}.toml -o {name}.npz",
             self._predict_with(f"{name}.npz"),
         )

@@ -213,7 +213,7 @@ _OUTPUT = ("as_json", "report", "output", "overwrite", "sample")
 def given_options() -> tuple[list[str], list[str]]:
     """Return the options of the current command line: those for reading a recording, and those for prediction."""
     context = click.get_current_context()
-    found: tuple[list[str], list[str]] = (site_words(), [])
+    found = site_words()
     given = given_flags(context)
     for option in context.command.params:
         name = option.name or ""
@@ -224,6 +224,21 @@ def given_options() -> tuple[list[str], list[str]]:
         for value in values if option.multiple else [values]:
             text = f"{value:.12g}" if isinstance(value, float) else f"{value}"
             found[not is_reading].extend([option.opts[0]] if option.is_flag else [option.opts[0], text])
+    return found
+
+
+def as_keys(words: Sequence[str], source: str) -> list[str]:
+    """Return pairs of option and value of one recording for a command without options of the measuring chain."""
+    found: list[str] = []
+    for flag, value in zip(words[::2], words[1::2], strict=True):
+        key = flag.removeprefix("--").replace("-", "_")
+        if key not in CHAIN:
+            found += [flag, value]
+            continue
+        file, text = _file_and_value(value)
+        channel, equals, amount = text.rpartition("=")
+        if not file or _is_file(file, source):
+            found += ["--set", f"channels.{channel}.{key}={amount}" if equals else f"{key}={amount}"]
     return found
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import tomllib
 from collections.abc import Callable, Iterable
+from contextlib import suppress
 from functools import wraps
 from typing import Any
 
@@ -37,10 +38,10 @@ def _note_values(context: click.Context, _option: click.Parameter, pairs: tuple[
 
 def _value_of(text: str) -> Any:
     """Return a value as a site file would hold it; a text needs no quotes."""
-    try:
-        return tomllib.loads(f"value = {text}")["value"]
-    except tomllib.TOMLDecodeError:
-        return text.strip()
+    for read in (lambda: tomllib.loads(f"value = {text}")["value"], lambda: float(text)):
+        with suppress(ValueError):
+            return read()
+    return text.strip()
 
 
 def _print_all(context: click.Context, _option: click.Parameter, wanted: bool) -> None:
@@ -159,14 +160,14 @@ def keys(**defaults: Any) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
     return add
 
 
-def site_words() -> list[str]:
-    """Return the words of the command line that state the site, for suggested commands."""
+def site_words() -> tuple[list[str], list[str]]:
+    """Return the words of the command line that state the site, for suggested commands: of the recorder, and others."""
     context = click.get_current_context(silent=True)
     meta = {} if context is None else context.meta
-    words = [word for file in meta.get(_FILES, []) for word in ("--site", file)]
+    words: tuple[list[str], list[str]] = [word for file in meta.get(_FILES, []) for word in ("--site", file)], []
     for key, value in meta.get(_VALUES, {}).items():
         for one in value if isinstance(value, list) else [value]:
-            words += ["--set", f"{key}={_text(one)}"]
+            words[section_of(key) not in (None, "recorder")].extend(["--set", f"{key}={_text(one)}"])
     return words
 
 
