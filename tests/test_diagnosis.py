@@ -11,6 +11,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -28,6 +29,7 @@ from cgid.identification.model.model import StoredModel
 from cgid.identification.model.model_file import LEVELS
 from cgid.identification.model.world import Misfit, MisfitPart
 from cgid.identification.prediction import Answer, PredictionSettings, identify_frames
+from cgid.identification.prediction import diagnosis as diagnosis_module
 from cgid.identification.prediction.diagnosis import (
     Cause,
     CauseKind,
@@ -820,3 +822,16 @@ def test_sound_recordings_are_warned_once_in_hundreds(n_groups: int, between: fl
             told += [_factor_of((one + np.log(9.81)).tolist(), model) != 1 for one in drawn(4, n_levels)]
     assert np.mean(warned) < 0.01
     assert np.mean(told) > 0.95
+
+
+def test_one_quiet_test_is_not_the_end_of_a_wrong_scale(monkeypatch: pytest.MonkeyPatch) -> None:
+    found = iter([2.0, 1.0, 2.0, 1.0, 1.0, 1.0])
+    scale, channel = diagnosis_module._Scale(read_model("default")), SimpleNamespace(n_levels=10, levels=[1.0] * 10)
+    monkeypatch.setattr(scale, "_of_latest", lambda *_: next(found))
+    factors = []
+    for n in (10, 30, 50, 70, 90, 110):
+        channel.n_levels = n
+        scale.test(channel)
+        factors.append(scale.factor)
+    assert factors == [2.0, 2.0, 2.0, 2.0, 2.0, 1.0]
+    assert not channel.levels  # those before were of another scale

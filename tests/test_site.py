@@ -6,6 +6,7 @@ import csv
 import io
 import json
 import re
+import shlex
 import tomllib
 from pathlib import Path
 
@@ -131,13 +132,19 @@ def test_labels_made_by_a_site_train_by_it(plant: Path, tmp_path: Path, capsys: 
         writer = csv.DictWriter(file, rows[0])
         writer.writeheader()
         writer.writerows(rows)
+    from cgid.cli.answering import prediction_by
+    from cgid.cli.reading import ReadingOptions
+    from cgid.identification.prediction.prediction import read_model
     from cgid.identification.training.manifest import read_manifest
-    from cgid.identification.training.recordings import record
+    from cgid.identification.training.recordings import opened
 
-    recorded = record(read_manifest(table), ("peak_force",))
-    peaks = np.sort(recorded.measured[:, 0]) if hasattr(recorded, "measured") else None
-    if peaks is not None:
-        assert (peaks > 0).all()
+    manifest = read_manifest(table)
+    read = opened(tuple(manifest.annotations), ReadingOptions().of_manifest()).recording
+    # The same volts, sign and name as in the events; and the next command states the site.
+    np.testing.assert_allclose(read.samples()[0], stream(LABELS, 0.02, seed=5), rtol=1e-9, atol=1e-6)
+    assert [channel.name for channel in read.channels] == ["support 47"]
+    words = shlex.split(prediction_by(Path("m.npz"), read_model("default"), manifest, ReadingOptions()))
+    assert Path(words[words.index("--site") + 1]).resolve() == Path(site).resolve()
 
 
 def test_beams_of_a_site_are_one_row(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -62,6 +62,8 @@ def prediction_by(path: Path, model: StoredModel, manifest: Manifest | None, rea
     }
     fields = {"channel": "channels", "gain": "recording_gain"}
     words, rows = site_words()[0], [] if manifest is None else manifest.annotations
+    if not reading.site.path and len(sites := {one.site for one in rows}) == 1 and (site := sites.pop()):
+        words = ["--site", site, *words]
     for name, flag in flags.items():
         stated = {
             getattr(one, fields.get(name, name), None) or getattr(one, name, None) or own.get(name) for one in rows

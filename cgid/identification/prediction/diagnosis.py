@@ -52,6 +52,9 @@ _SHAPES, MISSHAPEN = 100, 3.0
 MIN_LEVELS, _MAX_LEVELS = 10, 10_000
 #: A live stream is tested at these numbers of levels, and then whenever so many more have come, by so many latest ones.
 _TESTS, _EVERY, _LATEST_LEVELS = (10, 30, 90, 270, 810), 5, (20, 30, 200)
+#: Tests in a row without a finding by which a wrong scale is over: with one, a scale of 10 was lost and found three
+#: times in two minutes of caving with 5 % of gangue, and SHUT came in between.
+_QUIET_TESTS = 3
 #: Tests go on for days, so chance may have this many times the variance; and from so many levels on, where chance is
 #: small, recordings may differ by this many times theirs (benchmarks/plant/watch.py).
 _ENDLESS, _MANY, _WIDE = 3.5, 90, 2.0
@@ -571,14 +574,18 @@ class _Scale:
     def __init__(self, model: StoredModel) -> None:
         self._model, self.factor = model, 1.0
         self._n, self._next = 0, 0  # levels by which a wrong scale was found, and after which it is tested again
+        self._n_quiet = 0  # tests in a row that found nothing, while a scale is told
 
     def test(self, channel: ChannelAnswers) -> None:
         """Test after one more level; the result does not depend on when others look."""
         n = channel.n_levels
         if self.factor != 1:
             if n >= self._next:
-                self._set(self._of_latest(channel, self._n), self._n, n)
+                found = self._of_latest(channel, self._n)
+                self._n_quiet = self._n_quiet + 1 if found == 1 else 0
+                self._set(self.factor if 0 < self._n_quiet < _QUIET_TESTS else found, self._n, n)
                 if self.factor == 1:  # the levels before were of another scale
+                    self._n_quiet = 0
                     channel.levels.clear()
                     channel.n_levels = 0
             return
