@@ -147,6 +147,23 @@ def test_labels_made_by_a_site_train_by_it(plant: Path, tmp_path: Path, capsys: 
     assert Path(words[words.index("--site") + 1]).resolve() == Path(site).resolve()
 
 
+def test_a_site_states_what_a_manifest_does_not(tmp_path: Path) -> None:
+    labelled = ROOT / "datasets" / "labelled"
+    rows = list(csv.DictReader((labelled / "labels.csv").read_text().splitlines()))
+    for name, columns in (("stated", rows[0].keys()), ("bare", rows[0].keys() - {"full_scale"})):
+        with (tmp_path / f"{name}.csv").open("w", newline="") as file:
+            writer = csv.DictWriter(file, sorted(columns), extrasaction="ignore")
+            writer.writeheader()
+            writer.writerows({**row, "path": str(labelled / row["path"])} for row in rows)
+    site = _written(tmp_path / "s.toml", f'[recorder]\nfull_scale = "{rows[0]["full_scale"]}"\n')
+    names = ["level_total", "decay_time"]
+    stated = cgid.train_on_groups(tmp_path / "stated.csv", features=names)
+    by_site = cgid.train_on_groups(tmp_path / "bare.csv", features=names, site=site)
+    for name, array in stated.model.arrays.items():
+        np.testing.assert_array_equal(by_site.model.arrays[name], array)
+    assert cgid.train_on_groups(tmp_path / "bare.csv", features=names).model.unit == "FS" != by_site.model.unit
+
+
 def test_beams_of_a_site_are_one_row(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     force = stream(LABELS[:4], 0.02, seed=3)
     np.save(tmp_path / "two.npy", np.stack([force, 0.8 * force]))

@@ -177,9 +177,7 @@ class Site:
         for key, values in self.channels.items():
             if "beam" in values:
                 name = values.get("name", "")
-                (row,) = contents.selected(
-                    name if name in contents.names else key, source, f"[channels] of {self.path}"
-                )
+                (row,) = contents.selected(name if name in contents.names else key, source, self._of_channels)
                 found.setdefault(values["beam"], []).append(contents.label(row))
         return tuple(tuple(labels) for labels in found.values() if len(labels) > 1)
 

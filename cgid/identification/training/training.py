@@ -64,6 +64,7 @@ from cgid.identification.training.rows import (
 from cgid.measure.features.extraction import Named, any_through_beam, choose, name_of
 from cgid.measure.features.pulses import MAX_UNEXPLAINED
 from cgid.measure.modal.beam import Beam
+from cgid.recordings.site import Site
 from cgid.signals import Batch
 from cgid.store.reading import Dataset
 from cgid.units import quantity_of
@@ -259,6 +260,7 @@ def train_on_groups(
     family: str | ClassifierMixin = "linear",
     synthetic: Rows | None = None,
     class_weights: Weights = None,
+    site: Site | str | Path | None = None,
     seed: int = 0,
     progress: Callable[[int], object] | None = None,
     workers: Workers = SERIAL,
@@ -281,6 +283,8 @@ def train_on_groups(
         their levels are shifted to those of the recordings.
     class_weights : dict or "balanced", optional
         Weights of the labels, as in `cgid.identification.training.ImpactClassifier`.
+    site : Site, str or Path, optional
+        A site, or its file, which states what a manifest and its recordings do not.
     seed : int
         Seed of folds and network.
     progress : callable, optional
@@ -297,16 +301,18 @@ def train_on_groups(
     BadData
         Fewer than two labels, or too few groups, or a recording that cannot be read.
     InvalidValue
-        An unknown choice, or rows of datasets or scenes.
+        An unknown choice, rows of datasets or scenes, or a site for rows that are measured already.
     """
     seed = validation.whole("seed", seed, 0, 2**32 - 1)
+    if site is not None and not isinstance(rows, str | Path):
+        raise InvalidValue("site must be left out, rows are measured already; give the path of their manifest")
     if isinstance(rows, str | Path):
         from cgid.identification.training import recordings
         from cgid.identification.training.manifest import folder_manifest, read_manifest
 
         manifest = folder_manifest(rows) if Path(rows).is_dir() else read_manifest(rows)
         features = None if features is None else choose(features)
-        reading = recordings.Reading(strict=True)
+        reading = recordings.Reading(strict=True, site=None if site is None else Site.of(site))
         rows = recordings.record(manifest, features, reading=reading, augment=True)
     _refuse_others("rows", rows, Rows)
     if rows.slicing is None:
