@@ -37,6 +37,8 @@ _LOWEST, _WIDTH = 20.0, 4.0
 #: .94 with .1 % (in two of twelve minutes with 16 to 30 rocks a second, more); with tones .99. After so many frames
 #: without any (a minute), no machine runs.
 _N_STEADY, _STEADY, _COHERENT, _N_SILENT = 8, 0.7, 0.96, 240
+#: Where a machine runs, whether it still does is looked at after so many frames (a second).
+_AGAIN = 4
 #: Tones that wander keep no phase: so many distinct lines, this far apart [Hz], that keep this share of their mean
 #: power in all but one of the frames are a machine, too. The three steadiest lines keep .88 of it in streams with
 #: wandering tones, at most .68 without tones where modes have .1 % of damping or more.
@@ -94,7 +96,7 @@ class _Channel:
         """
         self.spectra.append(spectrum.astype(np.complex64))
         self.silent += 1
-        if lines.size and len(self.spectra) == _N_STEADY:
+        if lines.size and len(self.spectra) == _N_STEADY and self.silent >= _AGAIN:
             near, at = np.arange(-width, width + 1), lines
             tone = np.empty((_N_STEADY, lines.size), np.complex64)
             for number in reversed(range(_N_STEADY)):
@@ -143,6 +145,7 @@ class Lines:
         self.length = max(int(FRAME_TIME * sampling_rate) // step * step, 16)
         self._hop = self.length // 2
         self._bin_width = bin_width = sampling_rate / self.length
+        self._middle = slice(self._hop // 2, -(self._hop // 2))
         self._window = np.square(np.sin(np.pi * np.arange(self.length) / self.length))
         self._first = max(int(np.ceil(_LOWEST / bin_width)), 1)
         self._around = max(round(_AROUND / bin_width), 8)
@@ -227,37 +230,41 @@ class Lines:
 
     def _lines_of(self, samples: NDArray[Any], one: _Channel) -> _Found | None:
         """Return the lines of a frame (length,); None without any."""
-        missing = ~(np.abs(samples) <= _LARGEST)
-        lacks = bool(missing.any())
-        if lacks and missing.mean() > _MISSING:
-            one.forget()
-            return None
-        there = samples[~missing] if lacks else samples
+        there, missing = samples, None
+        if not -_LARGEST <= samples.min() <= samples.max() <= _LARGEST:
+            missing = ~(np.abs(samples) <= _LARGEST)
+            there = samples[~missing]
+            if missing.mean() > _MISSING:
+                one.forget()
+                return None
         centre = np.partition(there, there.size // 2)[there.size // 2]
-        if lacks:
+        if missing is not None:
             samples = np.where(missing, centre, samples)
         limits = (samples == samples.max()) | (samples == samples.min())
         n_limited = np.count_nonzero(limits)
         if n_limited > _LIMITED * self.length:
             one.forget()
             return None
-        left = (samples.astype(np.float64) - centre) * self._window
-        middle = slice(self._hop // 2, -(self._hop // 2))
+        left = samples.astype(np.float64)
+        left -= centre
+        left *= self._window
         lines: Floats | None = None
         spectrum: NDArray[np.complex128] = np.zeros(self._hop + 1, np.complex128)
         for number in range(_ROUNDS):
             rest = left if lines is None else left - lines
-            if lacks:
+            if missing is not None:
                 rest[missing] = 0.0
-            sizes = np.abs(rest[middle]) / self._window[middle]
-            deviation = float(np.partition(sizes, sizes.size // 2)[sizes.size // 2]) / _MEDIAN
+            sizes = np.abs(rest[self._middle])
+            sizes /= self._window[self._middle]
+            sizes.partition(sizes.size // 2)
+            deviation = float(sizes[sizes.size // 2]) / _MEDIAN
             if number == 0:
                 level = deviation
                 if not one.level / _JUMP <= level <= one.level * _JUMP:
                     one.forget()
                 one.level = level
             limit = _CLIP * deviation * self._window
-            spectrum += np.fft.rfft(np.clip(rest, -limit, limit)) * (_MORE if number else 1.0)
+            spectrum += np.fft.rfft(np.maximum(np.minimum(rest, limit), -limit)) * (_MORE if number else 1.0)
             now = np.square(spectrum.real) + np.square(spectrum.imag)
             size = np.sqrt(now)
             mean = size if one.mean is None else one.mean + max(_LATEST, 1 / (one.n_frames + 1)) * (size - one.mean)
