@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import csv
-import io
 import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
-from types import TracebackType
+from types import SimpleNamespace, TracebackType
 from typing import Any, NamedTuple
 
 import click
@@ -194,12 +193,13 @@ def _print_line(line: str) -> None:
 
 def _csv_writer(put: Callable[[str], object], columns: Sequence[Column]) -> Callable[[list[Any]], None]:
     """Write the titles of a CSV table, and return the function that writes a row, without the end of the line."""
+    lines: list[str] = []
+    # The writer quotes only those line breaks that end its own lines.
+    writer = csv.writer(SimpleNamespace(write=lines.append), lineterminator="\r\n")
 
     def put_row(texts: Iterable[str]) -> None:
-        line = io.StringIO()
-        # The writer quotes only those line breaks that end its own lines.
-        csv.writer(line, lineterminator="\r\n").writerow(texts)
-        put(line.getvalue().removesuffix("\r\n"))
+        writer.writerow(texts)
+        put(lines.pop().removesuffix("\r\n"))
 
     put_row(column.title for column in columns)
     return lambda row: put_row(_cell(column, value) for column, value in zip(columns, row, strict=True))
@@ -217,5 +217,5 @@ def _cell(column: Column, value: Any) -> str:
 def _plain(value: Any) -> Any:
     """Return a value, None if it is missing; in a file name, bytes that are no text are escaped."""
     if isinstance(value, str):
-        return value.encode("utf-8", "backslashreplace").decode()
+        return value if value.isascii() else value.encode("utf-8", "backslashreplace").decode()
     return None if value != value else value
