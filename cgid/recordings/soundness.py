@@ -120,7 +120,7 @@ class SensorWatch:
         self._n_sound[sound] += 1
         slot, first = divmod(round(self._n_taken / self._length) - 1, _TURNED_PERIOD)
         slot %= _TURNED_PERIODS
-        swings = np.nan_to_num(np.stack([middle - low, high - middle]), nan=0.0)
+        swings = np.fmax([middle - low, high - middle], 0.0)  # 0 where samples are missing
         self._swings[:, :, slot] = np.maximum(swings, self._swings[:, :, slot]) if first else swings
         falls, rises = self._swings.max(axis=2)
         turned = (falls > _UPSIDE_DOWN * rises) & (falls > _CLEAR * np.where(np.isfinite(floor), floor, np.inf))

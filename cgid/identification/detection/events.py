@@ -245,7 +245,7 @@ class FrameCutter:
             pre_trigger=framing.pre_trigger,
             # Impacts after the frame do not count: whether they are known yet depends on the blocks.
             overlapping=running or interrupted or (onset.again is not None and onset.again < limit),
-            clipped=_is_clipped(one_channel[: end - onset.sample] - of_unit),
+            clipped=_is_clipped(one_channel[: end - onset.sample], of_unit),
             cut=began_cut or ended_cut,
             problem=self._problem(began_cut, ended_cut, length if stop is None else stop - onset.sample, begin, by),
         )
@@ -306,11 +306,13 @@ def has_begun(samples: Floats, onset: int, baseline: float, stretch: slice, lead
     return first > max(_BEGUN * peak, _BEGUN_OVER_NOISE * noise)
 
 
-def _is_clipped(deviation: Floats) -> bool:
-    """Return whether an impact (n,), without its baseline, stays at an extreme for three samples."""
-    min_deviation = _CLIPPED_SHARE * np.abs(deviation).max()
-    for extreme in (deviation.max(), deviation.min()):
-        at = deviation == extreme
-        if abs(extreme) >= min_deviation and bool(np.any(at[2:] & at[1:-1] & at[:-2])):
+def _is_clipped(samples: Floats, baseline: float) -> bool:
+    """Return whether an impact (n,) stays at an extreme for three samples."""
+    extremes = float(samples.max()), float(samples.min())
+    min_deviation = _CLIPPED_SHARE * max(abs(extreme - baseline) for extreme in extremes)
+    for extreme in extremes:
+        at = samples == extreme
+        high = abs(extreme - baseline) >= min_deviation and np.count_nonzero(at) > 2
+        if high and bool(np.any(at[2:] & at[1:-1] & at[:-2])):
             return True
     return False
