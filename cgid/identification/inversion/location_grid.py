@@ -87,14 +87,8 @@ class NoiseTables:
 
     def evidence(self, samples: Singles) -> Singles:
         """Return the evidence of the best level for weighted samples (n, n_kept), (n_locations, n)."""
-        out = np.empty((len(self.tables.at), len(samples)), np.float32)
-        for first in range(0, len(samples), _COLUMNS):
-            columns = slice(first, first + _COLUMNS)
-            self._evidence(samples[columns], out[:, columns])
-        return out
-
-    def _evidence(self, samples: Singles, out: Singles) -> None:
         table, at, n = self.tables.table, self.tables.at, len(samples)
+        out = np.empty((len(at), n), np.float32)
         by_mixture = np.ascontiguousarray(table.by_mixture(samples).transpose(1, 2, 0)).reshape(at.shape[1], -1)
         n_each = min(max(_SIZE // (table.n_shapes * n), 8), len(at))
         squares = np.ones((n_each, table.n_shapes + 1, n), np.float32)
@@ -104,6 +98,7 @@ class NoiseTables:
             own = squares[: len(vector)]
             np.square(self._rotation[part] @ vector, out=own[:, :-1])
             (self._share[part] @ own).max(axis=1, out=out[part])
+        return out
 
 
 class NearTables:
@@ -113,6 +108,7 @@ class NearTables:
         self.tables, self.weight, self.levels, self._kept = tables, weight, levels, kept
         n_locations, n_shapes = len(tables.at), tables.table.n_shapes
         self._known = np.zeros(n_locations, bool)
+        self._power: Floats | None = None
         self._rotation = np.empty((n_locations, n_shapes, n_shapes), np.float32)
         self._share = np.empty((n_locations, levels.size, n_shapes + 1), np.float32)
 
@@ -124,8 +120,9 @@ class NearTables:
             if self._kept is None:
                 power, self._rotation[new] = make(at[new], root)
             else:
-                power, self._rotation = self._kept(lambda: make(at, root))
-                new = np.arange(len(at))
+                if self._power is None:
+                    self._power, self._rotation = self._kept(lambda: make(at, root))
+                power = self._power[new]
             self._share[new] = _shares(power, self.levels)
             self._known[new] = True
         out = np.empty((*locations.shape, self.levels.size), np.float32)
@@ -244,9 +241,13 @@ class LocationGrid:
         spectrum = np.ascontiguousarray(samples[:, kept]).view(np.complex64).reshape(len(samples), 1, n_sensors, -1)
         frequency = np.arange(1, spectrum.shape[3] + 1) / self.responses.n_samples
         rotation = np.exp(2j * np.pi * np.outer(steps, frequency))[:, None].astype(np.complex64)
-        later = (spectrum * rotation).view(np.float32).reshape(len(samples), steps.size, -1) * weight[:, None]
-        evidence = tables.evidence(later.reshape(-1, kept.size)).max(axis=0)
-        return np.asarray(evidence.reshape(len(samples), -1), np.float64)
+        evidence, n_rows = np.empty((len(samples), steps.size)), max(_COLUMNS // steps.size, 1)
+        for first in range(0, len(samples), n_rows):
+            rows = slice(first, first + n_rows)
+            later = (spectrum[rows] * rotation).view(np.float32).reshape(-1, steps.size, kept.size)
+            later *= weight[rows, None]
+            evidence[rows] = tables.evidence(later.reshape(-1, kept.size)).max(axis=0).reshape(-1, steps.size)
+        return evidence
 
     # -- the location ---------------------------------------------------------------------------------
 
