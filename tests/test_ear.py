@@ -1,5 +1,7 @@
 """One ear: the same impacts, whatever asks for them and at whatever rate they were recorded."""
 
+import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -8,11 +10,16 @@ from numpy.typing import NDArray
 
 import cgid
 from cgid import load_model
+from cgid.cli.main import run
 from cgid.identification.detection.ear import Ear
 from cgid.identification.inversion.one_rate import OneRate
 from cgid.identification.prediction.settings import PredictionSettings
 from cgid.identification.prediction.stream import identify_blocks
 from cgid.measure.modal.beam import Beam
+from cgid.recordings import open_recording
+from cgid.scene import load_scene
+from cgid.scene.output.recordings import generate_recordings
+from cgid.scene.synthesis import impacts, plan, through_beam
 from tests import few
 
 RATE = 25_600.0
@@ -107,3 +114,50 @@ def test_another_rate_is_told_once() -> None:
         told = [note for step in steps for note in step.notes]
         assert len(told) == notes
         assert all(note.startswith("belt: 51200 Hz is heard at 25600 Hz") for note in told)
+
+
+def recorded(rate: float, folder: Path, monkeypatch: pytest.MonkeyPatch) -> NDArray[np.floating]:
+    """Return ten seconds of the same rocks on the same modes at a rate, (1, n) [m/s^2]."""
+    text = re.sub('"25.6 kHz"', f'"{rate!r} Hz"', (Path(__file__).parents[1] / "datasets" / "caving.toml").read_text())
+    text = text.replace('"10 kHz", order', f'"{10_000 * rate / RATE!r} Hz", order').replace(
+        'duration = "60 s"', 'duration = "10 s"'
+    )
+    highest = plan.highest_frequency(load_scene("caving"))
+    for module in (impacts, plan, through_beam):
+        monkeypatch.setattr(module, "highest_frequency", lambda _: highest)
+    (folder / "scene.toml").write_text(text)
+    generate_recordings(folder / "scene.toml", folder / "made", 1, 5)
+    return np.concatenate(list(open_recording(next((folder / "made").glob("*.h5"))).blocks()), axis=1)
+
+
+@pytest.mark.parametrize("rate", [51_200.0, 20_000.0])
+def test_the_same_rocks_have_the_same_answers_at_any_rate_and_live(
+    rate: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def answers(command: str, samples: NDArray[np.floating], stated: float) -> tuple[NDArray[np.floating], list[str]]:
+        np.save(tmp_path / "s.npy", samples.astype(np.float32))
+        (tmp_path / "s.raw").write_bytes(samples.astype("<f4").tobytes())
+        how = ["s.npy"] if command == "predict" else ["s.raw", "--channels", "1", "--sample-format", "f32le"]
+        how = [command, str(tmp_path / how[0]), *how[1:], "--rate", repr(stated), "--unit", "m/s^2", "--json"]
+        assert run(how) == 0
+        rows = [row for line in capsys.readouterr().out.splitlines() if (row := json.loads(line))["kind"] == "impact"]
+        return np.array([row["time_s"] for row in rows]), [row["label"] for row in rows]
+
+    for name in ("own", "other"):
+        (tmp_path / name).mkdir()
+    own, other = (recorded(each, tmp_path / name, monkeypatch) for each, name in ((RATE, "own"), (rate, "other")))
+    time, labels = answers("predict", own, RATE)
+    assert len(labels) > 140
+    # The clock of a recorder is off by some millionths: nothing changes.
+    later, others = answers("predict", own, RATE + 0.8)
+    assert others == labels
+    np.testing.assert_allclose(later * (RATE + 0.8) / RATE, time, atol=1e-6)
+    # Another recorder has another noise, which changes 5 to 8 of 100 labels.
+    found, others = answers("predict", other, rate)
+    nearest = np.abs(found[:, None] - time).argmin(axis=1)
+    near = np.abs(found - time[nearest]) < 1e-3
+    assert near.mean() > 0.97
+    assert np.mean(np.equal(others, np.array(labels)[nearest])[near]) > 0.9
+    live, alike = answers("monitor", other, rate)
+    assert alike == others
+    np.testing.assert_allclose(live, found, atol=1e-6)
