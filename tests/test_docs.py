@@ -1,6 +1,7 @@
 """The examples of README.md and docs/ run and print what the page shows; the pages are built without warnings.
 
-Every page is run from top to bottom in a fresh folder with copies of `benchmarks/`, `datasets/` and `models/`:
+Every page is run from top to bottom in a fresh folder with copies of `benchmarks/`, `datasets/` and `models/`; a
+tutorial in a folder that has nothing of the checkout, whose place is `$CGID`:
 
 * ```` ```sh ```` : bash, ends with exit code 0; setting up and testing (`pip install`, `pytest`) are left out;
 * ```` ```console ```` : the lines after `$ ` are commands, the others what they print;
@@ -99,10 +100,10 @@ def blocks_of(page: str) -> list[Block]:
 class Walk:
     """A reader who goes through a page in a folder and does what it states."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, foreign: bool = False) -> None:
         self.folder = folder
         self.names: dict[str, Any] = {"__name__": "__main__"}
-        for name in ("benchmarks", "datasets", "models"):  # copies: a page may write
+        for name in () if foreign else ("benchmarks", "datasets", "models"):  # copies: a page may write
             shutil.copytree(ROOT / name, folder / name, ignore=shutil.ignore_patterns("__pycache__"))
         programs = folder / ".venv" / "bin"
         programs.mkdir(parents=True)
@@ -116,6 +117,7 @@ class Walk:
             "PATH": os.pathsep.join([str(programs), os.environ.get("PATH", "")]),
             "PYTHONPATH": path,
             "PYTHONUNBUFFERED": "1",
+            "CGID": str(ROOT),
             "MPLBACKEND": "agg",
             "COLUMNS": "110",
         }
@@ -189,7 +191,7 @@ def compare(expected: str, printed: list[str]) -> None:
 
 def follow(page: Path, folder: Path, n_blocks: int | None = None) -> None:
     """Go through a page from top to bottom, or through its first blocks."""
-    walk = Walk(folder)
+    walk = Walk(folder, foreign=page.parent.name == "tutorials")
     last: Block | None = None
     printed: list[str] = []
     for block in blocks_of(page.read_text(encoding="utf-8"))[:n_blocks]:
