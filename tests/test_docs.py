@@ -44,7 +44,7 @@ from cgid.identification.prediction.answers import COLUMNS
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
 #: Folders of docs/ that a build writes.
-BUILT = (DOCS / "_build", DOCS / "examples", DOCS / "notebooks", DOCS / "reference" / "api" / "generated")
+BUILT = [DOCS / name for name in ("_build", "examples", "notebooks", "reference/commands", "reference/api/generated")]
 PAGES = [ROOT / "README.md", *sorted(path for path in DOCS.rglob("*.md") if not set(BUILT) & set(path.parents))]
 
 _FENCE = re.compile(r"(?P<fence>`{3,}|:{3,})(?P<language>[\w+-]*|\{.*\}.*) *")
@@ -332,7 +332,7 @@ def test_pages_are_built_without_warnings_and_without_the_network(tmp_path: Path
     source, html = tmp_path / "docs", tmp_path / "html"
     # The checkout stays as it is, and pages show pictures beside docs/.
     for name in ("docs", "benchmarks", "datasets", "models"):
-        built = shutil.ignore_patterns("_build", "examples", "generated", "notebooks")
+        built = shutil.ignore_patterns("_build", "examples", "commands", "generated", "notebooks")
         shutil.copytree(ROOT / name, tmp_path / name, ignore=built)
     for name in ("cgid", "notebooks", "CHANGELOG.md", "SECURITY.md", "ARCHITECTURE.md"):
         (tmp_path / name).symlink_to(ROOT / name)
