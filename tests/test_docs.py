@@ -292,7 +292,7 @@ def test_docstrings_of_the_reference_are_complete(monkeypatch: pytest.MonkeyPatc
                 found = getattr(importlib.import_module(module), name)
                 if not (inspect.isfunction(found) or (inspect.isclass(found) and not issubclass(found, Warning))):
                     continue
-                text = docscrape.NumpyDocString(inspect.getdoc(found) or "")
+                text = docscrape.NumpyDocString(pages.described(found))
                 entries = [*text["Parameters"], *text["Attributes"]]
                 told = {word.strip() for entry in entries for word in entry.name.split(",")}
                 signature = inspect.signature(found)

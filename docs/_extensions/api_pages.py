@@ -102,6 +102,26 @@ def write_pages(app: Sphinx, _: Any) -> None:
             path.write_text(text, encoding="utf-8")
 
 
+def described(found: Any) -> str:
+    """Return the docstring of a function or class; one that joins others has the attributes of these."""
+    text = inspect.getdoc(found) or ""
+    parents = (
+        [one for one in inspect.getmro(found)[1:] if one.__module__.startswith("cgid.")]
+        if inspect.isclass(found)
+        else []
+    )
+    told = [(inspect.getdoc(one) or "").partition("Attributes\n----------\n")[2] for one in parents]
+    if "Attributes\n---" in text or not (sections := [one.strip("\n") for one in told if one]):
+        return text
+    return text + "\n\nAttributes\n----------\n" + "\n".join(sections)
+
+
+def with_parents(app: Sphinx, what: str, name: str, found: Any, options: Any, lines: list[str]) -> None:
+    """Give a class that joins others their attributes."""
+    if what == "class" and found.__module__.startswith("cgid."):
+        lines[:] = [*described(found).splitlines(), ""]
+
+
 def inherited(app: Sphinx, what: str, name: str, *_: Any) -> bool | None:
     """Leave out the methods that scikit-learn adds to a classifier for its metadata routing."""
     return True if re.fullmatch("set_.*_request|get_metadata_routing", name) else None
@@ -111,5 +131,6 @@ def setup(app: Sphinx) -> dict[str, Any]:
     """Write the pages before Sphinx looks for sources."""
     DEFAULT_LINKS.clear()  # words such as array_like would link to numpy's and Python's pages, which no build fetches
     app.connect("config-inited", write_pages, priority=100)  # before numpydoc reads the aliases
+    app.connect("autodoc-process-docstring", with_parents, priority=100)  # before numpydoc reads it
     app.connect("autodoc-skip-member", inherited)
     return {"version": "1", "parallel_read_safe": True}
