@@ -16,7 +16,7 @@ def package(gallery_conf: dict[str, Any], name: str) -> None:
         "axes.prop_cycle": cycler(color=COLOURS),
         "axes.spines.right": False,
         "axes.spines.top": False,
-        "font.size": 12.0,
+        "font.size": 13.0,
         "legend.frameon": False,
-        "lines.linewidth": 2.0,
+        "lines.linewidth": 2.5,
     }

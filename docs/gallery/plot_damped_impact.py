@@ -44,7 +44,7 @@ plt.show()
 # %%
 # The stiffness of the contact is a theory, too. Finite elements support Hertz's.
 
-figure, axes = plt.subplots(figsize=(8, 4), layout="constrained")
+figure, axes = plt.subplots(figsize=(6.5, 4.5), layout="constrained")
 for stiffness in ("hertz", "rigid-sphere", "series"):
     one = impact("exact", stiffness)
     label = f"{stiffness}: {one.peak_force / 1e3:.1f} kN in {one.contact_duration * 1e6:.0f} µs"

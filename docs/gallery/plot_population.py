@@ -33,7 +33,7 @@ plt.show()
 # completely: no classifier can be right every time.
 
 table = extract(signals, rate, ["peak_force", "contact_duration", "size_free_index", "asymmetry"], pre_trigger=start)
-figure, axes = plt.subplots(1, 2, figsize=(9, 3.8), layout="constrained")
+figure, axes = plt.subplots(1, 2, figsize=(8, 5), layout="constrained")
 for label in scene.labels:
     own = table[labels == label]
     axes[0].loglog(

@@ -73,7 +73,7 @@ started = perf_counter()
 many.force_frames(200e3, 256)
 table = (perf_counter() - started) / 2000
 
-figure, axes = plt.subplots(figsize=(8, 4), layout="constrained")
+figure, axes = plt.subplots(figsize=(6.5, 4.5), layout="constrained")
 axes.loglog(errors, np.array(seconds) * 1e6, "o-", markersize=9, label="scipy, solve_ivp DOP853")
 axes.axhline(table * 1e6, color="#d55e00", linewidth=4, label="cgid's table, error 1e-13 or less")
 axes.set(xlabel="largest error over the peak force", ylabel="µs a pulse")

@@ -17,7 +17,7 @@ exact = {"quantity": "force", "mounting": None, "anti_alias": None, "noise_densi
 (force,) = synthesise(varied(scene, **exact), 1, seed=4)
 (heard,) = synthesise(scene, 1, seed=4)
 
-figure, axes = plt.subplots(2, 1, figsize=(9, 5.5), layout="constrained")
+figure, axes = plt.subplots(2, 1, figsize=(7.5, 5.2), layout="constrained")
 for one, batch, unit, title in (
     (axes[0], force, "contact force [N]", f"The force of a piece of {force.labels[0]}"),
     (axes[1], heard, "acceleration [m/s²]", "The beam at the sensor"),
