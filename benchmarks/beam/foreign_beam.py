@@ -146,7 +146,7 @@ def learn(folder: Path) -> None:
     site.write_text(SITE, encoding="utf-8")
     with (folder / "friday.csv").open() as file:
         truth = [(float(row["time_s"]), row["label"]) for row in csv.DictReader(file)]
-    print("| labelled days | rocks | accuracy by the card (95 %) | right of answered on Friday | unknown | SHUT at second |")
+    print("| labelled days | rocks | accuracy by the card (95 %) | right on Friday | unknown | SHUT at second |")
     print("|---|---|---|---|---|---|")
     for n in (2, 4):
         rows = [f"{day}.csv,0,20,coal\n{day}.csv,20,40,gangue\n" for day in list(DAYS)[:n]]
