@@ -15,7 +15,8 @@ A claim of `claims.toml` is what one command says:
     table       what the command prints, a Markdown table or lines of text, cut to `rows` (a regular expression) and to
                 the titles in `columns`; `ignore` names titles whose figures are not compared, as times; `which` is
                 the number of the table where a command prints several, from 0. `page` has it between <!-- NAME -->
-                and <!-- end of NAME -->
+                and <!-- end of NAME -->, or the part that `shown` (a regular expression of rows) and `titles` leave;
+                without a page the table is only kept and compared
     says        sentences and rows of pages; each {} is one of `values`, and `from` says where it is found: a row and a
                 title of the table, or a regular expression with a group for what the command prints
 
@@ -97,14 +98,18 @@ class Claim:
     rows: str = ""
     columns: list[str] = field(default_factory=list)
     ignore: list[str] = field(default_factory=list)
+    shown: str = ""
+    titles: list[str] = field(default_factory=list)
     table: str = ""
     says: list[Said] = field(default_factory=list)
 
     def block(self) -> str:
         """Return what the page has between the marks of this claim."""
         made = f"Made by `{self.command}` at commit {self.commit}, {self.date}."
-        shown = self.table if self.table.startswith("|") else f"```text\n{self.table}```\n"
-        return f"<!-- {self.name} -->\n{made}\n\n{shown}<!-- end of {self.name} -->"
+        lines, heads = self.table.splitlines(), 2 * self.table.startswith("|")
+        shown = [*lines[:heads], *(line for line in lines[heads:] if re.search(self.shown, line))]
+        table = "\n".join(with_columns(shown, self.titles, self.name) if heads else ["```text", *shown, "```"])
+        return f"<!-- {self.name} -->\n{made}\n\n{table}\n<!-- end of {self.name} -->"
 
     def marks(self) -> re.Pattern[str]:
         """Return the regular expression of that block."""
@@ -128,8 +133,8 @@ def read(path: Path = TABLE) -> tuple[list[Claim], list[Said]]:
         if unknown := set(row) - {one.name for one in fields(Claim)}:
             raise ClaimError(f"{name}: {min(unknown)} is no key of a claim; see benchmarks/claims.py")
         allowed(row["tolerance"], 1.0, name)
-        if bool(row.get("table")) != bool(row.get("page")):
-            raise ClaimError(f"{name}: table and page must be given together")
+        if row.get("page") and not row.get("table"):
+            raise ClaimError(f"{name}: table must be given for its page")
         claims.append(Claim(**row | {"says": [_said(one, name) for one in row.get("says", [])]}))
     if len({one.name for one in claims}) < len(claims):
         raise ClaimError("names of claims must differ")
@@ -204,6 +209,16 @@ def cell_of(claim: Claim, source: Sequence[str]) -> float:
     return number(cells_of(chosen[0])[cells_of(head).index(title)], claim.name)
 
 
+def with_columns(lines: list[str], titles: Sequence[str], name: str) -> list[str]:
+    """Return the lines of a table with some of its columns, or with all."""
+    if not titles:
+        return lines
+    if missing := set(titles) - set(cells_of(lines[0])):
+        raise ClaimError(f"{name}: the table has no column {min(missing)!r}")
+    places = [cells_of(lines[0]).index(title) for title in titles]
+    return ["| " + " | ".join(cells_of(line)[place] for place in places) + " |" for line in lines]
+
+
 def number(text: str, name: str) -> float:
     found = _NUMBER.search(text)
     if found is None:
@@ -250,12 +265,7 @@ def measured(claim: Claim, printed: str) -> Claim:
                 raise ClaimError(f"{claim.name}: the command printed no such table")
             head, lines = tables[claim.which][:2], tables[claim.which][2:]
         kept = [*head, *(line.rstrip() for line in lines if re.search(claim.rows, line))]
-        if claim.columns:
-            if missing := set(claim.columns) - set(cells_of(head[0])):
-                raise ClaimError(f"{claim.name}: the table has no column {min(missing)!r}")
-            places = [cells_of(head[0]).index(title) for title in claim.columns]
-            kept = ["| " + " | ".join(cells_of(line)[place] for place in places) + " |" for line in kept]
-        claim = replace(claim, table="\n".join(kept) + "\n")
+        claim = replace(claim, table="\n".join(with_columns(kept, claim.columns, claim.name)) + "\n")
     says = []
     for said in claim.says:
         values = []

@@ -58,6 +58,8 @@ sphinx_gallery_conf = {
     "doc_module": ("cgid",),
     "download_all_examples": False,
     "remove_config_comments": True,
+    "thumbnail_size": (800, 560),
+    "reset_modules": ("looks.package",),  # docs/_extensions/looks.py
     "show_signature": False,
     "show_memory": False,
     "min_reported_time": 1e9,

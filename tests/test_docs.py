@@ -1,6 +1,7 @@
 """The examples of README.md and docs/ run and print what the page shows; the pages are built without warnings.
 
-Every page is run from top to bottom in a fresh folder with copies of `benchmarks/`, `datasets/` and `models/`:
+Every page is run from top to bottom in a fresh folder with copies of `benchmarks/`, `datasets/` and `models/`; a
+tutorial in a folder that has nothing of the checkout, whose place is `$CGID`:
 
 * ```` ```sh ```` : bash, ends with exit code 0; setting up and testing (`pip install`, `pytest`) are left out;
 * ```` ```console ```` : the lines after `$ ` are commands, the others what they print;
@@ -43,7 +44,7 @@ from cgid.identification.prediction.answers import COLUMNS
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
 #: Folders of docs/ that a build writes.
-BUILT = (DOCS / "_build", DOCS / "examples", DOCS / "notebooks", DOCS / "reference" / "api" / "generated")
+BUILT = [DOCS / name for name in ("_build", "examples", "notebooks", "reference/commands", "reference/api/generated")]
 PAGES = [ROOT / "README.md", *sorted(path for path in DOCS.rglob("*.md") if not set(BUILT) & set(path.parents))]
 
 _FENCE = re.compile(r"(?P<fence>`{3,}|:{3,})(?P<language>[\w+-]*|\{.*\}.*) *")
@@ -99,10 +100,10 @@ def blocks_of(page: str) -> list[Block]:
 class Walk:
     """A reader who goes through a page in a folder and does what it states."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, foreign: bool = False) -> None:
         self.folder = folder
         self.names: dict[str, Any] = {"__name__": "__main__"}
-        for name in ("benchmarks", "datasets", "models"):  # copies: a page may write
+        for name in () if foreign else ("benchmarks", "datasets", "models"):  # copies: a page may write
             shutil.copytree(ROOT / name, folder / name, ignore=shutil.ignore_patterns("__pycache__"))
         programs = folder / ".venv" / "bin"
         programs.mkdir(parents=True)
@@ -116,6 +117,7 @@ class Walk:
             "PATH": os.pathsep.join([str(programs), os.environ.get("PATH", "")]),
             "PYTHONPATH": path,
             "PYTHONUNBUFFERED": "1",
+            "CGID": str(ROOT),
             "MPLBACKEND": "agg",
             "COLUMNS": "110",
         }
@@ -189,7 +191,7 @@ def compare(expected: str, printed: list[str]) -> None:
 
 def follow(page: Path, folder: Path, n_blocks: int | None = None) -> None:
     """Go through a page from top to bottom, or through its first blocks."""
-    walk = Walk(folder)
+    walk = Walk(folder, foreign=page.parent.name == "tutorials")
     last: Block | None = None
     printed: list[str] = []
     for block in blocks_of(page.read_text(encoding="utf-8"))[:n_blocks]:
@@ -290,7 +292,7 @@ def test_docstrings_of_the_reference_are_complete(monkeypatch: pytest.MonkeyPatc
                 found = getattr(importlib.import_module(module), name)
                 if not (inspect.isfunction(found) or (inspect.isclass(found) and not issubclass(found, Warning))):
                     continue
-                text = docscrape.NumpyDocString(inspect.getdoc(found) or "")
+                text = docscrape.NumpyDocString(pages.described(found))
                 entries = [*text["Parameters"], *text["Attributes"]]
                 told = {word.strip() for entry in entries for word in entry.name.split(",")}
                 signature = inspect.signature(found)
@@ -330,7 +332,7 @@ def test_pages_are_built_without_warnings_and_without_the_network(tmp_path: Path
     source, html = tmp_path / "docs", tmp_path / "html"
     # The checkout stays as it is, and pages show pictures beside docs/.
     for name in ("docs", "benchmarks", "datasets", "models"):
-        built = shutil.ignore_patterns("_build", "examples", "generated", "notebooks")
+        built = shutil.ignore_patterns("_build", "examples", "commands", "generated", "notebooks")
         shutil.copytree(ROOT / name, tmp_path / name, ignore=built)
     for name in ("cgid", "notebooks", "CHANGELOG.md", "SECURITY.md", "ARCHITECTURE.md"):
         (tmp_path / name).symlink_to(ROOT / name)

@@ -1,7 +1,7 @@
 """Modbus TCP: the state of each support as registers, for function 3 or 4, for any unit identifier.
 
 Addresses count from 0 (30001 in the notation of some vendors is address 0). All registers are unsigned, fractions are
-in 1/10000, ages in 0.1 s; 65535 means "not known". The table is in docs/how-to/plant.md.
+in 1/10000, ages in 0.1 s; 65535 means "not known". The table is in docs/reference/plant.md.
 """
 
 from __future__ import annotations

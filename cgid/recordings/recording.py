@@ -77,6 +77,8 @@ class Blocks:
         Per channel; None if unknown before reading.
     names : sequence of str
         One per channel, "" without one.
+    is_named : bool
+        Whether an only channel is called by its name, and not by its number.
     units : sequence of str or None
         One per channel, None if unknown.
     sampling_rate : float or None

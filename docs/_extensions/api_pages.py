@@ -60,6 +60,9 @@ PAGES: dict[str, tuple[str, tuple[str, ...]]] = {
     "output": ("Pictures: cgid.plots", ("cgid.plots",)),
 }
 
+#: Where each name has a page of its own: those that most people look up.
+A_PAGE_A_NAME = ("cgid", "physics")
+
 
 def names_of(module: str) -> list[str]:
     """Return the public names of a module; those of `cgid` itself only there."""
@@ -79,27 +82,57 @@ def write_pages(app: Sphinx, _: Any) -> None:
     """Write the pages, each only if it has changed, so that Sphinx does not read it again."""
     folder = Path(app.srcdir) / "reference" / "api"
     for page, (title, modules) in PAGES.items():
-        lines, described = [title, "=" * len(title), ""], []
+        lines, on_page = [title, "=" * len(title), ""], []
         for module in modules:
             names = names_of(module)
             for name in names:
                 found, full = getattr(import_module(module), name), f"{module}.{name}"
                 kind = "class" if inspect.isclass(found) else "function" if callable(found) else "data"
                 comment = comment_on(module, name) if kind == "data" else []
-                described.append(f".. auto{kind}:: {full}" if not comment else f".. py:data:: {full}")
+                about = [f".. auto{kind}:: {full}" if not comment else f".. py:data:: {full}"]
                 if comment:
-                    described += ["", *(f"   {line}" for line in comment)]
+                    about += ["", *(f"   {line}" for line in comment)]
                 if kind == "class":
-                    described.append("   :members:")
+                    about.append("   :members:")
                     app.config.numpydoc_xref_aliases[name] = full
-                described.append("")
+                if page in A_PAGE_A_NAME:
+                    write(folder / page / f"{name}.rst", [name, "=" * len(name), "", *about])
+                else:
+                    on_page += [*about, ""]
             if names:
                 lines += [f"From ``{module}``:", "", ".. autosummary::", "   :nosignatures:", ""]
                 lines += [*(f"   {module}.{name}" for name in names), ""]
-        lines += described
-        text, path = "\n".join(lines), folder / f"{page}.rst"
-        if not path.exists() or path.read_text(encoding="utf-8") != text:
-            path.write_text(text, encoding="utf-8")
+        if page in A_PAGE_A_NAME:
+            on_page = [".. toctree::", "   :hidden:", "   :glob:", "", f"   {page}/*"]
+        write(folder / f"{page}.rst", lines + on_page)
+
+
+def write(path: Path, lines: list[str]) -> None:
+    """Write a page if it has changed."""
+    text = "\n".join(lines) + "\n"
+    path.parent.mkdir(exist_ok=True)
+    if not path.exists() or path.read_text(encoding="utf-8") != text:
+        path.write_text(text, encoding="utf-8")
+
+
+def described(found: Any) -> str:
+    """Return the docstring of a function or class; one that joins others has the attributes of these."""
+    text = inspect.getdoc(found) or ""
+    parents = (
+        [one for one in inspect.getmro(found)[1:] if one.__module__.startswith("cgid.")]
+        if inspect.isclass(found)
+        else []
+    )
+    told = [(inspect.getdoc(one) or "").partition("Attributes\n----------\n")[2] for one in parents]
+    if "Attributes\n---" in text or not (sections := [one.strip("\n") for one in told if one]):
+        return text
+    return text + "\n\nAttributes\n----------\n" + "\n".join(sections)
+
+
+def with_parents(app: Sphinx, what: str, name: str, found: Any, options: Any, lines: list[str]) -> None:
+    """Give a class that joins others their attributes."""
+    if what == "class" and found.__module__.startswith("cgid."):
+        lines[:] = [*described(found).splitlines(), ""]
 
 
 def inherited(app: Sphinx, what: str, name: str, *_: Any) -> bool | None:
@@ -111,5 +144,6 @@ def setup(app: Sphinx) -> dict[str, Any]:
     """Write the pages before Sphinx looks for sources."""
     DEFAULT_LINKS.clear()  # words such as array_like would link to numpy's and Python's pages, which no build fetches
     app.connect("config-inited", write_pages, priority=100)  # before numpydoc reads the aliases
+    app.connect("autodoc-process-docstring", with_parents, priority=100)  # before numpydoc reads it
     app.connect("autodoc-skip-member", inherited)
     return {"version": "1", "parallel_read_safe": True}

@@ -8,6 +8,7 @@ from __future__ import annotations
 import importlib
 import inspect
 from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
 from types import NoneType, UnionType
 from typing import Any, Literal, Union, get_args, get_origin
 
@@ -88,17 +89,33 @@ class _Page(click.HelpFormatter):
 
 
 def commands() -> str:
-    """Return the help of every command."""
+    """Return a table of the commands, in the groups of `cgid --help`."""
     from cgid.cli import cli
+    from cgid.cli.help import _COMMANDS
 
     parts = []
-    for name in sorted(cli.commands):
-        command = cli.commands[name]
+    for heading, names in _COMMANDS.items():
+        rows = [
+            [f"{{doc}}`cgid {name} <commands/{name}>`", escaped(cli.commands[name].get_short_help_str(100))]
+            for name in names.split()
+        ]
+        parts.append(f"## {heading}\n\n{table(('command', 'what it does'), rows)}")
+    return "\n".join(parts)
+
+
+def write_commands(app: Sphinx, _: Any) -> None:
+    """Write a page for each command with its help, only if it has changed, so that Sphinx does not read it again."""
+    from cgid.cli import cli
+
+    folder = Path(app.srcdir) / "reference" / "commands"
+    folder.mkdir(exist_ok=True)
+    for name, command in cli.commands.items():
         with click.Context(command, info_name=f"cgid {name}", max_content_width=100) as context:
             page = _Page(name)
             command.format_help(context, page)
-        parts.append(f"(command-{name})=\n## cgid {name}\n\n{page.text}\n")
-    return "\n".join(parts)
+        text, path = f"# cgid {name}\n\n{page.text}\n", folder / f"{name}.md"
+        if not path.exists() or path.read_text(encoding="utf-8") != text:
+            path.write_text(text, encoding="utf-8")
 
 
 # -- keys of scenes -----------------------------------------------------------------------------------
@@ -325,4 +342,5 @@ class Generated(SphinxDirective):
 def setup(app: Sphinx) -> dict[str, Any]:
     """Register the directive; pages are made anew in every build, because the code may have changed."""
     app.add_directive("generated", Generated)
+    app.connect("config-inited", write_commands)
     return {"version": "1", "parallel_read_safe": True}

@@ -50,11 +50,11 @@ near = (time > 4) & (time < 4.6)
 axes.plot(time[near], signal.samples[near], linewidth=0.6, color="grey")
 for hit, bounce, missed in zip(truth["time"], truth["bounce"], distance > 2e-3, strict=True):
     if 4 < hit < 4.6:
-        axes.axvline(hit, color="tab:red" if missed else "tab:green", linestyle=":" if bounce else "-", linewidth=1)
+        axes.axvline(hit, color="#d55e00" if missed else "#009e73", linestyle=":" if bounce else "-", linewidth=1)
 axes.set(
     xlabel="time [s]",
     ylabel="acceleration [m/s²]",
     title=f"Of {first.sum()} rocks {np.sum(distance[first] < 2e-3)} are found, of {np.sum(~first)} bounces "
-    f"{np.sum(distance[~first] < 2e-3)} (green: found, red: not, dotted: a bounce)",
+    f"{np.sum(distance[~first] < 2e-3)} (green: found, orange: not, dotted: a bounce)",
 )
 plt.show()

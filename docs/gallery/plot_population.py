@@ -6,6 +6,7 @@ A scene file says how large, how stiff and how heavy the rocks are and how far t
 some signals of the shipped scene ``reference``, and what two features can and cannot show.
 """
 
+# sphinx_gallery_thumbnail_number = 2
 import numpy as np
 from matplotlib import pyplot as plt
 
@@ -32,13 +33,13 @@ plt.show()
 # completely: no classifier can be right every time.
 
 table = extract(signals, rate, ["peak_force", "contact_duration", "size_free_index", "asymmetry"], pre_trigger=start)
-figure, axes = plt.subplots(1, 2, figsize=(9, 3.8), layout="constrained")
+figure, axes = plt.subplots(1, 2, figsize=(8, 5), layout="constrained")
 for label in scene.labels:
     own = table[labels == label]
     axes[0].loglog(
-        own.contact_duration * 1e6, own.peak_force / 1e3, ".", markersize=4, color=colours[label], label=label
+        own.contact_duration * 1e6, own.peak_force / 1e3, ".", markersize=6, color=colours[label], label=label
     )
-    axes[1].semilogx(own.size_free_index, own.asymmetry, ".", markersize=4, color=colours[label], label=label)
+    axes[1].semilogx(own.size_free_index, own.asymmetry, ".", markersize=6, color=colours[label], label=label)
 axes[0].set(xlabel="contact duration [µs]", ylabel="peak force [kN]", title="Both follow the size")
 axes[1].set(xlabel="peak over duration squared [N/s²]", ylabel="asymmetry", title="Free of the size")
 axes[0].legend()

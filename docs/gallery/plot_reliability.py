@@ -34,13 +34,13 @@ stated = np.bincount(number, probability, minlength=10) / counts
 true = np.bincount(number, gangue, minlength=10) / counts
 error = 1.96 * np.sqrt(true * (1 - true) / counts)
 
-figure, axes = plt.subplots(2, 1, figsize=(6, 7), height_ratios=(3, 1), sharex=True, layout="constrained")
+figure, axes = plt.subplots(2, 1, figsize=(6.5, 5.5), height_ratios=(3, 1), sharex=True, layout="constrained")
 axes[0].plot([0, 1], [0, 1], color="grey", linewidth=1)
-axes[0].errorbar(stated, true, yerr=error, fmt="o", capsize=3)
+axes[0].errorbar(stated, true, yerr=error, fmt="o", markersize=9, capsize=4, color="#d55e00")
 axes[0].set(
     ylabel="share that is gangue", title=f"{np.mean((probability > 0.5) == gangue):.1%} of the answers are right"
 )
-axes[1].bar(edges[:-1], counts, width=0.1, align="edge", edgecolor="white")
+axes[1].bar(edges[:-1], counts, width=0.1, align="edge", edgecolor="white", color="#d55e00")
 axes[1].set(xlabel="probability of gangue that the model states", ylabel="impacts")
 plt.show()
 

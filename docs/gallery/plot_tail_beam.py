@@ -17,13 +17,13 @@ exact = {"quantity": "force", "mounting": None, "anti_alias": None, "noise_densi
 (force,) = synthesise(varied(scene, **exact), 1, seed=4)
 (heard,) = synthesise(scene, 1, seed=4)
 
-figure, axes = plt.subplots(2, 1, figsize=(9, 5.5), layout="constrained")
+figure, axes = plt.subplots(2, 1, figsize=(7.5, 5.2), layout="constrained")
 for one, batch, unit, title in (
     (axes[0], force, "contact force [N]", f"The force of a piece of {force.labels[0]}"),
     (axes[1], heard, "acceleration [m/s²]", "The beam at the sensor"),
 ):
     time = (np.arange(batch.signals.shape[1]) - batch.pre_trigger) / batch.sampling_rate * 1e3
-    one.plot(time, batch.signals[0], linewidth=0.8)
+    one.plot(time, batch.signals[0], linewidth=1.5, color="#d55e00" if batch.labels[0] == "gangue" else "#0072b2")
     one.set(ylabel=unit, title=title, xlim=(-2, 40))
 axes[1].set_xlabel("time after touch [ms]")
 plt.show()
@@ -38,12 +38,12 @@ spectrum = np.abs(np.fft.rfft(heard.signals[0])) / heard.sampling_rate
 frequency = np.fft.rfftfreq(heard.signals.shape[1], 1 / heard.sampling_rate)
 
 figure, axes = plt.subplots(figsize=(9, 3.5), layout="constrained")
-axes.semilogy(frequency, spectrum, linewidth=0.8, label="spectrum of the signal")
+axes.semilogy(frequency, spectrum, linewidth=1.2, label="spectrum of the signal")
 axes.plot(
     modes.frequency,
     np.full(modes.frequency.size, spectrum.max() * 1.6),
     "|",
-    color="tab:red",
+    color="#d55e00",
     label="modes of the beam",
 )
 axes.set(

@@ -1,4 +1,4 @@
-"""Draw docs/pictures/overview.png: a rock falls on a beam, the sensor hears it, cgid answers.
+"""Draw overview.png, and overview-phone.png in a column: a rock falls on a beam, the sensor hears it, cgid answers.
 
 python docs/pictures/draw_overview.py
 """
@@ -31,8 +31,17 @@ def main() -> None:
         sure = answers[(answers["truth"] == label) & (answers["label"] == label) & (answers[f"p_{label}"] > 0.8)]
         peaks = np.abs(batch.signals[sure["index"]]).max(axis=1)
         chosen[label] = sure.iloc[int(np.argmin(np.abs(np.log(peaks / 200.0))))]
-    figure = Figure(figsize=(10, 3.1), layout="constrained")
-    beam, sensor, answer = figure.subplots(1, 3, width_ratios=[1.0, 1.5, 1.0])
+    wide = Figure(figsize=(10, 3.1), layout="constrained")
+    draw(wide.subplots(1, 3, width_ratios=[1.0, 1.5, 1.0]), batch, chosen, colours)
+    (HERE / "overview.png").write_bytes(png(wide))
+    tall = Figure(figsize=(4.2, 8.4), layout="constrained")
+    draw(tall.subplots(3, 1, height_ratios=[1.0, 1.1, 0.8]), batch, chosen, colours)
+    (HERE / "overview-phone.png").write_bytes(png(tall))
+
+
+def draw(panels: Any, batch: cgid.Batch, chosen: dict[str, Any], colours: dict[str, str]) -> None:
+    """Draw the beam, what its sensor records of two impacts, and the answers."""
+    beam, sensor, answer = panels
     draw_beam(beam)
     time = (np.arange(batch.signals.shape[1]) - batch.pre_trigger) / batch.sampling_rate * 1e3
     for label, one in chosen.items():
@@ -45,7 +54,6 @@ def main() -> None:
     answer.set(xlim=(0, 1), ylim=(-0.6, 1.6), yticks=[], xlabel="probability", title="3  cgid names the material")
     for axes in (sensor, answer):
         axes.spines[["top", "right"]].set_visible(False)
-    (HERE / "overview.png").write_bytes(png(figure))
 
 
 def draw_beam(axes: Any) -> None:
