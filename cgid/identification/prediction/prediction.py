@@ -294,8 +294,7 @@ def _measured(
 
 def _signals(samples: Any, sampling_rate: float | None) -> list[Signal]:
     """Return the channels of samples (n_samples,) or (n_samples, n_channels), without unit."""
-    if sampling_rate is None:
-        raise MissingOption("samples: an array has no sampling rate; give sampling_rate in Hz")
+    sampling_rate = validation.given_rate(samples, sampling_rate)
     names = getattr(samples, "columns", None)
     columns = validation.plain("samples", samples)
     if columns.ndim == 1:
