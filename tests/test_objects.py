@@ -22,6 +22,7 @@ from cgid.identification.prediction.answers import unmeasured
 from cgid.identification.training import Training, train_on_specimens
 from cgid.measure.features.extraction import in_units
 from cgid.physics import COAL, GANGUE, SANDSTONE, STEEL, YANG2018_SPHERES
+from cgid.plots.figure import COLOURS
 
 matplotlib = pytest.importorskip("matplotlib")
 matplotlib.use("Agg")
@@ -144,6 +145,9 @@ def test_pictures_draw_the_values(dataset: cgid.Dataset, impact: cgid.Impact) ->
     axes = impact.plot()
     peaks = [line.get_ydata().max() for line in axes.lines]
     np.testing.assert_allclose(peaks, impact.peak_force / 1e3, rtol=1e-3)
+    assert [line.get_color() for line in axes.lines] == list(COLOURS[:2])
+    low, high = dataset.plot().get_xlim()
+    assert -0.5 < low < 0 and 0.1 < high < 1.2  # ms: pulses of some 0.2 ms in frames of 10 ms
     for one in (dataset, next(dataset.batches()), cgid.load_scene("reference")):
         drawn = one.plot(n=5)
         assert len(drawn.lines) == 10
