@@ -101,6 +101,24 @@ class Signal:
             f"Signal {self.name}", facts | ({"warnings": "; ".join(self.warnings)} if self.warnings else {})
         )
 
+    def spectrum(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return frequencies [Hz] and the magnitude of the Fourier transform of the signal.
+
+        Returns
+        -------
+        frequency : ndarray, (n_samples // 2 + 1,) [Hz]
+        magnitude : ndarray
+            [unit s]; at 0 Hz that of the integral of the signal.
+
+        Examples
+        --------
+        >>> frequency, magnitude = Signal(samples=np.ones(4), sampling_rate=2.0).spectrum()
+        >>> frequency.tolist(), magnitude.tolist()
+        ([0.0, 0.5, 1.0], [2.0, 0.0, 0.0])
+        """
+        frequency = np.arange(self.samples.size // 2 + 1) * self.sampling_rate / self.samples.size
+        return frequency, np.abs(np.fft.rfft(self.samples.astype(np.float64))) / self.sampling_rate
+
     def plot(self, axes: Any = None) -> Any:
         """Draw the signal over time.
 

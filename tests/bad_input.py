@@ -615,6 +615,7 @@ _COMMANDS = r"""
 65 | predict pair.csv --channel 1+2 | give --same-beam 1+2
 65 | predict two.h5 --same-beam 1+2 | --same-beam
 65 | events pair.csv --same-beam 1+9 -o e.csv | channel '9' is none of them
+65 | features pair.csv --same-beam 1+9 | channel '9' is none of them
 65 | train m_pair.csv --by impact --same-beam 1+9 -o new.npz | channel '9' is none of them
 65 | train m_pair.csv --by window --same-beam 1+2 -o new.npz | same_beam
 65 | train m_beam.csv -o new.npz | row 2: same_beam

@@ -142,6 +142,51 @@ def test_a_new_user_labels_by_keys_alone(site: Any, browser: Any, pages: Any) ->
     )
 
 
+def test_no_key_is_lost_however_fast(site: Any, browser: Any, pages: Any) -> None:
+    """Keys while the page loads are told; a label that is on its way outlives answers that were asked before it."""
+    folder, _, _ = site
+    page, driver = pages(folder, 8974), browser()
+    slow = """const real = window.fetch, sleep = ms => new Promise(done => setTimeout(done, ms));
+        window.held = [];
+        window.fetch = async (path, how) => {
+          const kind = String(path).split("?")[0];
+          if (kind === "api/state" && !window.loaded) { window.loaded = true; await sleep(1500); }
+          if (kind === "api/label") await (window.hold ? new Promise(done => held.push(done)) : sleep(60));
+          const answer = await real(path, how);
+          if (kind === "api/impacts") await (window.hold ? new Promise(done => held.push(done)) : sleep(300));
+          return answer;
+        };"""
+    driver.execute_cdp_cmd("Page.addScriptToEvaluateOnNewDocument", {"source": slow})
+    driver.get(f"http://127.0.0.1:8974/#{page.key}")
+    pressed(driver, "c")
+    assert "keys count from the first one" in driver.find_element("id", "alarm").text
+    until(driver, "page.selected >= 0 && page.detail")
+    assert driver.find_element("id", "alarm").text == ""
+    # The order of the answers, by hand: all impacts are asked, then a label is written, then the answer comes.
+    until(driver, "window.loaded && !held.length && (window.hold = true)")
+    first = driver.execute_script("return page.selected")
+    pressed(driver, "c")
+    driver.execute_script(
+        "page.version = -1; seen = ''; window.refreshed = false; refresh().then(() => refreshed = true)"
+    )
+    until(driver, "held.length >= 2")
+    driver.execute_script("held.shift()()")
+    until(driver, "!page.outbox.length")
+    driver.execute_script("window.hold = false; held.forEach(one => one())")
+    until(driver, "refreshed")
+    assert driver.execute_script(f"return page.impacts[{first}][5]") == "coal"
+    # And as fast as no hand, while models are trained.
+    driver.execute_script("""let n = 0;
+        const timer = setInterval(() => {
+          if (n === 37) { clearInterval(timer); window.over = true; return; }
+          document.body.dispatchEvent(new KeyboardEvent("keydown", { key: "cg"[n++ % 2], bubbles: true }));
+        }, 120);""")
+    until(driver, "window.over && !page.outbox.length && page.state.n_labels === 38")
+    asked(driver)
+    page.end()
+    assert sum(bool(row["label"]) for row in rows_of(folder / "labels.csv")) == 38
+
+
 def test_labels_wait_while_the_server_is_down(site: Any, browser: Any, pages: Any) -> None:
     """The server is killed; two labels wait in the page; the next server has them, by its own address."""
     folder, _, _ = site

@@ -26,6 +26,7 @@ from cgid.identification.training.classifier import ImpactClassifier, noise_cont
 from cgid.measure.features.extraction import extract_array
 from cgid.shipped import MODELS, path_of
 from tests import few
+from tests.test_labels import rung
 
 needs_gcc = pytest.mark.skipif(shutil.which("gcc") is None, reason="gcc is not installed")
 STRICT = ("-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Wshadow", "-Wmissing-prototypes", "-Werror", "-O1")
@@ -253,6 +254,48 @@ def test_columns_are_found_by_name_as_cgid_features_prints_them(tmp_path: Path, 
     found = answers(compiled(c_source(model), tmp_path, "-DCGID_MAIN"), table)
     assert found["label"].tolist() == [row["label"] for row in expected]
     np.testing.assert_allclose(found["p_coal"], [float(row["p_coal"]) for row in expected], atol=1e-4)
+
+
+@needs_gcc
+def test_channels_of_one_beam_answer_together_as_predict(tmp_path: Path, capfd: pytest.CaptureFixture) -> None:
+    """`cgid features --same-beam` piped into the C program answers each rock as `cgid predict --same-beam`."""
+    paths = []
+    for seed in (3, 4, 5):
+        samples, labels, onsets = rung(seed, 30)
+        ends = [f"{onset - 0.05:.3f},{onset + 0.3:.3f}" for onset in onsets]
+        # The second channel has a smaller signal in as much noise, and some rocks only the first hears.
+        samples[1] = 0.5 * samples[1] + 0.02 * np.random.default_rng(seed).standard_normal(samples.shape[1])
+        for onset in onsets[::9]:
+            begin = round((onset - 0.02) * 10e3)
+            samples[1, begin : begin + 3000] = 0.02 * np.random.default_rng(seed).standard_normal(3000)
+        np.save(tmp_path / f"{seed}.npy", samples)
+        paths += [f"{seed}.npy,{end},{label}" for end, label in zip(ends, labels, strict=True)]
+    (tmp_path / "m.csv").write_text("\n".join(["path,start_s,end_s,label", *paths, ""]))
+    raw, model = ("--rate", "10000", "--unit", "g"), tmp_path / "m.npz"
+    assert run(["train", str(tmp_path / "m.csv"), *raw, "--same-beam", "1+2", "-o", str(model)]) == 0
+    trained = StoredModel.load(model)
+    assert trained.same_beam == ("1+2",)
+    source = c_source(trained)
+    assert "Channels of one beam (1+2)" in source
+    samples, *_ = rung(9, 30)
+    samples[:, 40000:] *= 1.5  # some outside of the training
+    samples[1, 10000:20000] = samples[1, :1000].repeat(10)
+    np.save(tmp_path / "new.npy", samples)
+    file = [str(tmp_path / "new.npy"), *raw, "--same-beam", "1+2"]
+    capfd.readouterr()
+    assert run(["features", *file, "--features", ",".join(trained.measured)]) == 0
+    table = capfd.readouterr().out
+    assert run(["predict", *file, "--model", str(model)]) == 0
+    expected = list(csv.DictReader(io.StringIO(capfd.readouterr().out)))
+    found = answers(compiled(source, tmp_path, "-DCGID_MAIN"), table)
+    assert [row["channel"] for row in csv.DictReader(io.StringIO(table))] == [row["channel"] for row in expected]
+    assert found["label"].tolist() == [row["label"] for row in expected]
+    assert {"coal", "gangue", UNKNOWN} == set(found["label"])
+    for name in ("p_coal", "novelty"):
+        np.testing.assert_allclose(found[name], [float(row[name] or "nan") for row in expected], rtol=1e-3, atol=1e-4)
+    pytest.importorskip("onnx")
+    assert run(["export-model", str(model), "--to", "onnx", "-o", str(tmp_path / "m.onnx")]) == 0
+    assert b"mean of their log-odds" in (tmp_path / "m.onnx").read_bytes()
 
 
 @needs_gcc

@@ -74,6 +74,19 @@ def test_a_line_of_the_journal_that_was_cut_off_is_left_out(cut: int, tmp_path: 
     assert [row["label"] for row in rows_of(tmp_path / "t.csv")] == ["coal", "coal"]
 
 
+@pytest.mark.parametrize(
+    "line", ["null", "[]", "5", '"a"', '{"row":[]}', '{"row":{"path":1}}', '{"written":[]}', "[" * 9999]
+)
+def test_a_line_of_the_journal_of_another_shape_is_left_out(line: str, tmp_path: Path) -> None:
+    table = LabelTable(tmp_path / "t.csv")
+    table.label(dict(ROW), "coal", "", "random")
+    os.close(table._stream)
+    table.journal.write_text(f"{line}\n{table.journal.read_text()}{line}\n")
+    again = LabelTable(tmp_path / "t.csv")
+    again.close()
+    assert [row["label"] for row in rows_of(tmp_path / "t.csv")] == ["coal"]
+
+
 def test_what_others_write_is_kept(tmp_path: Path) -> None:
     """A table with semicolons, decimal commas, comments, own columns and rows that are twice; changed meanwhile."""
     path = tmp_path / "t.csv"
@@ -369,6 +382,7 @@ def test_ten_minutes_of_a_new_user(site: Any, tmp_path: Path) -> None:
     assert page.post("label", r=0, k=0, label="", chosen="unsure")[0] == 200
     known = {*chosen, *np.flatnonzero(onsets > 15.4).tolist()} - {0}
     state = page.wait(lambda state: learned(state) == 2 * len(known))  # both channels hear each rock
+    assert state["recordings"][0]["done"] == len(known) + 1
     assert state["n_unsure"] == 1 and state["learning"]["results"]["new"]["text"].startswith("right on ")
     assert page.post("save", which="new") == (200, {"saved": ["labels.md", "labels.npz"]})
     pytest.importorskip("matplotlib")

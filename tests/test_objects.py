@@ -21,7 +21,8 @@ from cgid.identification.model.model import stored
 from cgid.identification.prediction.answers import unmeasured
 from cgid.identification.training import Training, train_on_specimens
 from cgid.measure.features.extraction import in_units
-from cgid.physics import STEEL, YANG2018_SPHERES
+from cgid.physics import COAL, GANGUE, SANDSTONE, STEEL, YANG2018_SPHERES
+from cgid.plots.figure import COLOURS
 
 matplotlib = pytest.importorskip("matplotlib")
 matplotlib.use("Agg")
@@ -112,7 +113,19 @@ def test_dataset_by_index(dataset: cgid.Dataset) -> None:
         for read in (dataset.__getitem__, dataset.impact, dataset.signal):
             with pytest.raises(InvalidValue, match="index must be"):
                 read(index)
-    np.testing.assert_array_equal(dataset[1:3], signals[1:3])
+    coal = dataset.parameters["label"].to_numpy() == "coal"
+    for rows in (
+        slice(1, 3),
+        slice(None, None, -7),
+        [1, 2],
+        [58, 3, -1, 3],
+        [],
+        np.array([24, 25]),
+        coal,
+        coal.tolist(),
+    ):
+        np.testing.assert_array_equal(dataset[rows], signals[rows])
+    np.testing.assert_array_equal(dataset[[30, 2], 5:9], signals[[30, 2], 5:9])
 
 
 def test_parameters_of_a_dataset_are_a_table_with_units(dataset: cgid.Dataset) -> None:
@@ -132,6 +145,9 @@ def test_pictures_draw_the_values(dataset: cgid.Dataset, impact: cgid.Impact) ->
     axes = impact.plot()
     peaks = [line.get_ydata().max() for line in axes.lines]
     np.testing.assert_allclose(peaks, impact.peak_force / 1e3, rtol=1e-3)
+    assert [line.get_color() for line in axes.lines] == list(COLOURS[:2])
+    low, high = dataset.plot().get_xlim()
+    assert -0.5 < low < 0 and 0.1 < high < 1.2  # ms: pulses of some 0.2 ms in frames of 10 ms
     for one in (dataset, next(dataset.batches()), cgid.load_scene("reference")):
         drawn = one.plot(n=5)
         assert len(drawn.lines) == 10
@@ -195,6 +211,68 @@ def test_a_radius_in_millimetres_asks_back() -> None:
     assert told[0].filename == __file__
 
 
+def test_ranges_of_materials_give_materials() -> None:
+    for one in (COAL, GANGUE, SANDSTONE):
+        drawn = one.draw(np.random.default_rng(1), 2000)
+        for name in ("density", "youngs_modulus", "poisson_ratio"):
+            low, high = getattr(one, name)
+            values = np.asarray(getattr(drawn, name))
+            assert low <= getattr(one.middle, name) <= high and low <= values.min() and values.max() <= high
+            assert values.min() < low + 0.01 * (high - low) and values.max() > high - 0.02 * (high - low)
+        sphere = cgid.Sphere(material=drawn, radius=0.025)
+        assert np.shape(sphere.mass) == (2000,)
+        with pytest.raises(InvalidValue, match=r"material .*\.middle or \.draw"):
+            cgid.Sphere(material=one, radius=0.025)  # type: ignore[arg-type]
+
+
+def test_an_impact_without_a_loss_names_it() -> None:
+    with pytest.raises(cgid.errors.MissingOption, match="dissipation must be given"):
+        cgid.Impact(sphere=None, target=cgid.RIGID, velocity=1.0, stiffness="hertz")  # type: ignore[call-arg, arg-type]
+
+
+def test_the_spectrum_of_an_impact_is_that_of_its_equation_of_motion(impact: cgid.Impact) -> None:
+    """An own integration of Hertz's contact with the damping of Hunt and Crossley, by steps of Runge and Kutta."""
+    elastic = replace(impact, dissipation=cgid.Elastic())
+    frequency = np.array([0.0, 500.0, 3e3, 12e3])
+    for number in range(2):
+        stiffness, mass = elastic.contact_stiffness[number], elastic.reduced_mass[number]
+
+        def rate(state: np.ndarray, k: float = stiffness, m: float = mass) -> np.ndarray:
+            return np.array([state[1], -k / m * max(state[0], 0.0) ** 1.5])
+
+        step, state, forces = 2e-8, np.array([0.0, 2.0]), [0.0]
+        while len(forces) < 3 or state[0] > 0:
+            a = rate(state)
+            b = rate(state + step / 2 * a)
+            c = rate(state + step / 2 * b)
+            state = state + step / 6 * (a + 2 * b + 2 * c + rate(state + step * c))
+            forces.append(stiffness * max(state[0], 0.0) ** 1.5)
+        times = step * np.arange(len(forces))
+        expected = [abs(np.sum(forces * np.exp(-2j * np.pi * f * times)) * step) for f in frequency]
+        np.testing.assert_allclose(elastic.spectrum(frequency)[number], expected, rtol=0, atol=1e-5 * expected[0])
+    np.testing.assert_allclose(impact.spectrum(0.0)[:, 0], impact.impulse, rtol=1e-6)
+    times = np.arange(4000) / 4e6
+    sampled = cgid.Signal(samples=impact.force(times)[1], sampling_rate=4e6, unit="N")
+    frequencies, magnitude = sampled.spectrum()
+    np.testing.assert_allclose(impact.spectrum(frequencies[:20])[1], magnitude[:20], rtol=0, atol=1e-4 * magnitude[0])
+
+
+def test_times_of_a_series_must_be_of_the_rate() -> None:
+    pd = pytest.importorskip("pandas")
+    samples = np.random.default_rng(0).normal(0, 1, 4000)
+    for index in (np.arange(4000) / 1e3, pd.date_range("2026-01-01", periods=4000, freq="1ms")):
+        series = pd.Series(samples, index=index)
+        for call in (cgid.predict, cgid.extract):
+            with pytest.raises(
+                InvalidValue, match=r"sampling_rate must be that of the times .* 0\.001 s, got 25600 Hz"
+            ):
+                call(series, 25600.0, "N") if call is cgid.predict else call(series, 25600.0)
+        with pytest.warns(UserWarning, match="no impact"):
+            assert len(cgid.predict(pd.DataFrame({"a": series}), 1000.0, "N")) == 0
+    with pytest.warns(UserWarning, match="no impact"):
+        assert len(cgid.predict(pd.Series(samples), 25600.0, "N")) == 0
+
+
 def test_model_predicts_from_a_table_of_features(training: Training) -> None:
     model = training.model
     (batch,) = cgid.synthesise("reference", 100, seed=9)
@@ -208,6 +286,11 @@ def test_model_predicts_from_a_table_of_features(training: Training) -> None:
     np.testing.assert_allclose(probabilities, training.classifier.predict_proba(table.to_numpy()), atol=1e-12)
     assert model.predict(table).tolist() == np.array(model.labels)[probabilities.argmax(axis=1)].tolist()
     assert np.mean(model.predict(table) == batch.labels) > 0.7
+    assert model.predict(batch).tolist() == model.predict(table).tolist()
+    in_kn = replace(batch, signals=batch.signals / 1e3, unit="kN")
+    np.testing.assert_allclose(model.predict_proba(in_kn), probabilities, atol=1e-5)  # of single samples
+    with pytest.raises(InvalidValue, match="m/s"):
+        model.predict(replace(batch, unit="m/s^2"))
     with pytest.raises(InvalidValue, match=f"{model.features[0]} missing"):
         model.predict(table.drop(columns=model.features[0]))
     with pytest.raises(InvalidValue, match="features must be"):
@@ -349,7 +432,7 @@ def test_features_of_a_dataset_are_those_of_its_batches(dataset: cgid.Dataset) -
     assert table.attrs["units"] == expected[0].attrs["units"]
 
 
-@pytest.mark.parametrize("index", [1.5, "a", None, [1, 2], np.array([True]), 60, -61])
+@pytest.mark.parametrize("index", [1.5, "a", None, [1, 60], [[1]], [1.5], np.array([True]), 60, -61])
 def test_a_wrong_index_is_no_damage(dataset: cgid.Dataset, index: Any) -> None:
     with pytest.raises(InvalidValue, match="index"):
         dataset[index]

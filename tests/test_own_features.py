@@ -101,7 +101,7 @@ def test_a_package_registers_its_features(
         (own_feature(lambda rows, rate: rows.upper(), name="typo"), "feature typo: .* raised AttributeError"),
         (own_feature(area, name="peak_force"), "must not be that of a feature of cgid, got 'peak_force'"),
         (own_feature(area, name="mel_1000_hz"), "must not be that of a feature of cgid, got 'mel_1000_hz'"),
-        (lambda rows, rate: rows.sum(axis=1), "name must be an identifier, got '<lambda>'; give name="),
+        (lambda rows, rate: rows.sum(axis=1), "name must be an identifier, got '<lambda>'; give own_feature"),
         (3, "feature must be a name, a function or a Feature, got 3"),
     ],
 )

@@ -237,6 +237,14 @@ def test_a_bad_law_ends_with_a_clear_error(verbs, message, velocity):
     assert "\n" not in str(error.value)
 
 
+@pytest.mark.parametrize("tolerance", [1e-4, 1e-8, 1e-12])
+@pytest.mark.parametrize("depth", [0.2, 0.02, 1e-3])
+def test_an_attractive_first_touch_is_refused_at_every_tolerance(depth, tolerance):
+    law = law_with(force=njit(lambda p, history, w: (w**3 - depth * w * w, 0.0)))
+    with pytest.raises(InvalidValue, match="below 0"):
+        coal(law, tolerance=tolerance)
+
+
 def test_a_law_that_inherits_closed_curves_must_have_their_force():
     Other = type(
         "Other", (Elastic,), {"name": "other", "force": staticmethod(njit(lambda p, history, w: (2.0 * w**3, 0.0)))}

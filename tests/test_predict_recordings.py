@@ -101,7 +101,8 @@ def test_units_and_signs_become_the_models(tmp_path: Path, default_model: Stored
     ):
         np.save(tmp_path / f"{name}.npy", samples)
         recording = open_recording(tmp_path / f"{name}.npy", sampling_rate=RATE, unit=unit)
-        answers.append([a.probabilities["coal"] for a in identify_recording(recording, default_model, **how)])
+        found = identify_recording(recording, default_model, PredictionSettings(**how))
+        answers.append([a.probabilities["coal"] for a in found])
     for other in answers[1:]:
         assert other == pytest.approx(answers[0], rel=1e-6)
 

@@ -360,7 +360,7 @@ def test_windows_of_one_beam_are_one_answer() -> None:
 
 def test_python_and_recordings_take_groups(model: StoredModel, samples: np.ndarray, tmp_path: Path) -> None:
     two = np.stack([samples, again(samples)], axis=1)[: samples.size // 5]
-    table = predict(two, RATE, "m/s^2", same_beam=[("1", "2")])
+    table = predict(two, RATE, "m/s^2", same_beam="1+2")
     assert set(table["channel"]) == {"1+2"}
     with pytest.warns(UserWarning, match=r"give --same-beam 1\+2"):
         predict(np.tile(two, (3, 1)), RATE, "m/s^2")
@@ -368,7 +368,7 @@ def test_python_and_recordings_take_groups(model: StoredModel, samples: np.ndarr
     recording = open_recording(tmp_path / "two.npy", sampling_rate=RATE, unit="m/s^2")
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        found = list(identify_recording(recording, model, same_beam=("1+2",)))
+        found = list(identify_recording(recording, model, PredictionSettings(same_beam=(("1", "2"),))))
     np.testing.assert_allclose([one.time for one in found], table["time_s"])
 
 
@@ -382,7 +382,7 @@ def test_python_and_recordings_take_groups(model: StoredModel, samples: np.ndarr
         (("1+2", "2+3"), "each channel once, got 2 twice"),
         (("1",), "two or more channels"),
         (("1+",), "two or more channels"),
-        ("1+2", "groups of channels"),
+        ("1", "two or more channels"),
         (3, "groups of channels"),
     ],
 )

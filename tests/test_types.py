@@ -52,6 +52,26 @@ def test_a_user_of_recordings() -> None:
     assert_type(detector.feed(signals[0].samples[None]), list[cgid.identification.detection.Event])
 
 
+def test_settings_have_names_that_checkers_know() -> None:
+    """Under mypy --strict an ignored error that is none fails: each `type: ignore` here is a refusal."""
+    path, two = ROOT / "datasets" / "sample.csv", np.zeros((9000, 2))
+    table = cgid.predict(path, costs={"gangue": 3.0}, invert=False, lines=None, dead_time=2e-3)
+    assert len(table) == 6
+    settings = cgid.identification.prediction.PredictionSettings(coal_until=30.0, coverage=0.9, hold=5.0)
+    assert all(one.prediction_set is not None for one in cgid.identify_recording(path, cgid.load_model(), settings))
+    refused = (
+        lambda: cgid.predict(path, coverag=0.9),  # type: ignore[call-arg]
+        lambda: cgid.predict(path, coverage="0.9"),  # type: ignore[arg-type]
+        lambda: cgid.predict(3.5, 25600.0, "N"),  # type: ignore[arg-type]
+        lambda: cgid.predict(two, 25600.0, "N", same_beam=12),  # type: ignore[arg-type]
+        lambda: cgid.identify_recording(path, cgid.load_model(), coverage=0.9),  # type: ignore[call-arg]
+        lambda: cgid.identification.prediction.PredictionSettings(coal_untill=30.0),  # type: ignore[call-arg]
+    )
+    for call in refused:
+        with pytest.raises((cgid.errors.CgidError, TypeError), match=r"coverag|samples|same_beam|coal_untill"):
+            call()
+
+
 def test_a_user_of_scenes() -> None:
     scene = cgid.load_scene("reference")
     assert_type(scene, cgid.Scene)
@@ -109,6 +129,9 @@ def test_public_modules_need_no_import_of_their_own(monkeypatch: pytest.MonkeyPa
         ("cgid.pre", "predict"),
         ("cgid.learning.Train", "TrainingStream"),
         ("cgid.load_model().lab", "labels"),
+        ("cgid.predict(samples, same_b", "same_beam="),
+        ("cgid.predict(samples, cover", "coverage="),
+        ("cgid.identification.prediction.PredictionSettings(coal_", "coal_until="),
         ("cgid.open_recording('a.csv').chan", "channels"),
         ("cgid.Impact().peak_f", "peak_force"),
         ("cgid.train_on_specimens([]).model.sampl", "sampling_rates"),
@@ -118,4 +141,4 @@ def test_an_editor_completes(typed: str, offered: str) -> None:
     jedi = pytest.importorskip("jedi")
     lines = ["import cgid", typed]
     found = jedi.Script("\n".join(lines), project=jedi.Project(ROOT)).complete(2, len(typed))
-    assert offered in {one.name for one in found}
+    assert offered in {one.name_with_symbols for one in found}

@@ -166,7 +166,10 @@ def rates_agree(first: float, second: float, tolerance: float = SAME_RATE) -> bo
 
 
 def given_rate(samples: Any, sampling_rate: float | None) -> float:
-    """Return the sampling rate of an array; raises `MissingOption` without one, `InvalidValue` for other objects."""
+    """Return the sampling rate of an array; raises `MissingOption` without one, `InvalidValue` for another object.
+
+    The times in the index of a Series or DataFrame, dates or seconds, must agree with it.
+    """
     if isinstance(samples, str | Path) or hasattr(samples, "batches"):
         raise InvalidValue(
             f"samples must be an array, a Signal or a Batch, got {shown(samples)}; give one of cgid.read_recording, or "
@@ -174,6 +177,15 @@ def given_rate(samples: Any, sampling_rate: float | None) -> float:
         )
     if sampling_rate is None:
         raise MissingOption("samples: an array has no sampling rate; give sampling_rate in Hz")
+    index = getattr(samples, "index", None) if hasattr(samples, "iloc") else None  # of pandas
+    if index is not None and (times := np.asarray(index)).dtype.kind in "fmM" and len(times) > 1:
+        second = 1 if times.dtype.kind == "f" else np.timedelta64(1, "s")
+        step = float((times[-1] - times[0]) / second) / (len(times) - 1)
+        if not step > 0 or not rates_agree(1 / step, require_rate(sampling_rate), STATED_RATE):
+            raise InvalidValue(
+                f"sampling_rate must be that of the times in the index of samples, one each {step:.10g} s, got "
+                f"{sampling_rate:.10g} Hz; correct one, or give samples.to_numpy()"
+            )
     return sampling_rate
 
 

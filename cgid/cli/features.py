@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
 
 import click
 
@@ -34,7 +35,7 @@ _MAX_REPORTED = 3
 )
 @click.option("--features", "names", help="Measure only these features or banks, separated by commas.")
 @output_options
-@reading_options()
+@reading_options("same_beam")
 @json_option
 def features(
     files: tuple[str, ...],
@@ -48,7 +49,8 @@ def features(
     """Print the features of every impact in FILEs as one CSV table, in the unit of the file; - is stdin.
 
     Without --features these are the features of a vibration for motion and sound (acceleration, velocity, displacement,
-    pressure, level), those of a pulse for everything else. The first file sets the columns.
+    pressure, level), those of a pulse for everything else. The first file sets the columns. With --same-beam a row is a
+    rock, with the features of each channel of its beam.
     """
     from cgid.measure.features import choose
     from cgid.recordings import is_dataset
@@ -115,8 +117,11 @@ class _FeatureRows:
 
     def signals(self, path: str, reading: ReadingOptions) -> None:
         """Print the impacts of all channels of a recording, or of one signal of a dataset."""
+        from cgid.recordings import is_dataset
+
         errors: list[BadData] = []
-        signals = reading.signals(path, errors)
+        recording = None if is_dataset(path) else reading.recording(path)
+        signals = reading.signals(path, errors, recording)
         n_channels = len(signals) + len(errors)
         for warning in signals[0].warnings:
             warn(warning)
@@ -126,6 +131,8 @@ class _FeatureRows:
                 results.append((signal, *self._measured(signal, reading.dead_time)))
             except BadData as error:
                 errors.append(error)
+        if recording is not None and (beams := reading.beams(recording)):
+            results = list(_rocks(results, beams))
         columns = [column for _, its_columns, _ in results for column in its_columns]
         if columns or not self.table.columns:
             self._begin(path, columns or self._expected(signals[0]))
@@ -276,6 +283,44 @@ class _FeatureRows:
         else:
             by_name = {column.title: value for column, value in zip(columns, values, strict=True)}
             self.table.add(row | {"time_s": about["time_s"]} | by_name)
+
+
+class _Heard(NamedTuple):
+    """An impact that a channel hears at a sample."""
+
+    channel: int
+    onset: int
+    impact: _Impact
+
+
+_Results = Sequence[tuple[Signal, list[Column], list[_Impact]]]
+
+
+def _rocks(results: _Results, beams: Sequence[Sequence[str]]) -> Iterator[tuple[Signal, list[Column], list[_Impact]]]:
+    """Yield the rocks of each beam, and of each other channel, with the values of its channels, nan of one without."""
+    from cgid.identification.prediction.same_beam import RockAssigner, grouped
+
+    names, rate = [signal.channel for signal, _, _ in results], results[0][0].sampling_rate
+    groups = grouped(names, beams)
+    heard = [
+        _Heard(row, round(impact[0] * rate), impact)
+        for row, (_, _, impacts) in enumerate(results)
+        for impact in impacts
+    ]
+    rocks = RockAssigner[_Heard](groups, rate).feed(sorted(heard, key=lambda one: one.onset), float("inf"))
+    for rows in groups:
+        columns = [
+            replace(column, name=f"{column.name} of channel {k}")
+            for k, row in enumerate(rows, 1)
+            for column in results[row][1]
+        ]
+        impacts = []
+        for rock in (rock for rock in rocks if rock[0].channel in rows):
+            own = {one.channel: one.impact for one in rock}
+            values = [own[row][1] if row in own else [float("nan")] * len(results[row][1]) for row in rows]
+            problems = [problem for _, _, problem in own.values()]
+            impacts.append((rock[0].impact[0], [value for part in values for value in part], min(problems)))
+        yield replace(results[rows[0]][0], channel="+".join(names[row] for row in rows)), columns, impacts
 
 
 def _columns(quantity: str | None, unit: str | None, selected: tuple[str, ...]) -> list[Column]:

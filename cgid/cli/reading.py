@@ -144,7 +144,9 @@ class ReadingOptions:
             raise InvalidValue(f"{path}: index picks a signal of a dataset (HDF5), this is a recording; leave it out")
         return open_recording(path, channel=self.channel or None, **{**self.common, **self.chain_of(path)})
 
-    def signals(self, path: str, faults: list[BadData] | None = None) -> list[Signal]:
+    def signals(
+        self, path: str, faults: list[BadData] | None = None, recording: RecordingFile | None = None
+    ) -> list[Signal]:
         """Return the signals of a recording, or the chosen signal of a dataset; `faults` gets unreadable channels."""
         from cgid.recordings import is_dataset
 
@@ -154,7 +156,7 @@ class ReadingOptions:
             signal = Dataset(path).signal(self.index or 0)
             signals = [signal.inverted() if self.site.get("invert") else signal]
         else:
-            signals, errors = self.recording(path).signals_and_faults()
+            signals, errors = (recording or self.recording(path)).signals_and_faults()
             if errors and (faults is None or not signals):
                 raise errors[0]
             if faults is not None:

@@ -55,6 +55,12 @@ int cgid_prediction_set(const cgid_real *probability, int coverage, unsigned cha
    touch. Return 1, or 0 and values that are not numbers if it cannot be measured. Computes in double precision; its
    time grows with the number of samples times the number of bins of the spectrum up to the highest band. */
 int cgid_measure(const cgid_real *samples, int n_samples, int pre_trigger, double sampling_rate, cgid_real *values);
+//: together
+
+/* Identify one impact that up to CGID_N_CHANNELS channels of one beam measure: n times CGID_N_VALUES values, of a channel
+   that does not measure it not numbers. The probabilities are the mean of the log-odds of the channels, and the novelty
+   is that of their mean values; where that is outside of the training, those channels count that are inside. */
+cgid_status cgid_together(const cgid_real *values, int n, cgid_answer *answer);
 //: arithmetic
 #include <float.h>
 #include <math.h>
@@ -71,6 +77,7 @@ int cgid_measure(const cgid_real *samples, int n_samples, int pre_trigger, doubl
 #define CGID_READ strtod
 #define CGID_TOLERANCE 1e-9
 #define CGID_LARGEST 100
+#define CGID_LEAST 1e-300
 #define CGID_DIGITS 17
 #elif CGID_JOIN(CGID_BYTES_, CGID_REAL) == 4
 %(single)s#define CGID_EXP expf
@@ -80,6 +87,7 @@ int cgid_measure(const cgid_real *samples, int n_samples, int pre_trigger, doubl
 #define CGID_READ strtof
 #define CGID_TOLERANCE 1e-3
 #define CGID_LARGEST 80
+#define CGID_LEAST 1e-37f
 #define CGID_DIGITS 9
 #else
 #error "CGID_REAL must be float or double"
@@ -301,6 +309,88 @@ int cgid_self_test(void)
     }
     return wrong;
 }
+//: body of together
+/* Set the probabilities to the mean of the log-odds of the answers that count; no label is surer than in any of them. */
+static void mean_of_log_odds(const cgid_answer *answers, const unsigned char *counts, int n, cgid_answer *out)
+{
+    cgid_real logs[CGID_N_LABELS], plain[CGID_N_LABELS], highest = 0, largest = 0, sum = 0, share = 0;
+    int c, k, used = 0;
+    for (c = 0; c < n; c++) {
+        used += counts[c];
+    }
+    for (k = 0; k < CGID_N_LABELS; k++) {
+        logs[k] = plain[k] = 0;
+        for (c = 0; c < n; c++) {
+            if (counts[c]) {
+                cgid_real p = answers[c].probability[k];
+                logs[k] += CGID_LOG(p > (cgid_real)CGID_LEAST ? p : (cgid_real)CGID_LEAST) / (cgid_real)used;
+                plain[k] += p / (cgid_real)used;
+                highest = p > highest ? p : highest;
+            }
+        }
+        largest = k == 0 || logs[k] > largest ? logs[k] : largest;
+    }
+    for (k = 0; k < CGID_N_LABELS; k++) {
+        logs[k] = CGID_EXP(logs[k] - largest);
+        sum += logs[k];
+    }
+    for (k = 0; k < CGID_N_LABELS; k++) {
+        logs[k] /= sum;
+        if (logs[k] > highest && logs[k] > plain[k]) {
+            cgid_real one = (logs[k] - highest) / (logs[k] - plain[k]);
+            share = one > share ? one : share;
+        }
+    }
+    for (k = 0; k < CGID_N_LABELS; k++) {
+        out->probability[k] = (1 - share) * logs[k] + share * plain[k];
+    }
+}
+
+cgid_status cgid_together(const cgid_real *values, int n, cgid_answer *answer)
+{
+    cgid_answer own[CGID_N_CHANNELS];
+    unsigned char measured[CGID_N_CHANNELS], inside[CGID_N_CHANNELS];
+    cgid_real joined[CGID_N_VALUES];
+    int c = 0, i, n_measured = 0, n_inside = 0, best = 0;
+    do {
+        cgid_identify(values + c * CGID_N_VALUES, own + c);
+        measured[c] = own[c].status == CGID_KNOWN || own[c].status == CGID_OUTSIDE;
+        inside[c] = own[c].status == CGID_KNOWN;
+        n_measured += measured[c];
+        n_inside += inside[c];
+        best = measured[c] && (!measured[best] || own[c].novelty < own[best].novelty) ? c : best;
+    } while (++c < n);
+    *answer = own[best];
+    if (n_measured < 2) {
+        return answer->status;
+    }
+    for (i = 0; i < CGID_N_VALUES; i++) {
+        cgid_real sum = 0, logs = 0;
+        int linear = together_linear[i];
+        for (c = 0; c < n; c++) {
+            if (measured[c]) {
+                cgid_real value = values[c * CGID_N_VALUES + i];
+                linear = linear || value <= 0;
+                sum += value / (cgid_real)n_measured;
+                logs += value > 0 ? CGID_LOG(value) / (cgid_real)n_measured : 0;
+            }
+        }
+        joined[i] = linear ? sum : CGID_EXP(logs);
+    }
+    cgid_identify(joined, answer);
+    if (answer->status == CGID_OUTSIDE && n_inside > 0) {
+        *answer = own[best];
+        for (c = 0; c < n; c++) {
+            answer->novelty = inside[c] && own[c].novelty > answer->novelty ? own[c].novelty : answer->novelty;
+            measured[c] = inside[c];
+        }
+    }
+    mean_of_log_odds(own, measured, n, answer);
+    if (answer->status == CGID_KNOWN) {
+        answer->label = cgid_decide(answer->probability, even_costs);
+    }
+    return answer->status;
+}
 //: body of sets
 
 int cgid_prediction_set(const cgid_real *probability, int coverage, unsigned char *held)
@@ -467,7 +557,13 @@ int cgid_measure(const cgid_real *samples, int n_samples, int pre_trigger, doubl
 #include <stdlib.h>
 #include <string.h>
 
-static char line[64 * CGID_N_VALUES + 16384];
+#ifdef CGID_N_CHANNELS
+#define N_COLUMNS (CGID_N_CHANNELS * CGID_N_VALUES)
+#else
+#define N_COLUMNS CGID_N_VALUES
+#endif
+
+static char line[64 * N_COLUMNS + 16384];
 
 /* Return the next field of a line, its quotes taken off; NULL after the last one. */
 static char *next_field(char **rest)
@@ -511,14 +607,28 @@ static int is_row(const char *text)
     return *text == ',' || (end != text && (*end == ',' || *end == '\n' || *end == '\r' || *end == '\0'));
 }
 
-/* Return the number of the value that a column names, with or without its unit; -1 if it is none. */
+/* Return the number of the value that a column names, with or without its unit; -1 if it is none. The values of the
+   second channel of a beam follow those of the first. */
 static int value_named(const char *name)
 {
     int i;
-    for (i = 0; i < CGID_N_VALUES; i++) {
-        if (strcmp(name, cgid_columns[i]) == 0 || strcmp(name, cgid_values[i]) == 0) {
+    for (i = 0; i < N_COLUMNS; i++) {
+        const char *value = cgid_values[i % CGID_N_VALUES], *title = cgid_columns[i % CGID_N_VALUES];
+        size_t n = strlen(value);
+        if (i < CGID_N_VALUES && (strcmp(name, title) == 0 || strcmp(name, value) == 0)) {
             return i;
         }
+#ifdef CGID_N_CHANNELS
+        if (strncmp(name, value, n) == 0) {
+            char *end;
+            if (strncmp(name + n, " of channel ", 12) == 0 && strtol(name + n + 12, &end, 10) == i / CGID_N_VALUES + 1
+                && (*end == '\0' || strcmp(end, title + n) == 0)) {
+                return i;
+            }
+        }
+#else
+        (void)n;
+#endif
     }
     return -1;
 }
@@ -535,7 +645,7 @@ static int read_names(char *rest, unsigned long number, int *column)
 {
     char *field;
     int i, k;
-    for (i = 0; i < CGID_N_VALUES; i++) {
+    for (i = 0; i < N_COLUMNS; i++) {
         column[i] = -1;
     }
     for (k = 0; (field = next_field(&rest)) != NULL; k++) {
@@ -556,9 +666,13 @@ static int read_names(char *rest, unsigned long number, int *column)
 static int read_values(char *rest, unsigned long number, const int *column, cgid_real *values)
 {
     char *field;
-    int i, k, found = 0;
+    int i, k, found = 0, needed = 0;
+    for (i = 0; i < N_COLUMNS; i++) {
+        values[i] = (cgid_real)NAN;
+        needed += column[i] >= 0;
+    }
     for (k = 0; (field = next_field(&rest)) != NULL; k++) {
-        for (i = 0; i < CGID_N_VALUES; i++) {
+        for (i = 0; i < N_COLUMNS; i++) {
             if (column[i] == k) {
                 if (!number_of(field, values + i)) {
                     return complain(number, "there must be a number, got ", field);
@@ -567,7 +681,7 @@ static int read_values(char *rest, unsigned long number, const int *column, cgid
             }
         }
     }
-    return found == CGID_N_VALUES ? 0 : complain(number, "there must be a field for each value", "");
+    return found == needed ? 0 : complain(number, "there must be a field for each value", "");
 }
 
 static void print_number(cgid_real value)
@@ -593,8 +707,8 @@ static void print_answer(const cgid_answer *answer)
 
 int main(int argc, char **argv)
 {
-    static int column[CGID_N_VALUES];
-    static cgid_real values[CGID_N_VALUES];
+    static int column[N_COLUMNS];
+    static cgid_real values[N_COLUMNS];
     FILE *stream = argc > 1 ? fopen(argv[1], "r") : stdin;
     unsigned long number = 0;
     int k, code = 0, first = 1;
@@ -611,8 +725,8 @@ int main(int argc, char **argv)
         printf(",p_%s", cgid_labels[k]);
     }
     printf(",novelty,problem\n");
-    for (k = 0; k < CGID_N_VALUES; k++) {
-        column[k] = k;
+    for (k = 0; k < N_COLUMNS; k++) {
+        column[k] = k < CGID_N_VALUES ? k : -1;
     }
     while (!code && fgets(line, (int)sizeof line, stream) != NULL) {
         cgid_answer answer;
@@ -625,7 +739,11 @@ int main(int argc, char **argv)
             code = read_names(line, number, column);
             first = 0;
         } else if ((code = read_values(line, number, column, values)) == 0) {
+#ifdef CGID_N_CHANNELS
+            cgid_together(values, CGID_N_CHANNELS, &answer);
+#else
             cgid_identify(values, &answer);
+#endif
             print_answer(&answer);
             first = 0;
         }

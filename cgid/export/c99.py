@@ -121,6 +121,7 @@ def _heading(model: StoredModel) -> str:
         "Values of an impact, in this order; name [unit], definition:",
         *(f"  {k:3d}  {name} [{unit}], {definition}" for k, (name, unit, definition) in enumerate(_values(model))),
         "",
+        *(line for line in [channels_text(model)] if line),
         *_missing(model),
         "",
         "    cgid_real values[CGID_N_VALUES] = {...};",
@@ -133,6 +134,28 @@ def _heading(model: StoredModel) -> str:
     ]
     wrapped = [textwrap.wrap(line, _MAX_LINE_LENGTH - 3, subsequent_indent=" " * 8) or [""] for line in lines]
     return "/* " + "\n".join(f" * {line}".rstrip() for part in wrapped for line in map(_comment, part))[3:] + "\n */\n"
+
+
+def channels_text(model: StoredModel) -> str:
+    """Return how the channels of a model of several are combined; empty for a model of one."""
+    if model.n_channels > 1:
+        return (
+            f"Channels 1 to {model.n_channels} of a recording give the values together, in the order of the training."
+        )
+    if not model.same_beam:
+        return ""
+    if model.beam is not None:
+        return "Channels of one beam: the values are those of the pulse in which their pulses are fused."
+    return (
+        f"Channels of one beam ({', '.join(model.same_beam)}): each has values and an answer of its own; the "
+        "probabilities of the impact are the mean of their log-odds, and its novelty that of their mean values."
+    )
+
+
+def _together(model: StoredModel) -> int:
+    """Return how many channels of one beam the file answers for together, 0 for a model of one."""
+    apart = model.n_channels > 1 or model.beam is not None
+    return 0 if apart else max((len(beam.split("+")) for beam in model.same_beam), default=0)
 
 
 def _missing(model: StoredModel) -> Iterable[str]:
@@ -151,11 +174,13 @@ def _missing(model: StoredModel) -> Iterable[str]:
 
 def _sizes(model: StoredModel) -> str:
     counts = {"LABELS": len(model.labels), "INPUTS": len(model.inputs), "VALUES": len(model.inputs + model.guards)}
+    counts |= {"CHANNELS": n} if (n := _together(model)) else {}
     return "".join(f"#define CGID_N_{name} {number}\n" for name, number in counts.items())
 
 
 def _interface(model: StoredModel) -> str:
     sets = _part("sets", n=len(COVERAGES)) if model.conformal is not None else ""
+    sets += _part("together") if _together(model) else ""
     return _part("interface") + sets + (_part("measure") if _bands(model) is not None else "")
 
 
@@ -214,6 +239,8 @@ def _arrays(model: StoredModel) -> dict[str, NDArray[Any]]:
     if model.guards:
         arrays["guard_limits"] = np.array(model.guard_limits)
     arrays |= _bands(model) or {}
+    if _together(model):
+        arrays["together_linear"] = np.array([FEATURES[name].linear for name in model.measured])
     if model.conformal is not None:
         arrays |= {"cgid_coverages": np.array(COVERAGES), "set_limits": _set_limits(model)}
     return arrays | _tests(model)
@@ -270,6 +297,7 @@ def _answer(model: StoredModel) -> str:
     ones = ", ".join("1" for _ in model.labels)
     text = _part("answer", ones=ones, lowest=repr(0.99 * low), highest=repr(1.01 * high))
     measuring = _part("body of measure") if _bands(model) is not None else ""
+    text += _part("body of together") if _together(model) else ""
     return text + (_part("body of sets") if model.conformal is not None else "") + measuring
 
 

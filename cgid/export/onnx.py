@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from cgid import __version__
 from cgid.errors import optional
-from cgid.export.c99 import require_small
+from cgid.export.c99 import channels_text, require_small
 from cgid.identification.model.families import Network, Standardiser
 from cgid.identification.model.model import StoredModel
 from cgid.identification.model.model_file import STANDARDISER
@@ -56,7 +56,7 @@ class _Graph:
 
 
 def onnx_bytes(model: StoredModel) -> bytes:
-    """Return an ONNX file that predicts like the model; its metadata are labels, names, unit and digest."""
+    """Return an ONNX file that predicts like the model; its metadata are labels, names, unit, digest and channels."""
     # Input: `values`, float64 (n, n_values), the inputs of the model, then its guards. Outputs: `probabilities` (n,
     # n_labels), `novelty` (n,) and `label`, int64 (n,), the number of the label, or -1 for unknown.
     optional("onnx", "ONNX needs", "onnx")
@@ -82,6 +82,7 @@ def onnx_bytes(model: StoredModel) -> bytes:
     file.producer_name, file.producer_version = "cgid", __version__
     digest = hashlib.sha256(model.to_bytes()).hexdigest()
     about = {"labels": model.labels, "values": names, "unit": model.unit, "model_sha256": digest}
+    about |= {"channels": text} if (text := channels_text(model)) else {}
     helper.set_model_props(
         file, {name: text if isinstance(text, str) else json.dumps(text) for name, text in about.items()}
     )

@@ -13,7 +13,7 @@ const say = word => (words[language] || {})[word] || word;
 // -- what the page knows ------------------------------------------------------------------------------------
 const page = {
   state: null, r: 0, impacts: [], stretches: [], names: [], version: -1, from: 0, to: 1, selected: -1, drawn: false, order: "random", queue: [], undo: [],
-  begin: null, end: null, view: null, detail: null, opinion: false, away: "", outbox: JSON.parse(kept("outbox") || "[]"), error: "", learned: -1, fraction: null, drag: null, touched: {},
+  begin: null, end: null, view: null, detail: null, opinion: false, away: "", outbox: JSON.parse(kept("outbox") || "[]"), error: "", learned: -1, fraction: null, drag: null, saved: {}, early: false,
 };
 const recording = () => page.state && page.state.recordings[page.r];
 const labelOf = one => one[5] || coveredBy(one);
@@ -62,7 +62,8 @@ async function send() {  // labels wait here until they are on the disk
       if (answer.status !== 409) break;  // a full disk, or a server that ends: once more
     } else page.error = "";
     page.away = "";
-    page.outbox.shift();
+    const sent = page.outbox.shift();
+    if (sent.r === page.r) page.saved[sent.k ?? "stretch"] = performance.now();
     kept("outbox", JSON.stringify(page.outbox));
   }
   sending = false;
@@ -77,10 +78,10 @@ function post(body) {
 // -- labelling ----------------------------------------------------------------------------------------------
 function label(name, chosen) {
   const one = page.impacts[page.selected];
-  if (!one) return;
+  if (!one) { page.early = true; showStatus(); return; }  // nobody has seen what it would label
   const how = chosen || (name === "" ? "" : one[7] === "random" || one[7] === "unsure" || page.drawn ? "random" : "picked");
   page.undo.push({ r: page.r, k: one[0], label: one[5], chosen: one[7] });
-  one[5] = name; one[7] = how; page.touched[one[0]] = performance.now();
+  one[5] = name; one[7] = how;
   post({ r: page.r, k: one[0], label: name, chosen: how });
   if (page.order === "random" && page.drawn) draw(); else show();
 }
@@ -99,7 +100,7 @@ function undo() {
   const last = page.undo.pop();
   if (!last) return;
   if ("from" in last) page.stretches = page.stretches.filter(one => one[0] !== last.from || one[1] !== last.to);
-  else if (last.r === page.r) { const one = page.impacts[last.k]; one[5] = last.label; one[7] = last.chosen; page.touched[last.k] = performance.now(); select(last.k, true); }
+  else if (last.r === page.r) { const one = page.impacts[last.k]; one[5] = last.label; one[7] = last.chosen; select(last.k, true); }
   post(last);
   show();
 }
@@ -278,7 +279,8 @@ function fail(error) {
 }
 function showStatus() {
   const n = page.outbox.length, problem = page.state && page.state.problem;
-  $("alarm").textContent = page.away ? say(page.away) : page.error || problem || "";
+  if (page.impacts.length) page.early = false;
+  $("alarm").textContent = page.away ? say(page.away) : page.error || problem || (page.early ? say("early") : "");
   $("saved").textContent = n ? `${n} ${say("saving")}` : page.state ? `${say("all saved")}: ${page.state.table}` : "";
 }
 function show() { drawOverview(); showOne(); showRows(); showStatus(); }
@@ -322,9 +324,10 @@ function showLearning() {
   if (report.state === "ready" && !$("download").textContent) fetchReport();
 }
 function drawReliability(bins) {
-  const [c, width, height] = canvas($("reliability")), x = scale(.4, 1, 30, width - 8), y = scale(0, 1, height - 18, 6);
+  const [c, width, height] = canvas($("reliability")), x = scale(.4, 1, 42, width - 20), y = scale(0, 1, height - 32, 18);
   c.strokeStyle = c.fillStyle = colour("--soft"); c.beginPath(); c.moveTo(x(.4), y(.4)); c.lineTo(x(1), y(1)); c.stroke();
-  c.fillText("100 %", 0, y(1) + 8); c.fillText("0 %", 0, y(0)); c.textAlign = "center"; c.fillText("40 … 100 %", width / 2, height - 4);
+  c.fillText(say("right"), 0, 10); for (const level of [0, .5, 1]) c.fillText(percent(level), 0, y(level) + 4);
+  c.textAlign = "center"; c.fillText(say("sure"), width / 2, height - 4); for (const level of [.4, .7, 1]) c.fillText(percent(level), x(level), height - 18);
   c.fillStyle = colour("--mark");
   for (const [confidence, right, n] of bins) { c.beginPath(); c.arc(x(Math.max(confidence, .4)), y(right), 2 + Math.sqrt(n), 0, 7); c.fill(); }
 }
@@ -370,6 +373,7 @@ function mark(which) {
 }
 function press(key, shift = false) {
   const name = labelKeys().get(key.toLowerCase());
+  if (!page.state && /^\w$/.test(key)) label("");
   if (name !== undefined) { if (shift) labelStretch(name); else label(name); return true; }
   const act = actions[key === "=" ? "+" : key.length === 1 && /[A-Z]/.test(key) ? key.toLowerCase() : key];
   if (act) act();
@@ -388,20 +392,24 @@ async function refresh() {
   page.state = state; page.away = "";
   const one = recording();
   if (first || names !== state.labels.join()) buttons();
-  const options = state.recordings.map(each => each.name);
-  if ($("recording").options.length !== options.length) $("recording").replaceChildren(...options.map((name, k) => new Option(name, k)));
+  state.recordings.forEach((each, k) => {
+    const option = $("recording").options[k] || $("recording").appendChild(new Option("", k)), isDone = each.ended && each.n && each.done === each.n;
+    const text = `${isDone ? "✓ " : ""}${each.name}${each.ended ? ` · ${each.done} ${say("of")} ${each.n}` : " …"}`;
+    if (option.text !== text) option.text = text;
+  });
   if (first) zoomTo(0, one.duration);
   const news = [page.r, state.version, one.n, state.learning.version].join();
   if (news !== seen) {
     const asked = performance.now(), r = page.r, found = await get(`impacts?r=${r}&since=${page.version}`);
     if (r !== page.r) return;
-    const waiting = new Set(page.outbox.filter(each => each.r === page.r).map(each => each.k));
-    for (const each of found.impacts) {  // what was labelled since is newer here, and comes once more
-      const k = each[0], isOlder = waiting.has(k) || page.touched[k] > asked;
-      if (!isOlder || !page.impacts[k]) page.impacts[k] = each;
+    for (const each of found.impacts) {  // a label that was not on the disk when this was asked is newer here
+      const k = each[0], mine = page.outbox.findLast(one => one.r === r && one.k === k), own = page.impacts[k];
+      if (mine) [each[5], each[7]] = [mine.label, mine.chosen];
+      else if (own && page.saved[k] > asked) [each[5], each[7]] = [own[5], own[7]];
+      page.impacts[k] = each;
     }
     page.version = found.version; page.names = found.labels; seen = news;
-    if (!page.outbox.length) page.stretches = found.stretches;
+    if (!page.outbox.length && !(page.saved.stretch > asked)) page.stretches = found.stretches;
     if (page.selected < 0 && page.impacts.length && one.ended) draw();
     show();
   }
@@ -423,7 +431,7 @@ function begin() {
   $("by").value = kept("by") || "";
   $("by").onchange = () => kept("by", $("by").value);
   $("language").onclick = () => { language = language === "en" ? "zh" : "en"; kept("language", language); buttons(); show(); if (page.state) showLearning(); };
-  $("recording").onchange = () => { Object.assign(page, { r: Number($("recording").value), impacts: [], stretches: [], version: -1, selected: -1, queue: [], view: null, learned: -1, touched: {} }); seen = ""; $("recording").blur(); zoomTo(0, recording().duration); };
+  $("recording").onchange = () => { Object.assign(page, { r: Number($("recording").value), impacts: [], stretches: [], version: -1, selected: -1, queue: [], view: null, learned: -1, saved: {} }); seen = ""; $("recording").blur(); zoomTo(0, recording().duration); };
   $("save").onclick = async () => { const learning = page.state.learning, answer = await ask("save", { which: learning.results[learning.best] ? learning.best : "new" }); page.error = answer.ok ? "" : await reason(answer); refresh().catch(fail); };
   $("report").onclick = async () => { $("download").textContent = ""; const answer = await ask("make-report", { r: page.r }); page.error = answer.ok ? "" : await reason(answer); showStatus(); };
   let size = 0;

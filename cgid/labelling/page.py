@@ -160,6 +160,18 @@ class Workbench:
                 found.append([start, self.recordings[number].duration if end is None else end, row.get("label", "")])
         return found
 
+    def _done(self, number: int) -> int:
+        """Return how many impacts of a recording have a label, are in a stretch, or were left as not sure."""
+        stretches = self._stretches(number)
+        rows = [(self.table.rows.get(key_of(row), row), k) for k, row in self._rows_of(number).items()]
+        times = [impact.time for impact in self.recordings[number].impacts]
+        return sum(
+            bool(row.get("label"))
+            or row.get("chosen") == "unsure"
+            or any(start <= times[k] < end for start, end, _ in stretches)
+            for row, k in rows
+        )
+
     def impacts(self, request: Request) -> PageAnswer:
         """Return the impacts of a recording that have changed since a version."""
         number = _whole(request.query, "r", len(self.recordings))
@@ -199,6 +211,7 @@ class Workbench:
             problem, version = self.table.problem, self.table.version
             unsure = sum(row.get("chosen") == "unsure" for row in self.table.rows.values())
             names = list(dict.fromkeys([*self._labels, *(row["label"] for row in labelled)]))
+            done = [self._done(number) for number in range(len(self.recordings))]
         if not problem and self.table.is_open_elsewhere:
             problem = f"{self.table.path.name} is open in a spreadsheet: close it there without saving, or save it now"
         return of_json(
@@ -211,11 +224,12 @@ class Workbench:
                         "ended": one.ended,
                         "fault": one.fault,
                         "n": len(one.impacts),
+                        "done": done[number],
                         "channels": [channel.name for channel in one.file.recording.channels],
                         "unit": one.file.unit,
                         "rate": one.rate,
                     }
-                    for one in self.recordings
+                    for number, one in enumerate(self.recordings)
                 ],
                 "labels": names[:20],
                 "table": self.table.path.name,

@@ -263,8 +263,9 @@ class LabelTable:
             os.ftruncate(self._stream, size - len(lines[-1]))
         read = []
         for line in lines[:-1]:
-            with contextlib.suppress(ValueError, AttributeError):
+            with contextlib.suppress(ValueError, RecursionError):
                 read.append(json.loads(line))
+        read = [one for one in read if isinstance(one, dict)]
         behind = next((k for k in range(len(read), 0, -1) if isinstance(read[k - 1].get("written"), str)), 0)
         for one in read[behind:]:
             row = one.get("row")

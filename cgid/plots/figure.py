@@ -207,12 +207,14 @@ def stabilisation_picture(test: Any) -> bytes:
     With a hammer channel the frequency response is in front of the poles, and its coherence in between.
     """
     figure = require_matplotlib()(figsize=(10, 8), layout="constrained")
+    from matplotlib.ticker import LogLocator
+
     found = test.frequency_response
     ratios = (3, 2) if found is None else (4, 1, 2)
     upper, *middle, lower = figure.subplots(len(ratios), 1, sharex=True, height_ratios=ratios)
     if found is not None:
         front, kilohertz = upper.twinx(), found.frequency / 1e3
-        for name, colour in (("measured", "0.3"), ("modelled", "C1")):
+        for name, colour in (("measured", "0.3"), ("modelled", COLOURS[1])):
             front.semilogy(kilohertz, np.abs(getattr(found, name)), color=colour, lw=1, label=name)
         front.set(ylabel=f"{found.quantity} over force [SI]")
         middle[0].plot(kilohertz, found.coherence, color="0.3", lw=0.8)
@@ -224,7 +226,7 @@ def stabilisation_picture(test: Any) -> bytes:
         upper.plot(frequency[rows] / 1e3, order[rows], ".", color=colour, ms=4, label=label)
     modes = test.modes
     for mode in modes.frequency / 1e3:
-        upper.axvline(mode, color=COLOURS[5], lw=0.6, zorder=0)
+        upper.axvline(mode, color=COLOURS[0], lw=0.6, zorder=0)
     upper.set(ylabel="order of the model in its band")
     figure.legend(fontsize="small", loc="outside upper right", ncols=4)
     ratio = 100 * modes.damping_ratio
@@ -234,11 +236,12 @@ def stabilisation_picture(test: Any) -> bytes:
         ratio,
         (ratio - ratio / spread, ratio * spread - ratio),
         fmt=".",
-        color=COLOURS[5],
+        color=COLOURS[0],
         capsize=2,
     )
     lower.set(xlabel="frequency [kHz]", ylabel="damping ratio [%]\n(2 std. deviations)", yscale="log")
-    for formatter in (lower.yaxis.set_major_formatter, lower.yaxis.set_minor_formatter):
-        formatter("{x:.2g}")
+    lower.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+    lower.yaxis.set_major_formatter("{x:.2g}")
+    lower.yaxis.set_minor_formatter("")
     lower.grid(alpha=0.3)
     return png(figure)

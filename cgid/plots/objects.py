@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from cgid._lib import validation
 from cgid.errors import InvalidValue, optional
-from cgid.plots.figure import NEUTRAL, colours_of, plain, written
+from cgid.plots.figure import COLOURS, NEUTRAL, colours_of, plain, written
 from cgid.units import quantity_of
 
 if TYPE_CHECKING:
@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 MAX_LINES = 200
 #: Maximum number of points of a line; of a longer one, the smallest and the largest sample of each part are drawn.
 _MAX_POINTS = 20_000
+#: Signals are drawn around the samples above this part of their largest one; by eye.
+_LOUD = 0.2
 #: Largest duration that is drawn in ms [s].
 _SHORT = 0.5
 
@@ -42,7 +44,9 @@ def plot_impact(impact: Impact, axes: Any = None) -> Any:
         raise InvalidValue(f"impact must be 1 to {MAX_LINES} to be drawn, got {n}; take some of its values")
     times = np.linspace(-0.05, 1.1, 600) * float(np.max(impact.contact_duration))
     force = impact.force(times).reshape(n, -1)
-    axes.plot(times * 1e3, force.T / 1e3, lw=1.2 if n < 9 else 0.8, color=NEUTRAL if n > 9 else None)
+    few = n <= len(COLOURS)
+    for row, colour in zip(force, COLOURS if few else [NEUTRAL] * n, strict=False):
+        axes.plot(times * 1e3, row / 1e3, lw=1.2 if few else 0.8, color=colour)
     axes.set(xlabel="time after first contact [ms]", ylabel="contact force [kN]")
     return axes
 
@@ -64,6 +68,14 @@ def plot_batches(batches: Iterable[Batch], n: int, title: str, axes: Any = None)
             line, *_ = axes.plot(times, row.T, color=colour, lw=0.8, alpha=0.6)  # of each sensor
             line.set_label("" if number else label)
     axes.set(xlabel="time after onset [ms]", ylabel=_quantity(batch.unit), title=plain(title))
+    loud = [
+        times[np.abs(row).reshape(-1, len(times)).max(axis=0) >= _LOUD * np.abs(row).max()]
+        for lines in drawn.values()
+        for times, row in lines
+    ]
+    ends = min(one[0] for one in loud), max(one[-1] for one in loud)
+    margin = ends[1] - ends[0] + times[1] - times[0]
+    axes.set_xlim(max(times[0], ends[0] - margin / 2), min(times[-1], ends[1] + margin))
     if any(drawn):
         axes.legend()
     return axes

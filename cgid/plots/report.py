@@ -21,7 +21,6 @@ from numpy.typing import NDArray
 from cgid import __version__
 from cgid._lib.terminal import counted, printable
 from cgid._lib.validation import UNKNOWN
-from cgid.identification.model.anchor import Basis
 from cgid.identification.model.model import StoredModel
 from cgid.identification.prediction.answers import Answer
 from cgid.identification.prediction.diagnosis import Hint, InWords
@@ -33,9 +32,6 @@ from cgid.plots.answers import drawn_figure
 from cgid.plots.figure import COLOURS, NEUTRAL, colours_of, written
 from cgid.plots.recording import Mark, hertz, overview_figure
 from cgid.recordings import Channel, RecordingFile
-
-#: Longest list of names that is written in full.
-_MAX_NAMES = 8
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,24 +59,13 @@ class Report:
         return sorted({answer.label for answer in self.answers}, key=lambda label: (label == UNKNOWN, label))
 
     def tiles(self) -> Iterator[tuple[str, str]]:
-        """Yield the figures of the summary and their captions."""
-        n = len(self.answers)
-        yield f"{n}", self.unit_of_decision + ("" if n == 1 else "s")
-        counts = Counter(answer.label for answer in self.answers)
+        """Yield the figures that the verdict does not have, and their captions."""
+        n, counts = len(self.answers), Counter(answer.label for answer in self.answers)
         for label in self.labels:
             yield f"{counts[label]}", f"{label} ({counts[label] / n:.0%})"
-        outside = sum(not answer.in_training_range for answer in self.answers)
-        yield f"{outside}", "out of distribution"
         overlapping = sum(answer.overlapping for answer in self.answers)
         if overlapping:
             yield f"{overlapping}", "overlapping another"
-        last = {share.channel: share for share in self.shares}
-        for channel, share in last.items():
-            where = f", channel {channel}" if len(last) > 1 else ""
-            known = "trained seam" if share.basis == Basis.TRAINED else "beside its coal"
-            basis = "any seam" if share.basis.is_any_seam else known
-            interval = f"{share.low:.0%} to {share.high:.0%}, {basis}" if share.is_known else "not known"
-            yield f"{share.share:.0%}" if share.is_known else "-", f"gangue at the end ({interval}{where})"
         for state in self.states if self.threshold is not None else ():
             where = f", channel {state.share.channel}" if len(self.states) > 1 else ""
             ground = "" if state.ground == "seen" else str(state.ground).replace("_", " ")
@@ -131,7 +116,6 @@ def model_facts(model: StoredModel, name: str, gangue: Collection[str] = ("gangu
         "tells apart": ", ".join(model.labels),
         "from": f"{model.quantity} [{written(model.unit)}], {model.kind}s, trained at {' to '.join(ends)}",
         "family": model.family,
-        "features": _listed(model.features),
     }
     metrics = model.training.get("metrics", {})
     if metrics.keys() >= {"accuracy", "accuracy_interval_95"}:
@@ -140,13 +124,6 @@ def model_facts(model: StoredModel, name: str, gangue: Collection[str] = ("gangu
     if reason := unproven(model, gangue):
         facts["not better than chance"] = reason
     return facts
-
-
-def _listed(names: Sequence[str]) -> str:
-    """Join the names; shorten a long list."""
-    if len(names) <= _MAX_NAMES:
-        return ", ".join(names)
-    return f"{', '.join(names[: _MAX_NAMES // 2])} and {len(names) - _MAX_NAMES // 2} others"
 
 
 #: File name endings of a report.

@@ -160,17 +160,29 @@ class Dataset:
         return np.dtype(self.header.dtype)
 
     def __getitem__(self, index: Any) -> Any:
-        """Return one signal, of a negative index from the end; of a slice the samples of signals, as an array."""
+        """Return one signal, of a negative index from the end; of a slice, indices or a mask samples, as an array."""
         picked, *samples = index if isinstance(index, tuple) else (index,)
-        if not isinstance(picked, slice):
+        if not isinstance(picked, slice) and np.ndim(picked) == 0:
             return self.signal(picked).samples[samples[0]] if samples else self.signal(picked)
-        numbers, parts, begin = range(len(self))[picked], [np.empty((0, self.shape[1]), self.dtype)], 0
-        first, stop = (min(numbers), max(numbers) + 1) if numbers else (0, 0)
+        try:
+            numbers: NDArray[Any] = np.arange(len(self))[picked]
+        except IndexError:
+            numbers = np.empty((0, 0))
+        if numbers.ndim != 1:
+            raise InvalidValue(
+                f"index must be a number, a slice, indices or a mask of {len(self)} signals, got "
+                f"{validation.shown(picked)}"
+            )
+        out, begin = np.empty((len(numbers), self.shape[1]), self.dtype), 0
         for shard, count in enumerate(self._counts):
-            low, high = max(first - begin, 0), min(stop - begin, count)
-            parts += [batch.signals for batch in self._read(shard, low, high, None)] if low < high else []
+            own = numbers[(begin <= numbers) & (numbers < begin + count)] - begin
+            at = begin + own.min(initial=count)
+            for batch in self._read(shard, own.min(), own.max() + 1, None) if own.size else ():
+                here = (at <= numbers) & (numbers < at + len(batch))
+                out[here] = batch.signals[numbers[here] - at]
+                at += len(batch)
             begin += count
-        return np.concatenate(parts)[[number - first for number in numbers]][:, *samples]
+        return out[:, *samples]
 
     def _repr_html_(self) -> str:
         header = self.header

@@ -54,7 +54,7 @@ from cgid.identification.model.model_file import (
     with_floats,
 )
 from cgid.identification.model.world import World, trait_names
-from cgid.measure.features.extraction import FEATURES, UnknownFeature, base_of, in_units, kind_of, powers_of
+from cgid.measure.features.extraction import FEATURES, UnknownFeature, base_of, extract, in_units, kind_of, powers_of
 from cgid.measure.features.table import Kind
 from cgid.measure.modal.beam import Beam
 from cgid.signals import Batch, Signal
@@ -163,15 +163,16 @@ class Model(ABC):
         """Inputs of the classifier: the features, channel by channel."""
 
     @abstractmethod
-    def predict_proba(self, features: pandas.DataFrame | ArrayLike) -> Floats:
-        """Return the probability of each label for rows of features.
+    def predict_proba(self, features: pandas.DataFrame | ArrayLike | Batch) -> Floats:
+        """Return the probability of each label for rows of features, or for signals of one impact each.
 
         Parameters
         ----------
-        features : DataFrame or array_like, (n_impacts, n_inputs)
-            Of a DataFrame the columns named in `inputs` are used; an array is in their order. If the `attrs["units"]`
-            of a DataFrame, as `cgid.extract` returns it, states another scale than the model's `unit`, such as kN, the
-            columns are converted. pandas drops `attrs` easily; numbers without it must be in the model's unit.
+        features : DataFrame, Batch or array_like, (n_impacts, n_inputs)
+            The features of a Batch are measured, unless the model needs a beam. Of a DataFrame the columns named in
+            `inputs` are used; an array is in their order. If the `attrs["units"]` of a DataFrame, as `cgid.extract`
+            returns it, states another scale than the model's `unit`, such as kN, the columns are converted. pandas
+            drops `attrs` easily; numbers without it must be in the model's unit.
 
         Returns
         -------
@@ -185,14 +186,14 @@ class Model(ABC):
         """
 
     @abstractmethod
-    def predict(self, features: pandas.DataFrame | ArrayLike) -> NDArray[np.str_]:
-        """Return the most probable label for rows of features, without a look at their novelty.
+    def predict(self, features: pandas.DataFrame | ArrayLike | Batch) -> NDArray[np.str_]:
+        """Return the most probable label for rows of features or signals of a Batch, without a look at their novelty.
 
         `cgid.predict` also finds the impacts of a recording, and answers "unknown" outside of the training.
 
         Parameters
         ----------
-        features : DataFrame or array_like, (n_impacts, n_inputs)
+        features : DataFrame, Batch or array_like, (n_impacts, n_inputs)
             As in `predict_proba`.
 
         Returns
@@ -417,10 +418,10 @@ class StoredModel(Model):
             raise BadData(f"the {self.family} model gives no finite probabilities for this input; train it again")
         return probabilities
 
-    def predict_proba(self, features: pandas.DataFrame | ArrayLike) -> Floats:  # noqa: D102 -- in `Model`
+    def predict_proba(self, features: pandas.DataFrame | ArrayLike | Batch) -> Floats:  # noqa: D102 -- in `Model`
         return self.probabilities(self._rows_of(features))
 
-    def predict(self, features: pandas.DataFrame | ArrayLike) -> NDArray[np.str_]:  # noqa: D102
+    def predict(self, features: pandas.DataFrame | ArrayLike | Batch) -> NDArray[np.str_]:  # noqa: D102
         return self.decide(self.predict_proba(features))
 
     def save(self, path: str | Path, *, overwrite: bool = False) -> Path:  # noqa: D102
@@ -430,6 +431,8 @@ class StoredModel(Model):
 
     def _rows_of(self, features: Any) -> Floats:
         """Return rows of features, of a DataFrame by the names of its columns."""
+        if isinstance(features, Batch) and self.kind != "window" and self.beam is None:
+            features = extract(features, features=self.features)
         columns = getattr(features, "columns", None)
         if columns is None:
             if isinstance(features, str | Path | Signal | Batch):

@@ -220,7 +220,7 @@ def _unit_options(model: Measurand) -> str:
     return option if model.quantity != "force" else f"{option}, or --unit m/s^2 of an accelerometer"
 
 
-def identify(signal: Signal, model: Model, settings: PredictionSettings | None = None, **fields: Any) -> list[Answer]:
+def identify(signal: Signal, model: Model, settings: PredictionSettings | None = None) -> list[Answer]:
     """Return one prediction for each impact in a recording.
 
     Parameters
@@ -230,8 +230,6 @@ def identify(signal: Signal, model: Model, settings: PredictionSettings | None =
     model : Model
     settings : PredictionSettings, optional
         Costs, coverage and more; by default the most probable label is predicted.
-    **fields
-        Override fields of the settings, such as `costs={"gangue": 3.0}`.
 
     Returns
     -------
@@ -253,7 +251,7 @@ def identify(signal: Signal, model: Model, settings: PredictionSettings | None =
     >>> [answer.label for answer in identify(suited(signal, model), model)]
     ['coal', 'gangue', 'coal', 'gangue', 'coal', 'gangue']
     """
-    model, settings = stored(model), replace(settings or PredictionSettings(), **fields)
+    model, settings = stored(model), settings or PredictionSettings()
     if model.kind == "window":
         raise InvalidValue(
             f"{signal.name}: model must be one of impacts, this one is for windows; give a complete recording"

@@ -140,7 +140,7 @@ class Pipeline:
 
 
 def identify_recording(
-    recording: RecordingFile | str | Path, model: Model, settings: PredictionSettings | None = None, **fields: Any
+    recording: RecordingFile | str | Path, model: Model, settings: PredictionSettings | None = None
 ) -> Iterator[Answer]:
     """Yield the predictions for a recording, in order of time; it is read block by block.
 
@@ -151,8 +151,6 @@ def identify_recording(
         model.
     model : Model
     settings : PredictionSettings, optional
-    **fields
-        Override those of the settings, such as `invert=True`, `mass=2.5` [kg] or `coverage=0.9`.
 
     Yields
     ------
@@ -171,7 +169,7 @@ def identify_recording(
         The unit of a channel is not given.
     """
     recording = recording if isinstance(recording, RecordingFile) else open_recording(recording)
-    settings = replace(settings or PredictionSettings(), **fields)
+    settings = settings or PredictionSettings()
     settings = replace(settings, same_beam=recording.named(settings.same_beam, "same_beam"))
     channels, rate, source = recording.channels, recording.sampling_rate, recording.source
     pipeline = Pipeline(stored(model), channels, rate, settings, source, recording.note)

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any, Protocol, cast
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from cgid._lib import validation
 from cgid._lib.validation import SAME_RATE
@@ -19,7 +18,7 @@ from cgid.identification.model.model import Model, StoredModel, stored
 from cgid.identification.prediction.answers import Answer, answer_columns
 from cgid.identification.prediction.batches import identify_batches
 from cgid.identification.prediction.pipeline import Pipeline, answers_with_warnings
-from cgid.identification.prediction.settings import PredictionSettings
+from cgid.identification.prediction.settings import BeamGroups, PredictionSettings
 from cgid.recordings import is_dataset, open_recording
 from cgid.recordings.chain import Chain, Statement
 from cgid.recordings.recording import Blocks, Channel, require_one_rate
@@ -36,11 +35,16 @@ if TYPE_CHECKING:
 
 #: Names of the channels of each beam with several.
 Groups = tuple[tuple[str, ...], ...]
-#: Fields of `PredictionSettings` that `predict` accepts: all except those of the gangue fraction.
-_SETTINGS = (
-    "costs", "coverage", "mass", "invert", "lines", "dead_time",
-    "vote_time", "same_beam",
-)  # fmt: skip
+
+
+class SupportsArray(Protocol):
+    """An array, or an object that NumPy makes one of, such as a DataFrame."""
+
+    def __array__(self, *args: Any, **kwargs: Any) -> Any: ...
+
+
+#: Samples of one channel, or of one in each column.
+Samples = SupportsArray | Sequence[float] | Sequence[Sequence[float]]
 
 
 def load_model(model: str | Path = "default") -> Model:
@@ -89,8 +93,8 @@ def default_model(quantity: str | None, settings: PredictionSettings) -> str:
     return "default-acceleration" if quantity == "acceleration" and settings.mass is None else "default"
 
 
-def predict(
-    samples: ArrayLike | Signal | Sequence[Signal] | Batch | Dataset | str | Path,
+def predict(  # noqa: PLR0913 - one argument a setting, so that editors complete them
+    samples: Samples | Signal | Sequence[Signal] | Batch | Dataset | str | Path,
     sampling_rate: float | None = None,
     unit: str | None = None,
     model: Model | Training | str | Path | None = None,
@@ -99,7 +103,14 @@ def predict(
     gain: Statement | None = None,
     full_scale: Statement | None = None,
     site: Site | str | Path | None = None,
-    **settings: Any,
+    costs: Mapping[str, float] | None = None,
+    coverage: float | None = None,
+    mass: float | None = None,
+    invert: bool | None = None,
+    lines: bool | None = None,
+    dead_time: float | None = None,
+    vote_time: float | None = None,
+    same_beam: BeamGroups | None = None,
 ) -> pandas.DataFrame:
     """Identify the material of every impact in a recording or an array of samples.
 
@@ -121,12 +132,23 @@ def predict(
         in `cgid.open_recording`. A `full_scale` may include the unit.
     site : Site, str or Path, optional
         A site, or its file, which states what the other arguments do not, the model, and the names of channels.
-    **settings
-        Fields of `cgid.identification.prediction.PredictionSettings`, such as ``mass=2.5`` [kg] of an
-        accelerated impactor, ``invert=True``, ``lines=False`` (keep tones of machines),
-        ``costs={"gangue": 3.0}`` and ``coverage=0.9``, which change labels (the first to that of the lowest expected
-        cost, the second to "unknown" unless the prediction set is one label); or, for channels of one beam,
-        ``same_beam=[("1", "2")]``.
+    costs : mapping of str to float, optional
+        Cost of missing each label, by default 1: ``{"gangue": 3.0}``. The label is that of the lowest expected cost.
+    coverage : float, optional
+        Fraction of prediction sets that contain the truth; the label is "unknown" unless its set is one label.
+    mass : float, optional
+        Mass of an accelerated impactor [kg], which turns an acceleration into a force.
+    invert : bool, optional
+        Whether pulses point downwards.
+    lines : bool, optional
+        Whether tones of machines are taken out, see `cgid.identification.prediction.PredictionSettings`.
+    dead_time : float, optional
+        Time after an impact in which no other begins [s].
+    vote_time : float, optional
+        Windows vote over this time [s].
+    same_beam : str, or sequence of str or of sequences of str, optional
+        Channels of one beam, whose answers for an impact are one row: ``"1+2"``, ``["1+2", "3+4"]``. By default those
+        of the site.
 
     Returns
     -------
@@ -173,8 +195,9 @@ def predict(
     >>> len(predict(shipped.path_of("datasets", "sample.csv")))
     6
     """
-    for name in settings:
-        validation.choice("setting", name, _SETTINGS)
+    given: dict[str, Any] = {"costs": costs, "coverage": coverage, "mass": mass, "invert": invert, "lines": lines}
+    given |= {"dead_time": dead_time, "vote_time": vote_time, "same_beam": same_beam}
+    settings = {name: value for name, value in given.items() if value is not None}
     place = NOWHERE if site is None else Site.of(site)
     applied = PredictionSettings(**({**place.settings, **settings} if site else settings))
     model = place.get("model") if model is None and site else model
@@ -271,8 +294,7 @@ def _measured(
 
 def _signals(samples: Any, sampling_rate: float | None) -> list[Signal]:
     """Return the channels of samples (n_samples,) or (n_samples, n_channels), without unit."""
-    if sampling_rate is None:
-        raise MissingOption("samples: an array has no sampling rate; give sampling_rate in Hz")
+    sampling_rate = validation.given_rate(samples, sampling_rate)
     names = getattr(samples, "columns", None)
     columns = validation.plain("samples", samples)
     if columns.ndim == 1:

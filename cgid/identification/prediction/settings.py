@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import compress
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -18,6 +18,9 @@ if TYPE_CHECKING:
     from cgid.identification.model.model import StoredModel
 
 __all__ = ["PredictionSettings"]
+
+#: Channels of one beam, as `require_groups` takes them.
+BeamGroups = str | Sequence[str] | Sequence[Sequence[str]]
 
 #: Number of impacts in one batch, which takes little longer than a single one.
 BATCH = 256
@@ -99,7 +102,7 @@ class ReadingSettings:
         The recording ends where no channel has a sample that a sensor can give for this long; None: it goes on.
     same_beam : tuple of tuple of str
         Channels of one beam, by name or number from 1, such as (("1", "2"), ("3", "4")): an impact that several of them
-        measure is one prediction.
+        measure is one prediction. "1+2" and ["1+2", "3+4"] are taken, too.
     """
 
     mass: float | None = None
@@ -315,13 +318,14 @@ def require_spans(spans: Any, label: str) -> tuple[LabelledSpan, ...]:
 def require_groups(groups: Any) -> tuple[tuple[str, ...], ...]:
     """Return the groups of channels of one beam; raises `InvalidValue` unless each names two or more, no channel twice.
 
-    >>> require_groups(["1+2", (3, 4)])
-    (('1', '2'), ('3', '4'))
+    >>> require_groups(["1+2", (3, 4)]), require_groups("1+2, 3+4")
+    ((('1', '2'), ('3', '4')), (('1', '2'), ('3', '4')))
     """
+    groups = groups.split(",") if isinstance(groups, str) else groups
     listed = groups if isinstance(groups, list | tuple) else None
     parts = [one.split("+") if isinstance(one, str) else one for one in listed or ()]
     if listed is None or not all(isinstance(one, list | tuple) for one in parts):
-        raise InvalidValue(f"same_beam must be groups of channels, as in (('1', '2'), ('3', '4')), got {shown(groups)}")
+        raise InvalidValue(f"same_beam must be groups of channels, as in '1+2' or ['1+2', '3+4'], got {shown(groups)}")
     named = tuple(tuple(str(channel).strip() for channel in one) for one in parts)
     for one in named:
         if len(one) < 2 or not all(one):

@@ -93,11 +93,13 @@ def impact_table(
         return table
     from cgid.identification.prediction.pipeline import identify_recording
     from cgid.identification.prediction.prediction import read_model
+    from cgid.identification.prediction.settings import PredictionSettings
 
     loaded = read_model(model)
     with warnings.catch_warnings():  # here the channels are taken together
         warnings.simplefilter("ignore", SameBeamWarning)
-        answers = [one for one in identify_recording(recording, loaded, dead_time=dead_time) if one.probabilities]
+        heard = identify_recording(recording, loaded, PredictionSettings(dead_time=dead_time))
+        answers = [one for one in heard if one.probabilities]
     times = np.array([one.time for one in answers])
     by_time, known = np.argsort(times), np.full((len(events), len(loaded.labels) + 1), np.nan)
     places = np.searchsorted(times[by_time], [[one.time - SAME_IMPACT, one.time + SAME_IMPACT] for one in events])

@@ -64,7 +64,10 @@ def own_feature(
     if not callable(function):
         raise InvalidValue(f"feature must be a name, a function or a Feature, got {validation.shown(function)}")
     if not name.isidentifier():
-        raise InvalidValue(f"feature: name must be an identifier, got {name!r}; give name='my_feature'")
+        raise InvalidValue(
+            f"feature: name must be an identifier, got {name!r}; give own_feature(function, name='my_feature') of "
+            "cgid.measure.features in place of the function"
+        )
     validation.choice("kind", kind, ("pulse", "vibration", "window"))
 
     def measure(batch: Any) -> Floats:

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from cgid._lib import validation
 from cgid._lib.validation import Floats
-from cgid.physics.contact.materials import Material
+from cgid.physics.contact.materials import Material, require_material
 
 #: Radius [m] above which a number is likely to be in another unit: no rock is larger.
 MAX_RADIUS = 10.0
@@ -57,7 +57,7 @@ class Sphere:
     effective_mass: ArrayLike = 1.0
 
     def __post_init__(self) -> None:
-        validation.instance("material", self.material, Material)
+        require_material(self.material)
         radius = validation.positive("radius", self.radius, "m")
         if (radius > MAX_RADIUS).any():
             largest = radius.max()
@@ -96,7 +96,7 @@ class HalfSpace:
     material: Material
 
     def __post_init__(self) -> None:
-        validation.instance("material", self.material, Material)
+        require_material(self.material)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -116,7 +116,7 @@ class ThinPlate:
     thickness: ArrayLike
 
     def __post_init__(self) -> None:
-        validation.instance("material", self.material, Material)
+        require_material(self.material)
         validation.positive("thickness", self.thickness, "m")
         validation.hold(self, "thickness")
 

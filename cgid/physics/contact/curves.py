@@ -30,6 +30,10 @@ if TYPE_CHECKING:
 Quantity = Literal["force", "displacement"]
 #: Error of an integrated pulse over its peak, and the bounds that may be requested.
 TOLERANCE, TOLERANCES = 1e-8, (1e-12, 1e-4)
+#: Roots of displacements at which the force of a custom law is looked at before its integration; by eye.
+_FIRST_TOUCH = np.geomspace(1e-5, 0.1, 41)
+#: An attraction above this part of the scale of the force is none by rounding.
+_ATTRACTED = 1e-12
 #: Smallest restitution of the material: below, the time scales of braking and of rebound are too far apart.
 MIN_RESTITUTION = 1e-14
 #: A weight g L / v^2 below this times e^0.6 is neglected: over the contact it changes the speed by a fraction of 3e-12.
@@ -555,7 +559,10 @@ def _run_own_law(law: Law | type[Law], run: Callable[..., None], *arguments: Any
 
 
 def require_numbers(law: Law, numbers: Floats) -> None:
-    """Raise `InvalidValue` if a custom law reads more numbers than it has: compiled, it would read other memory."""
+    """Raise `InvalidValue` if a custom law reads more numbers than it has, or begins with attraction.
+
+    Compiled, it would read other memory; and steps of a loose tolerance pass over the first touch.
+    """
     for verb, more in zip(verbs_of(law, compiled=False), ((0.5,), (), (0.5,)), strict=True):
         try:
             verb(numbers.copy(), np.zeros(4), *more)
@@ -567,6 +574,17 @@ def require_numbers(law: Law, numbers: Floats) -> None:
         except Exception:
             # It may need a history that it does not have here; the integration reports other errors.
             continue
+    force = verbs_of(law, compiled=False)[0]
+    try:
+        at = [(force(numbers.copy(), np.zeros(4), w)[0], w) for w in _FIRST_TOUCH.tolist()]
+    except Exception:
+        return
+    lowest, w = min(at)
+    if lowest < -_ATTRACTED:
+        raise InvalidValue(
+            f"contact law {name_of(law)}: force must not be below 0, got an attractive one at first touch, "
+            f"{lowest:.2g} at w = {w:.2g}; a contact that attracts is no impact"
+        )
 
 
 def require_equal(law: Law, closed: Any, exact: Curves) -> None:

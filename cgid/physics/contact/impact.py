@@ -6,7 +6,7 @@ import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, get_args
+from typing import TYPE_CHECKING, Any, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, DTypeLike, NDArray
 from cgid._lib import validation
 from cgid._lib.notebook import facts_table
 from cgid._lib.validation import Floats
-from cgid.errors import InvalidValue
+from cgid.errors import InvalidValue, MissingOption
 from cgid.physics.contact import bodies
 from cgid.physics.contact.bodies import Sphere, Target, ThinPlate
 from cgid.physics.contact.curves import (
@@ -111,6 +111,13 @@ class Impact:
     tolerance: float = TOLERANCE
     _tolerances = TOLERANCES
 
+    if not TYPE_CHECKING:
+
+        def __new__(cls, **given: Any) -> Impact:  # noqa: D102 - only for a message that helps
+            if given and "dissipation" not in given:
+                raise MissingOption("dissipation must be given, such as Elastic(), HuntCrossley(...) or another Law")
+            return object.__new__(cls)
+
     def __post_init__(self) -> None:
         validation.instance("sphere", self.sphere, Sphere)
         validation.instance("target", self.target, *get_args(Target))
@@ -155,6 +162,31 @@ class Impact:
             }
         several = f" of {self.peak_force.size} rocks" * (self.peak_force.size != 1)
         return facts_table(f"{type(self).__name__}{several}", facts)
+
+    def spectrum(self, frequency: ArrayLike) -> Floats:
+        """Return the magnitude of the Fourier transform of the force; at 0 Hz it is the impulse.
+
+        Parameters
+        ----------
+        frequency : array_like, (n_frequencies,) [Hz]
+
+        Returns
+        -------
+        ndarray [N s]
+            Shape of the impacts, then n_frequencies; by quadrature of the force, to 1e-6 of the impulse.
+        """
+        frequencies = np.atleast_1d(validation.not_negative("frequency", frequency, "Hz"))
+        length = np.asarray(self.end_of_contact)
+        panels = 64 + int(np.max(length, initial=0.0) * np.max(frequencies, initial=0.0))
+        nodes, weights = np.polynomial.legendre.leggauss(16)
+        places = ((np.arange(panels)[:, np.newaxis] + 0.5 * (1 + nodes)) / panels).ravel()
+        times = length[..., np.newaxis] * places
+        parts = self.force(times) * np.tile(weights / (2 * panels), panels) * length[..., np.newaxis]
+        found = [
+            np.exp(-2j * np.pi * np.outer(frequencies, time)) @ part
+            for time, part in zip(times.reshape(-1, places.size), parts.reshape(-1, places.size), strict=True)
+        ]
+        return np.abs(np.reshape(found, (*length.shape, frequencies.size)))
 
     def plot(self, axes: Any = None) -> Any:
         """Draw the contact force over time; of an array, that of each impact.

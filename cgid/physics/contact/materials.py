@@ -2,22 +2,29 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from cgid._lib import validation
+from cgid.errors import InvalidValue
 
 __all__ = [
     "COAL",
     "COAL_STRENGTH",
+    "GANGUE",
     "LIMESTONE_STRENGTH",
     "MUDSTONE_STRENGTH",
     "SANDSTONE",
     "SANDSTONE_STRENGTH",
     "SHALE",
     "STEEL",
+    "YANG2018_COAL_1",
+    "YANG2018_COAL_2",
+    "YANG2018_GANGUE_3",
+    "YANG2018_GANGUE_4",
     "YANG2018_SPHERES",
     "MaterialRange",
     "StrengthRange",
@@ -67,7 +74,8 @@ class Material:
 class MaterialRange:
     """Lowest and highest published values for a rock, with their sources.
 
-    They are sample measurements, not bounds: real rock may be outside.
+    They are sample measurements, not bounds: real rock may be outside. An impact takes one material of the range, its
+    `middle` or what `draw` returns.
 
     Parameters
     ----------
@@ -75,12 +83,56 @@ class MaterialRange:
     youngs_modulus : tuple of two floats [Pa]
     poisson_ratio : tuple of two floats
     sources : tuple of str
+
+    Examples
+    --------
+    >>> float(COAL.middle.density), COAL.draw(np.random.default_rng(0), 3).density.shape
+    (1420.0, (3,))
     """
 
     density: tuple[float, float]
     youngs_modulus: tuple[float, float]
     poisson_ratio: tuple[float, float]
     sources: tuple[str, ...]
+
+    @property
+    def middle(self) -> Material:
+        """The material in the middle of the range, of Young's modulus the geometric one."""
+        return self._at((0.5, 0.5, 0.5))
+
+    def draw(self, rng: np.random.Generator, size: int | tuple[int, ...] | None = None) -> Material:
+        """Return materials drawn from the range, each number independently.
+
+        Parameters
+        ----------
+        rng : numpy.random.Generator
+        size : int or tuple of int, optional
+            Shape of the numbers of the material; by default a single one.
+
+        Returns
+        -------
+        Material
+            Density and Poisson's ratio are uniform, Young's modulus is log-uniform.
+        """
+        validation.instance("rng", rng, np.random.Generator)
+        return self._at([rng.random(size) for _ in range(3)])
+
+    def _at(self, places: Sequence[ArrayLike]) -> Material:
+        """Return the material at a place of each range, from 0 to 1."""
+        density, modulus, ratio = (np.asarray(one, np.float64) for one in places)
+        (low, high), (soft, hard), (least, most) = self.density, self.youngs_modulus, self.poisson_ratio
+        return Material(
+            density=low + (high - low) * density,
+            youngs_modulus=soft * (hard / soft) ** modulus,
+            poisson_ratio=least + (most - least) * ratio,
+        )
+
+
+def require_material(material: object) -> None:
+    """Raise `InvalidValue` unless it is one material."""
+    if isinstance(material, MaterialRange):
+        raise InvalidValue("material must be a Material, got a range of them; take its .middle or .draw(rng)")
+    validation.instance("material", material, Material)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -116,13 +168,13 @@ class StrengthRange:
 #: Largest contact pressure at first yield over the uniaxial strength.
 YIELD_OVER_STRENGTH = 1.6
 
-#: Yang, Zeng & Wan (2018), Shock and Vibration, Tables 1 and 2: spheres 1 and 2 resemble coal, 3 and 4 gangue.
-YANG2018_SPHERES = {
-    1: Material(density=1380.0, youngs_modulus=2.26e9, poisson_ratio=0.28),
-    2: Material(density=1550.6, youngs_modulus=4.3e9, poisson_ratio=0.30),
-    3: Material(density=2412.0, youngs_modulus=21.64e9, poisson_ratio=0.30),
-    4: Material(density=2400.0, youngs_modulus=3.906e9, poisson_ratio=0.28),
-}
+#: Yang, Zeng & Wan (2018), Shock and Vibration, Tables 1 and 2: two spheres that resemble coal, and two gangue.
+YANG2018_COAL_1 = Material(density=1380.0, youngs_modulus=2.26e9, poisson_ratio=0.28)
+YANG2018_COAL_2 = Material(density=1550.6, youngs_modulus=4.3e9, poisson_ratio=0.30)
+YANG2018_GANGUE_3 = Material(density=2412.0, youngs_modulus=21.64e9, poisson_ratio=0.30)
+YANG2018_GANGUE_4 = Material(density=2400.0, youngs_modulus=3.906e9, poisson_ratio=0.28)
+#: The same by the numbers of the paper's tables.
+YANG2018_SPHERES = {1: YANG2018_COAL_1, 2: YANG2018_COAL_2, 3: YANG2018_GANGUE_3, 4: YANG2018_GANGUE_4}
 #: Radius of all four spheres [m].
 YANG2018_RADIUS = 0.025
 #: The metal plate of the same tables, with the values of EN 1993-1-1, section 3.2.6.
@@ -167,6 +219,13 @@ SANDSTONE = MaterialRange(
         f"{_DISTURBED}, medium sandstone, packsand: 2690-2720 kg/m^3, 6.37-8.21 GPa, .10-.17",
         f"{_STAGGERED}, fine and coarse sandstone: 2480-2510 kg/m^3, 29.9-52.0 GPa, .24-.29",
     ),
+)
+#: Gangue of coal seams: shale and mudstone to sandstone.
+GANGUE = MaterialRange(
+    density=(SHALE.density[0], SANDSTONE.density[1]),
+    youngs_modulus=(SHALE.youngs_modulus[0], SANDSTONE.youngs_modulus[1]),
+    poisson_ratio=(min(SHALE.poisson_ratio), max(SANDSTONE.poisson_ratio)),
+    sources=SHALE.sources + SANDSTONE.sources,
 )
 
 _WEATHERED = "Advances in Civil Engineering 2018, article 3210420, Table 1"

@@ -14,7 +14,7 @@ from cgid._lib.validation import Floats
 from cgid.errors import InvalidValue
 from cgid.measure.modal.modes import Modes
 from cgid.physics.contact.bodies import ThinPlate
-from cgid.physics.contact.materials import Material
+from cgid.physics.contact.materials import Material, require_material
 from cgid.physics.structure.plates import PanelShapes, PolynomialShapes, Rigidities, SineShapes, ritz_modes
 
 __all__ = ["Ribs", "TailBeam"]
@@ -136,7 +136,7 @@ class TailBeam:
     ribs: Ribs | None = None
 
     def __post_init__(self) -> None:
-        validation.instance("material", self.material, Material)
+        require_material(self.material)
         validation.instance("ribs", self.ribs, Ribs, type(None))
         validation.choice("edges", self.edges, tuple(EDGES))
         for name in ("length", "width", "thickness"):
