@@ -88,7 +88,7 @@ def test_refusals_name_the_setting_as_it_was_given(tmp_path: Path, capsys: pytes
         ),
     ):
         with pytest.raises(cgid.errors.MissingOption) as error:
-            cgid.predict(path, **given)  # type: ignore[arg-type]
+            cgid.predict(path, **given)
         assert keyword in str(error.value) and "--" not in str(error.value)
         assert run(["predict", str(path), *options]) == 2
         assert flag in capsys.readouterr().err
