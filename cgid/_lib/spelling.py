@@ -30,10 +30,11 @@ def as_argument(name: str, value: str = "") -> str:
 def as_option(name: str, value: str = "") -> str:
     """Return a setting as an option of a command line, or as a key of --set.
 
-    >>> as_option("unit"), as_option("unit", "V"), as_option("invert", "true"), as_option("full_scale", "10 V")
-    ('--unit', '--unit V', '--set invert=true', "--set full_scale='10 V'")
+    >>> as_option("unit"), as_option("unit", "m/s^2"), as_option("invert", "true"), as_option("full_scale", "10 V")
+    ('--unit', '--unit m/s^2', '--set invert=true', "--set full_scale='10 V'")
     """
-    quoted = shlex.quote(value) if value else ""
+    plain = value.replace("^", "")  # no sign of shells
+    quoted = value if not plain or shlex.quote(plain) == plain else shlex.quote(value)
     if name in _OPTIONS:
         return f"{_OPTIONS[name]} {quoted}".rstrip()
     return f"--set {name}={quoted}" if value else name
