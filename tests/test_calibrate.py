@@ -503,7 +503,8 @@ def test_a_recording_calibrates_the_scene_of_a_stream(known, tmp_path):
     signal, _ = record(parse_scene(json.loads(site.text) | more), seed=4)
     np.save(tmp_path / "stream.npy", signal.samples)
     (tmp_path / "stream.toml").write_text(toml(content | more))
-    command = ["calibrate", str(tmp_path / "stream.npy"), "--rate", f"{RATE:g}", "--unit", signal.unit]
+    (tmp_path / "face.toml").write_text(f'[recorder]\nrate = {RATE:g}\nunit = "{signal.unit}"\n')
+    command = ["calibrate", str(tmp_path / "stream.npy"), "--site", str(tmp_path / "face.toml")]
     output = tmp_path / "site.toml"
     assert run([*command, "--scene", str(tmp_path / "stream.toml"), "-o", str(output)]) == 0
     found = load_scene(output)

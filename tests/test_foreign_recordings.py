@@ -158,8 +158,8 @@ def test_contradicting_and_impossible_rates_are_refused(hdf5):
     assert recording.sampling_rate == 1000.0 and "times of time are not even" in recording.warnings[0]
     assert "above 0" in refused(hdf5(lambda file: fill(file, fs=-3.0)))
     assert "above 0" in refused(hdf5(lambda file: fill(file, dt=0.0)))
-    assert "--rate HZ" in refused(hdf5(lambda file: fill(file, FS=5.0)), MissingOption)
-    assert "--rate HZ" in refused(hdf5(fill), MissingOption)
+    assert "sampling_rate=HZ" in refused(hdf5(lambda file: fill(file, FS=5.0)), MissingOption)
+    assert "sampling_rate=HZ" in refused(hdf5(fill), MissingOption)
     assert read(hdf5(fill), sampling_rate=500.0)[0].sampling_rate == 500.0
 
 

@@ -56,7 +56,7 @@ def test_what_was_written_is_read(specimen, tmp_path):
 def test_what_a_file_does_not_say_is_asked_for(specimen, tmp_path):
     path = written(specimen, tmp_path, blows(3000))
     if not specimen.says_rate:
-        with pytest.raises(MissingOption, match="--rate HZ"):
+        with pytest.raises(MissingOption, match="sampling_rate=HZ"):
             open_recording(path)
     if not specimen.says_unit:
         rate = None if specimen.says_rate else RATE

@@ -587,6 +587,20 @@ def test_a_second_page_on_the_table_is_one_line(site: Any, page: Page, capsys: A
     assert "one cgid label at a time" in capsys.readouterr().err
 
 
+def test_a_site_names_and_turns_the_channels_that_are_labelled(site: Any, tmp_path: Path) -> None:
+    (tmp_path / "a.npy").write_bytes((site[0] / "a.npy").read_bytes())
+    (tmp_path / "face.toml").write_text('[channels.1]\nname = "support 41"\n[channels.2]\ninvert = true\n')
+    plain = Page(tmp_path, "-o", "plain.csv")
+    views = []
+    for page in (plain, Page(tmp_path, "--site", "face.toml")):
+        state = page.wait(ended)
+        views.append(page.get("view?r=0&from=0&to=2&n=300")["channels"])
+        page.end()
+    assert state["recordings"][0]["channels"] == ["support 41", "2"]
+    assert views[1][0]["low"] == views[0][0]["low"]
+    np.testing.assert_allclose(views[1][1]["low"], -np.array(views[0][1]["high"]), atol=1)
+
+
 def test_every_word_is_in_every_language() -> None:
     languages = words()
     assert set(languages) == {"en", "zh"} and set(languages["en"]) == set(languages["zh"])

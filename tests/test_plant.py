@@ -1068,3 +1068,8 @@ def test_killed_monitor_leaves_its_last_will(raw, broker) -> None:
         finally:
             process.kill()
             process.communicate()
+
+
+def test_no_decision_has_not_the_colour_of_shut() -> None:
+    style = (Path(commands.__file__).parent / "live.css").read_text(encoding="utf-8")
+    assert not [rule for rule in re.findall(r"#alarm[^{]*\{([^}]*)\}", style) if "--shut" in rule or "--draw" in rule]

@@ -64,7 +64,7 @@ def test_volts_become_what_the_sensor_measured() -> None:
     assert named["p_coal"].to_numpy() == pytest.approx(np.repeat(force, 2), rel=1e-9)
     counts = np.round(volts / 400 * 2**15).astype(np.int16)
     np.testing.assert_allclose(cgid.predict(counts, 200e3, full_scale="400 V", **stated)["p_coal"], force, atol=0.02)
-    with pytest.raises(MissingOption, match="--unit V"):
+    with pytest.raises(MissingOption, match="unit='V'"):
         cgid.predict(volts, 200e3, **stated)
     with pytest.raises(InvalidValue, match="for samples in volts or coulombs, they are in N"):
         cgid.predict(volts, 200e3, "N", **stated)

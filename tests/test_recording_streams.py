@@ -227,7 +227,7 @@ def test_a_given_rate_is_used_instead_of_a_wrong_one_of_the_header_and_told(writ
     if b"\xe8\x03" in content:
         assert open_recording(path, sampling_rate=1000.05).warnings == ()
     else:
-        with pytest.raises(BadData, match="states 0 Hz; give it with --rate HZ"):
+        with pytest.raises(BadData, match="states 0 Hz; give it with sampling_rate=HZ"):
             open_recording(path)
 
 

@@ -437,9 +437,9 @@ def test_bad_text_is_refused_with_its_place(text, words, write):
 
 def test_options_that_contradict_the_file():
     text = "time (s),force (N)\n0,1\n0.001,2\n0.002,0\n"
-    with pytest.raises(BadData, match=r"states N \(force\) and --unit states g \(acceleration\)"):
+    with pytest.raises(BadData, match=r"states N \(force\) and unit states g \(acceleration\)"):
         read_text(text, unit="g")
-    with pytest.raises(BadData, match=r"states N \(force\) and --unit states kN"):
+    with pytest.raises(BadData, match=r"states N \(force\) and unit states kN"):
         read_text(text, unit="kN")
     assert read_text(text, unit="N")[0].unit == "N"
     (signal,) = read_text(text, sampling_rate=1002)

@@ -210,6 +210,25 @@ def test_the_written_site_reads_its_recording(tmp_path: Path, capsys: pytest.Cap
         assert not line or line.startswith(("#", "[")) or "  # " in line  # a comment a line
     assert printed(capsys, "predict", file, "--site", str(site)) == printed(capsys, "predict", file, *said)
     assert run(["info", file, *said, "--write-site", str(site)]) == 73  # nothing is replaced
+    # Values of one channel are those of that channel, and what a site states already stays.
+    other = tmp_path / "other.toml"
+    said = [
+        "--unit",
+        "V",
+        "--sensitivity",
+        "2 mV/N",
+        "--sensitivity",
+        "right=4 mV/N",
+        "--set",
+        "channels.1.invert=true",
+    ]
+    assert run(["info", file, *said, "--write-site", str(other)]) == 0
+    capsys.readouterr()
+    site_of_two = Site(other)
+    assert site_of_two.values["recorder"]["sensitivity"] == "2 mV/N"
+    assert site_of_two.channels[2]["sensitivity"] == "4 mV/N" and "sensitivity" not in site_of_two.channels[1]
+    assert site_of_two.channels[1]["invert"] is True
+    assert printed(capsys, "predict", file, "--site", str(other)) == printed(capsys, "predict", file, *said)
     commented = re.sub(r"(?m)^# (\w+ = )", r"\1", site.read_text())  # each line that is not used could be
     Site(_written(tmp_path / "all.toml", commented))
 
@@ -352,5 +371,7 @@ def test_the_site_of_the_guide_is_one(tmp_path: Path) -> None:
 def test_values_replace_those_of_the_file(plant: Path) -> None:
     site = Site(plant / "face.toml", {"window": "2s", "channels.1.gain": "20 dB"})
     assert site.settings["share_time"] == 2 and site.channels[1]["gain"] == "20 dB"
+    dotted = Site(values={"channels.face 1.2.gain": 3})
+    assert dotted.channels == {"face 1.2": {"gain": 3}}
     with pytest.raises(InvalidValue, match="windo"):
         Site(plant / "face.toml", {"windo": 2})

@@ -72,6 +72,30 @@ def test_settings_have_names_that_checkers_know() -> None:
             call()
 
 
+def test_refusals_name_the_setting_as_it_was_given(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    from cgid.cli.main import run
+
+    np.save(tmp_path / "a.npy", np.random.default_rng(0).normal(0, 1, 4000))
+    path = tmp_path / "a.npy"
+    for keyword, flag, given, options in (
+        ("sampling_rate=HZ", "--rate HZ", {}, []),
+        ("unit='N'", "--unit N", {"sampling_rate": 25600.0}, ["--rate", "25600"]),
+        (
+            "sensitivity='",
+            "--set sensitivity=",
+            {"sampling_rate": 25600.0, "unit": "V"},
+            ["--rate", "25600", "--unit=V"],
+        ),
+    ):
+        with pytest.raises(cgid.errors.MissingOption) as error:
+            cgid.predict(path, **given)
+        assert keyword in str(error.value) and "--" not in str(error.value)
+        assert run(["predict", str(path), *options]) == 2
+        assert flag in capsys.readouterr().err
+    with pytest.raises(cgid.errors.InvalidValue, match="give coal_until"):
+        cgid.identification.prediction.PredictionSettings(cycle_pause=30.0)
+
+
 def test_a_user_of_scenes() -> None:
     scene = cgid.load_scene("reference")
     assert_type(scene, cgid.Scene)

@@ -49,29 +49,32 @@ def settings_of(reading: ReadingOptions, model_path: str | None, **given: Any) -
     return Models(model_path or reading.site.get("model"), settings), settings
 
 
+#: What a row of a manifest states of its recording: the field, and the option or else the key of a site that states it.
+_STATED = {
+    "sampling_rate": "--rate",
+    "unit": "--unit",
+    "channels": "--channel",
+    "variable": "variable",
+    "format": "format",
+    "invert": "invert",
+    "sensitivity": "--sensitivity",
+    "recording_gain": "gain",
+    "full_scale": "--full-scale",
+}
+
+
 def prediction_by(path: Path, model: StoredModel, manifest: Manifest | None, reading: ReadingOptions) -> str:
     """Return the command for predictions by a new model, on a recording that is read like all of its manifest."""
-    own = {**vars(reading), **reading.chain_of("")}
-    flags = {
-        "sampling_rate": "--rate",
-        **{name: f"--{name}" for name in ("unit", "channel")},
-        **dict.fromkeys(("variable", "format", "invert"), "--set"),
-        "sensitivity": "--sensitivity",
-        "gain": "--set",
-        "full_scale": "--full-scale",
-    }
-    fields = {"channel": "channels", "gain": "recording_gain"}
+    own = {**vars(reading), **reading.chain_of(""), "channels": reading.channel}
     words, rows = site_words()[0], [] if manifest is None else manifest.annotations
     if not reading.site.path and len(sites := {one.site for one in rows}) == 1 and (site := sites.pop()):
         words = ["--site", site, *words]
-    for name, flag in flags.items():
-        stated = {
-            getattr(one, fields.get(name, name), None) or getattr(one, name, None) or own.get(name) for one in rows
-        }
+    for name, stating in _STATED.items():
+        stated = {getattr(one, name) or (one.gain if name == "recording_gain" else own.get(name)) for one in rows}
         value = stated.pop() if len(stated) == 1 else None
         for part in value if isinstance(value, tuple) else (value,) if value else ():
             text = f"{part:.12g}" if isinstance(part, float) else f"{part}".replace("True", "true")
-            words += [flag, f"{name}={text}" if flag == "--set" else text]
+            words += [stating, text] if stating.startswith("--") else ["--set", f"{stating}={text}"]
     return shlex.join(["cgid", "predict", "FILE", *words, "--model", str(path), *beam_words(model.same_beam)])
 
 

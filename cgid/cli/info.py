@@ -256,7 +256,7 @@ def _channels(recording: Any, as_json: bool, beams: tuple[tuple[str, ...], ...])
     A long recording has no median, which needs all samples, but a mean.
     """
     # A channel with samples that are no numbers is described by the others; the rest of the recording may be sound.
-    from cgid.identification.detection.detector import INVERT_HINT
+    from cgid.identification.detection.detector import invert_hint
     from cgid.identification.detection.ear import Ear
     from cgid.identification.prediction.same_beam import Detected, RockAssigner, grouped
     from cgid.measure.features.extraction import kind_for
@@ -299,7 +299,7 @@ def _channels(recording: Any, as_json: bool, beams: tuple[tuple[str, ...], ...])
     for row, (channel, ear) in enumerate(zip(names, ears, strict=True)):
         add(row, ear.feed(None).events)
         if is_known[row] and not impacts[row] and ear.is_upside_down():
-            warn(f"{channel_name(recording.source, channel.name)}: no impact: {INVERT_HINT}")
+            warn(f"{channel_name(recording.source, channel.name)}: no impact: {invert_hint()}")
         stated = (
             "--set full_scale='500 g'" if channel.quantity == "level" else "--unit, such as --unit N or --unit m/s^2"
         )

@@ -13,6 +13,7 @@ from typing import Any
 import click
 
 from cgid import __version__
+from cgid._lib import spelling
 from cgid.cli.help import CommandsOnDemand, Group
 from cgid.cli.output import (
     drop,
@@ -57,6 +58,7 @@ def run(arguments: list[str] | None = None) -> int:
     warnings.showwarning = _one_line_warning
     open_missing()
     show_compilation()
+    spoken, spelling.speak = spelling.speak, spelling.as_option
     try:
         with interruptions_noted():
             code = cli.main(args=arguments, prog_name="cgid", standalone_mode=False)
@@ -117,6 +119,8 @@ def run(arguments: list[str] | None = None) -> int:
         text = " ".join(f"{type(error).__name__}: {error}".split())
         say(f"cgid: internal error: {text}; please report it (CGID_DEBUG=1 shows where)", err=True)
         return _INTERNAL
+    finally:
+        spelling.speak = spoken
 
 
 def _memory_is_short(error: BaseException | None) -> bool:

@@ -60,7 +60,7 @@ def plot(
     channel, as in cgid predict, and counted once for the channels of one beam of a site.
     """
     from cgid._lib.files import write_whole
-    from cgid.identification.detection.detector import INVERT_HINT
+    from cgid.identification.detection.detector import invert_hint
     from cgid.measure.overview import OverviewStream
     from cgid.plots import picture
     from cgid.plots.figure import FORMATS, new_picture
@@ -87,7 +87,7 @@ def plot(
             finder.feed(drawn)
     marks = [] if finder is None else finder.finish()
     for name in [] if finder is None else finder.upside_down():
-        warn(f"{recording.source} channel {name}: no impact: {INVERT_HINT}")
+        warn(f"{recording.source} channel {name}: no impact: {invert_hint()}")
     for warning in recording.warnings:
         warn(warning)
     overview = stream.overview()

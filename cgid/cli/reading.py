@@ -82,10 +82,16 @@ class ReadingOptions:
 
     @property
     def stated(self) -> dict[str, Any]:
-        """What the line states of the recorder, as keys of a site file; of several values the one for all."""
-        keys = {"rate": self.sampling_rate, "unit": self.unit, **self.chain}
-        alone = {key: value[0] if isinstance(value, tuple) else value for key, value in keys.items() if value}
-        return {**self.site.values["recorder"], **alone}
+        """What the line and its site state of the recorder, as keys of a site file; channels.N.KEY of one channel."""
+        found = dict(self.site.values["recorder"])
+        for name, own in self.site.channels.items():
+            found |= {f"channels.{name}.{key}": value for key, value in own.items()}
+        found |= {"rate": self.sampling_rate} if self.sampling_rate else {}
+        texts = {"unit": self.unit.split(",") if self.unit else (), **{key: getattr(self, key) for key in CHAIN}}
+        for key, text in ((key, text) for key, listed in texts.items() for text in listed):
+            channel, equals, value = _file_and_value(text)[1].rpartition("=")
+            found[f"channels.{channel}.{key}" if equals else key] = value
+        return found
 
     @property
     def index(self) -> int | None:

@@ -26,7 +26,8 @@ def _note_file(context: click.Context, _option: click.Parameter, files: tuple[st
 def _note_values(context: click.Context, _option: click.Parameter, pairs: tuple[str, ...]) -> None:
     for pair in pairs:
         key, equals, text = pair.partition("=")
-        key = key.strip().removeprefix("--").replace("-", "_")
+        of_channel, dot, name = key.strip().removeprefix("--").rpartition(".")
+        key = of_channel + dot + name.replace("-", "_")
         if not equals or not key:
             raise click.UsageError(f"--set must be KEY=VALUE such as hold=5, got {pair!r}", context)
         noted, value = context.meta.setdefault(_VALUES, {}), _value_of(text)

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid._lib import validation
+from cgid._lib.spelling import asked
 from cgid._lib.validation import shown
 from cgid.errors import BadData, InvalidValue, MissingOption
 from cgid.signals import channel_name
@@ -62,7 +63,8 @@ class Sensitivity:
         value = found[0] * ratio[2]
         if not 0 < value < math.inf:
             raise InvalidValue(
-                f"sensitivity must be above 0 and finite, got {text}; for a reversed sensor use --set invert=true"
+                f"sensitivity must be above 0 and finite, got {text}; for a reversed sensor use "
+                f"{asked('invert', 'true')}"
             )
         return cls(value=value, signal=ratio[0], measured=ratio[1], text=text)
 
@@ -93,7 +95,9 @@ class Gain:
                 f"'1 mV/pC', got {shown(given)}"
             )
         if not 0 < number < math.inf:
-            raise InvalidValue(f"gain must be above 0 and finite, got {text}; to invert a signal use --set invert=true")
+            raise InvalidValue(
+                f"gain must be above 0 and finite, got {text}; to invert a signal use {asked('invert', 'true')}"
+            )
         return cls(value=number * (ratio[2] if ratio and is_of_charge else 1.0), is_of_charge=is_of_charge, text=text)
 
 
@@ -332,12 +336,13 @@ def _full_scale(scale: FullScale, stated: str | None, contents: Blocks, index: i
     unit = scale.unit or stated
     if unit is None:
         raise MissingOption(
-            f"{name}: the unit of full scale must be known, got {scale.text}; give it as in --set full_scale='10 V'"
+            f"{name}: the unit of full scale must be known, got {scale.text}; give it as in "
+            f"{asked('full_scale', '10 V')}"
         )
     if stated is not None and quantity_of(stated) != quantity_of(unit):
         raise InvalidValue(
-            f"{name}: full_scale must be of the quantity of the samples, got {scale.text} where file or --unit say "
-            f"{stated} ({quantity_of(stated)}); leave one out"
+            f"{name}: full_scale must be of the quantity of the samples, got {scale.text} where file or "
+            f"{asked('unit')} say {stated} ({quantity_of(stated)}); leave one out"
         )
     largest = _of_file(contents.full_scales, index)
     if scale.bits is not None:
@@ -367,7 +372,7 @@ def _require_full_scale(unit: str | None, contents: Blocks, index: int, source: 
     example = {"acceleration": "500 g", "voltage": "10 V"}.get(quantity_of(unit), f"500 {unit}")
     raise MissingOption(
         f"{channel_name(source, contents.label(index))}: the samples are integers, and the unit ({unit}) does not "
-        f"state how many {unit} full scale is; give it as in --set full_scale='{example}{bits}'"
+        f"state how many {unit} full scale is; give it as in {asked('full_scale', example + bits)}"
     )
 
 
@@ -435,12 +440,12 @@ def _not_electrical(name: str, unit: str | None, what: str) -> InvalidValue | Mi
     if unit is None:
         return MissingOption(
             f"{name}: the file does not state the unit, and a {what} is for samples in volts or coulombs; give it as "
-            "in --unit V"
+            f"in {asked('unit', 'V')}"
         )
     if unit == "FS":
         return MissingOption(
             f"{name}: the file does not state how many volts full scale is, and a {what} is for volts; give it as in "
-            "--set full_scale='10 V'"
+            f"{asked('full_scale', '10 V')}"
         )
     return InvalidValue(
         f"{name}: a {what} is for samples in volts or coulombs, they are in {unit} ({quantity_of(unit)}); leave it "
@@ -478,8 +483,8 @@ def require_measured(unit: str | None, name: str) -> None:
     """Raise `MissingOption` for samples in volts or coulombs without a sensitivity."""
     if unit is None or (quantity := quantity_of(unit)) not in ELECTRICAL:
         return
-    example = "'10.2 mV/g', or '2.3 mV/N' of a force" if quantity == "voltage" else "'3.1 pC/g', or '4 pC/N' of a force"
+    example, other = ("10.2 mV/g", "2.3 mV/N") if quantity == "voltage" else ("3.1 pC/g", "4 pC/N")
     raise MissingOption(
         f"{name}: the samples are a {quantity} [{unit}], the sensitivity of the sensor is missing; give it as in "
-        f"--set sensitivity={example}"
+        f"{asked('sensitivity', example)}, or {other!r} of a force"
     )

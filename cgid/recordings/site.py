@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import json
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -115,7 +116,7 @@ class Site:
         stated: dict[str, Any] = {}
         for key, value in (values or {}).items():
             if key.startswith("channels."):
-                _, channel, name = [*key.split(".", 2), ""][:3]
+                channel, _, name = key.removeprefix("channels.").rpartition(".")  # a name may contain dots
                 channels = {**channels, channel: {**channels.get(channel, {}), name: value}}
                 continue
             section = next((name for name, keys in KEYS.items() if key in keys), None)
@@ -329,9 +330,12 @@ def site_text(recording: RecordingFile, stated: Mapping[str, Any]) -> str:
         text = value if key == "rate" else f'"{value}"'
         lines.append(f"{'' if key in stated else '# '}{key} = {text}  # {KEYS['recorder'][key].help}")
     for number, channel in enumerate(recording.channels, 1):
-        lines += ["", f"[channels.{number}]", f'name = "{_plain(channel.name, number)}"  # {CHANNEL_KEYS["name"].help}']
-        lines.append(f'# sensitivity = "10.2 mV/g"  # {CHANNEL_KEYS["sensitivity"].help}')
-        lines.append(f'# beam = "A"  # {CHANNEL_KEYS["beam"].help}')
+        own = {"name": _plain(channel.name, number)}
+        for name, key in ((name, key) for name in (channel.name, str(number)) for key in CHANNEL_KEYS):
+            own |= {key: stated[at]} if (at := f"channels.{name}.{key}") in stated else {}
+        lines += ["", f"[channels.{number}]"]
+        for key, value in ({"sensitivity": "10.2 mV/g", "beam": "A"} | own).items():
+            lines.append(f"{'' if key in own else '# '}{key} = {json.dumps(value)}  # {CHANNEL_KEYS[key].help}")
     lines += ["", "[model]", f'# model = "mine.npz"  # {KEYS["model"]["model"].help}', "", "[decision]"]
     lines.append(f'# coal_until = "30s"  # {KEYS["decision"]["coal_until"].help}')
     return "\n".join([*lines, ""])

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cgid._lib import validation
+from cgid._lib.spelling import asked
 from cgid._lib.validation import Floats, require_rate
 from cgid.errors import BadData, InvalidValue
 from cgid.identification.detection.events import Event, FrameCutter, Framing, Onset
@@ -41,8 +42,11 @@ _CLIPPED_SHARE = 0.5
 _EVERY = 64
 #: A signal is upside down if it falls this many times as far as it rises.
 _UPSIDE_DOWN = 3.0
-#: The remedy for a signal that is upside down.
-INVERT_HINT = "invert it with --set invert=true, since pulses must point upwards"
+
+
+def invert_hint() -> str:
+    """Return what helps where pulses point downwards."""
+    return f"invert it with {asked('invert', 'true')}, since pulses must point upwards"
 
 
 class ImpactDetector:
@@ -217,7 +221,7 @@ class ImpactDetector:
             )
         rise, fall, noise = onsets.rise[channel], onsets.fall[channel], onsets.noise[channel]
         if self.is_upside_down(channel):
-            hint = INVERT_HINT
+            hint = invert_hint()
         return (
             f"no impact: a sample must rise {THRESHOLD_OVER_NOISE:g} times the noise ({noise:.3g}{in_unit}) above the "
             f"baseline, the highest rises {rise:.3g}{in_unit}, the deepest falls {fall:.3g}{in_unit}; {hint}"

@@ -312,7 +312,7 @@ def train_on_groups(
 
         manifest = folder_manifest(rows) if Path(rows).is_dir() else read_manifest(rows)
         features = None if features is None else choose(features)
-        reading = recordings.Reading(strict=True, site=None if site is None else Site.of(site))
+        reading = recordings.Reading(strict=True, site=Site.of(site))
         rows = recordings.record(manifest, features, reading=reading, augment=True)
     _refuse_others("rows", rows, Rows)
     if rows.slicing is None:

@@ -1,0 +1,49 @@
+"""How a message names a setting: by Python's keyword, or on a command line by its option or key."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Callable
+
+#: Settings that have an option of their own in the commands that read recordings; others are keys of --set.
+_OPTIONS = {
+    "sampling_rate": "--rate",
+    "unit": "--unit",
+    "channel": "--channel",
+    "same_beam": "--same-beam",
+    "coal_until": "--coal-until",
+}
+
+
+def as_argument(name: str, value: str = "") -> str:
+    """Return a setting as Python's keyword; a value in capitals stands for one.
+
+    >>> as_argument("unit"), as_argument("unit", "V"), as_argument("invert", "true"), as_argument("mass", "KG")
+    ('unit', "unit='V'", 'invert=True', 'mass=KG')
+    """
+    if not value or value in ("true", "false"):
+        return f"{name}={value.title()}" if value else name
+    is_plain = (value.isupper() and len(value) > 1) or value.replace(".", "", 1).isdigit()
+    return f"{name}={value if is_plain else repr(value)}"
+
+
+def as_option(name: str, value: str = "") -> str:
+    """Return a setting as an option of a command line, or as a key of --set.
+
+    >>> as_option("unit"), as_option("unit", "m/s^2"), as_option("invert", "true"), as_option("full_scale", "10 V")
+    ('--unit', '--unit m/s^2', '--set invert=true', "--set full_scale='10 V'")
+    """
+    plain = value.replace("^", "")  # no sign of shells
+    quoted = value if not plain or shlex.quote(plain) == plain else shlex.quote(value)
+    if name in _OPTIONS:
+        return f"{_OPTIONS[name]} {quoted}".rstrip()
+    return f"--set {name}={quoted}" if value else name
+
+
+#: What `asked` gives; the command line sets `as_option` while it runs.
+speak: Callable[[str, str], str] = as_argument
+
+
+def asked(name: str, value: str = "") -> str:
+    """Return how whoever called states a setting, for the cure in a message."""
+    return speak(name, value)
