@@ -225,6 +225,7 @@ _REPEATED_AFTER = 3600.0
 #: Grounds of a support and ends of conditions in words.
 _GROUNDS = {
     "blind": "blind",
+    "fault": "faulty",
     "wrong_scale": "of a wrong scale",
     "mostly_unknown": "mostly unknown",
     "unproven": "of an unproven model",
