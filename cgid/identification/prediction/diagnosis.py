@@ -21,6 +21,7 @@ from cgid._lib.validation import UNKNOWN, Floats
 from cgid.errors import CgidError
 from cgid.identification.detection.events import EVENT_TIME
 from cgid.identification.model.world import CHECKS, Misfit, MisfitPart, WorldTest
+from cgid.identification.prediction.findings import Finding
 from cgid.measure.features.extraction import extract_array, powers_of
 from cgid.measure.frames import ProblemKind
 
@@ -339,6 +340,17 @@ class Condition(StrEnum):
     FOREIGN = "foreign"  # the recording as a whole is not like those of the training; this does not end
 
 
+#: Kinds of the findings of conditions.
+_KINDS = {
+    Condition.WRONG_SCALE: "scale",
+    Condition.UPSIDE_DOWN: "upside_down",
+    Condition.MOSTLY_UNKNOWN: "mostly_unknown",
+    Condition.BEAM: "beam",
+    Condition.CHAIN: "chain",
+    Condition.FOREIGN: "foreign",
+}
+
+
 class Change(NamedTuple):
     """A condition of a channel that begins or ends at a time [s]; the likely factor of a wrong scale."""
 
@@ -433,6 +445,11 @@ class Diagnosis:
     def conditions(self, channel: str) -> set[Condition]:
         """Return what is wrong with a channel, as of the last `changes`."""
         return self._conditions.get(channel, set())
+
+    def standing(self, channel: str) -> tuple[Finding, ...]:
+        """Return what stands of a channel and can move its answers, as of the last `changes`."""
+        kinds = (_KINDS[one] for one in Condition if one in self.conditions(channel))
+        return tuple(one for kind in kinds if (one := Finding(kind=kind, channels=(channel,))).moves)
 
     def changes(self, time: float) -> list[Change]:
         """Return what has begun or ended in a live stream up to a time [s]."""
