@@ -268,6 +268,7 @@ class RecordingRows:
         self._watch = pipeline.watch
         self._grounds: dict[str, tuple[str, bool]] = {}  # last ground and whether something was decided
         self._endless: set[str] = set()  # supports whose caving cycle goes on without a pause
+        self._short: set[str] = set()  # supports that had a caving cycle shorter than its coal
         self._bases: dict[str, Basis] = {}  # last basis of the gangue fraction of each support
         self._conditions: dict[tuple[str, str], float] = {}  # what a channel has, and when it was told [s]
         self._later: list[Change] = []
@@ -447,6 +448,7 @@ class RecordingRows:
                 self._print_endless(share.time, {share.channel: begun})
             if one.kind != "share":
                 self._grounds[share.channel] = state.ground, state.decision != "none"
+        self._print_short()
         self._pending_reports = []
 
     def _is_held(self, share: Share) -> bool:
@@ -466,6 +468,18 @@ class RecordingRows:
                 "cgid monitor begin cycles with --set cycle_by=stdin",
                 channel=name,
             )
+
+    def _print_short(self) -> None:
+        """Print which supports had a caving cycle that was shorter than its coal, once for each."""
+        for name, (begin, end) in self._watch.short_cycles().items():
+            if name not in self._short:
+                self._short.add(name)
+                self._warn(
+                    f"{self.name(name)}: the caving cycle from {begin:.6g} to {end:.6g} s was shorter than its coal of "
+                    f"{self.settings.coal_until:.6g} s, so nothing was decided in it; give a shorter --coal-until, or "
+                    f"a longer cycle_pause than {self.settings.cycle_pause or 0.0:.6g} s",
+                    channel=name,
+                )
 
     def _print_basis(self, name: str, share: Share) -> None:
         """Print why the gangue fraction of a support is not that of its own seam, when that begins."""

@@ -55,7 +55,7 @@ class Ground(StrEnum):
 
     SEEN = "seen"
     BLIND = "blind"  # its sensor is dead for most of the time, or loud, and no impact comes
-    FAULT = "fault"  # something else that can move answers is wrong with its impacts
+    FAULT = "fault"  # a finding that can move answers stands
     WRONG_SCALE = "wrong_scale"  # the levels are not those of the training, or of a mixture with the stated coal
     MOSTLY_UNKNOWN = "mostly_unknown"  # most impacts of the last minutes are unknown
     UNPROVEN = "unproven"  # the model is not shown to be better than chance
@@ -68,12 +68,8 @@ _LONGEST_STEP = 1.0
 STEPS = 10
 #: What came so long before the tones of a machine went is no evidence [s]: impacts of its tones look like gangue.
 _BEFORE_HEARD = 5.0
-#: Conditions that can move answers, and what is said of them.
-_FAULTS = {
-    Condition.UPSIDE_DOWN: "its signal points downwards",
-    Condition.BEAM: "its beam is no longer that of the model",
-    Condition.CHAIN: "its forces are none of a contact, as of a sensor that is upside down or behind a filter",
-}
+#: Findings that have a ground of their own.
+_OF_OTHER_GROUNDS = ("scale", "mostly_unknown")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -386,9 +382,9 @@ class CavingWatch:
             return Ground.WRONG_SCALE, end, "the levels of its impacts are not those of the training"
         if Condition.MOSTLY_UNKNOWN in conditions:
             return Ground.MOSTLY_UNKNOWN, end, "most of its latest impacts are unknown"
-        for condition, reason in _FAULTS.items():
-            if condition in conditions:
-                return Ground.FAULT, end, reason
+        others = [one for one in self.diagnosis.standing(name) if one.kind not in _OF_OTHER_GROUNDS]
+        if others:
+            return Ground.FAULT, end, f"the finding {others[0].kind} stands"
         if self._unproven:
             return Ground.UNPROVEN, end, f"the model is not shown to be better than chance: {self._unproven}"
         return Ground.SEEN, end, ""
