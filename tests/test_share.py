@@ -36,6 +36,7 @@ from cgid.identification.prediction.fraction import (
     trained_share,
     unproven,
 )
+from cgid.identification.prediction.findings import Finding
 from cgid.identification.prediction.prediction import Answer, PredictionSettings
 from cgid.identification.prediction.support import CavingWatch, Decision, Ground, SupportReport
 from cgid.recordings.lines import HEARD_AFTER
@@ -742,6 +743,51 @@ def test_what_came_on_another_ground_is_no_evidence() -> None:
     assert after[0].state.share.n_impacts == 0
     assert "shut" not in {one.kind for one in after}
     assert after[-1].state.decision == Decision.DRAW
+
+
+@pytest.mark.parametrize(
+    ("lost", "period", "is_blind"), [(1.5, 2.0, True), (3.0, 4.0, True), (1.0, 2.0, False), (0.5, 2.0, False)]
+)
+def test_a_sensor_that_is_dead_most_of_the_time_is_blind(lost: float, period: float, is_blind: bool) -> None:
+    rng, times = np.random.default_rng(3), np.arange(60_000) / 1000
+    sensors = SensorWatch(1, 1000.0)
+    watch = CavingWatch(MODEL, ["1"], PredictionSettings(share_step=0.5), sensors=sensors)
+    is_lost = (times >= 20) & (times % period < lost)
+    sensors.feed(np.where(is_lost, 0.0, rng.normal(0, 1, times.size))[None])
+    heard = [one for one in flow(rng, 0, 60, 0.95) if not is_lost[int(one.time * 1000)]]
+    states = [one.state for one in watch.feed(heard, 60.0)]
+    blind = [one.time for one in states if one.ground == Ground.BLIND]
+    assert bool(blind) is is_blind
+    if blind:
+        assert blind[0] <= 20 + period * (1 + 5 / (2 * lost - period))
+        assert {one.decision for one in states if one.time >= blind[0]} == {Decision.NONE}
+
+
+@pytest.mark.parametrize(("noise", "rate", "is_blind"), [(100.0, 0.0, True), (100.0, 1.0, False), (10.0, 0.0, False)])
+def test_noise_far_above_its_own_without_an_impact_is_blind(noise: float, rate: float, is_blind: bool) -> None:
+    rng = np.random.default_rng(5)
+    samples = rng.normal(0, 1, (1, 40_000))
+    samples[0, 20_000:30_000] *= noise
+    sensors = SensorWatch(1, 1000.0)
+    watch = CavingWatch(MODEL, ["1"], PredictionSettings(share_step=0.5), sensors=sensors)
+    sensors.feed(samples)
+    during = flow(rng, 20, 30, 0.95, rate=rate) if rate else []
+    reports = watch.feed(flow(rng, 0, 20, 0.95) + during + flow(rng, 30, 40, 0.95), 40.0)
+    blind = [one.state.time for one in reports if one.state.ground == Ground.BLIND]
+    assert (blind[0], blind[-1]) == (25.0, 29.5) if is_blind else not blind
+
+
+def test_a_finding_that_moves_answers_takes_the_ground() -> None:
+    rng = np.random.default_rng(1)
+    watch = CavingWatch(MODEL, ["1"], PredictionSettings(share_step=0.5))
+    standing: list[Finding] = []
+    watch.diagnosis.standing = lambda channel: tuple(standing)  # type: ignore[method-assign]
+    answers, seen = flow(rng, 0, 60, 0.95), []
+    for begin, until, kinds in ((0, 20, ()), (20, 30, ("upside_down",)), (30, 60, ("tones", "foreign"))):
+        standing[:] = [one for one in (Finding(kind=kind, channels=("1",)) for kind in kinds) if one.moves]
+        reports = watch.feed([one for one in answers if begin <= one.time < until], until)
+        seen.append({(one.state.ground, one.state.decision) for one in reports if one.state.time > until - 2})
+    assert seen == [{(Ground.SEEN, Decision.SHUT)}, {(Ground.FAULT, Decision.NONE)}, {(Ground.SEEN, Decision.SHUT)}]
 
 
 def test_a_quiet_pause_is_not_blind_and_a_sensor_that_never_gave_a_sample_is() -> None:

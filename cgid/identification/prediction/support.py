@@ -378,7 +378,7 @@ class CavingWatch:
             is_known = Condition.MOSTLY_UNKNOWN not in conditions
             if is_known and not fits_coal(list(support.levels), anchor.levels, self.diagnosis.model):
                 return Ground.WRONG_SCALE, end, "the levels of its impacts do not fit the coal of this cycle"
-        elif Condition.WRONG_SCALE in conditions:
+        elif Condition.WRONG_SCALE in conditions and not (self._seams and self.diagnosis.is_as_a_seam(name)):
             return Ground.WRONG_SCALE, end, "the levels of its impacts are not those of the training"
         if Condition.MOSTLY_UNKNOWN in conditions:
             return Ground.MOSTLY_UNKNOWN, end, "most of its latest impacts are unknown"
@@ -419,7 +419,7 @@ class _Support:
         """Count the stretches since the last look, of which all sensors were dead; a dead sensor is no pause."""
         (dead, every), self.looked = self.looked, (sensors.n_dead[self.rows], sensors.n_all)
         n_dead, n_all = int((self.looked[0] - dead).min()), sensors.n_all - every
-        if n_dead == n_all and self.last_identified > end - n_all * sensors.stretch:
+        if n_dead == n_all and end - n_all * sensors.stretch < self.last_identified <= end - sensors.stretch:
             n_dead = 0  # stretches that are not whole are none of a dead sensor if impacts are identified in them
         self.n_dead = max(self.n_dead + 2 * n_dead - n_all, 0)
         if n_dead and self.window.anchor is not None:
