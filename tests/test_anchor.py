@@ -190,6 +190,23 @@ def test_a_pause_begins_another_cycle() -> None:
     assert [anchor.has(time) for time in (149.0, 160.0, 160.1)] == [False, True, False]
 
 
+def test_a_dead_sensor_is_no_pause_and_a_cycle_shorter_than_its_coal_is_known() -> None:
+    anchor = Anchor(30.0, 10.0)
+    for time in np.arange(0.0, 20.0, 0.5):
+        anchor.add(float(time), 0.1, PULSE)
+    anchor.lose(33.0)  # dead from 20 to 33 s
+    anchor.add(34.0, 0.1, PULSE)
+    assert (anchor.cycle, anchor.short) == (0.0, None)
+    for time in (60.0, 62.0, 80.0):
+        anchor.add(time, 0.1, PULSE)
+    # The first cycle was as long as its coal; the second ended two seconds after it began.
+    assert (anchor.cycle, anchor.short) == (80.0, (60.0, 62.0))
+    before_any = Anchor(30.0, 10.0)
+    before_any.lose(50.0)
+    before_any.add(51.0, 0.1, PULSE)
+    assert before_any.cycle == 0.0
+
+
 def test_a_cycle_may_begin_when_it_is_said() -> None:
     anchor = Anchor(10.0)
     for time in range(12):

@@ -25,7 +25,7 @@ FINDINGS = HEAD + WIDTH * MAX_SUPPORTS
 EACH = 4
 _SIZE = FINDINGS + EACH * MAX_SUPPORTS
 _NOT_KNOWN = 0xFFFF
-_DECISIONS = {Decision.NONE: 0, Decision.DRAW: 1, Decision.SHUT: 2}
+_DECISIONS = {Decision.NONE: 0, Decision.DRAW: 1, Decision.SHUT: 2, Decision.UNSURE: 3}
 _GROUNDS = {
     Ground.SEEN: 1,
     Ground.BLIND: 2,
@@ -33,6 +33,7 @@ _GROUNDS = {
     Ground.MOSTLY_UNKNOWN: 4,
     Ground.STOPPED: 5,
     Ground.UNPROVEN: 6,
+    Ground.FAULT: 7,
 }
 #: A client without requests for this time is disconnected [s].
 TIMEOUT = 60.0

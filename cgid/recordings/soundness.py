@@ -1,7 +1,8 @@
 """Whether the sensor of each channel is alive: when it last gave a sound sample, and why none since.
 
-A sensor is dead where its samples are missing, constant, or far below the channel's own earlier noise. Samples are
-judged in stretches that count from the first one, so the result does not depend on the blocks.
+A sensor is dead where its samples are missing, constant, or far below the channel's own earlier noise; it may be deaf
+where they are far above it. Samples are judged in stretches that count from the first one, so the result does not
+depend on the blocks.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from cgid.errors import BadData
 
 #: Duration of a stretch [s], and how many of its samples show its noise.
 _STRETCH, _N_SAMPLES = 0.1, 256
-#: Noise is far below that of the quietest earlier stretch at this fraction of it: 30 dB.
+#: Noise is far below that of the quietest earlier stretch at this fraction of it, 30 dB, and far above it by as much.
 FAR_BELOW = 10**-1.5
 #: The quietest stretch is sought in so many periods of so many sound stretches: ten minutes.
 _PERIODS, _PERIOD = 10, 600
@@ -39,11 +40,12 @@ class Lack(IntEnum):
 
 
 class _Stretch(NamedTuple):
-    """The end of a stretch [s]; by channel what it lacks, its middle value, and whether it points downwards."""
+    """The end of a stretch [s]; by channel what it lacks, its middle value, whether it is loud or points downwards."""
 
     end: float
     lack: NDArray[np.int8]
     middle: Floats
+    loud: NDArray[np.bool_]
     turned: NDArray[np.bool_]
 
 
@@ -66,6 +68,9 @@ class SensorWatch:
         # How far each channel falls and rises in each of the last periods.
         self._swings = np.zeros((2, n_channels, _TURNED_PERIODS))
         self.last_sound = np.full(n_channels, np.nan)
+        self.last_usual = np.zeros(n_channels)  # when the noise was last not far above that of the quietest stretch [s]
+        #: Stretches of each channel that were dead, and of all; of `stretch` [s] each.
+        self.n_dead, self.n_all, self.stretch = np.zeros(n_channels, np.int64), 0, self._length / sampling_rate
         self.turned = np.zeros(n_channels, bool)
         self.lack = np.zeros(n_channels, np.int8)
         self.middle = np.zeros(n_channels)
@@ -111,8 +116,9 @@ class SensorWatch:
         lack = np.where(faint, Lack.NOISE, Lack.NOTHING).astype(np.int8)
         lack[~(low < high)] = Lack.CHANGE
         lack[np.isnan(low)] = Lack.SAMPLES
-        sound = np.flatnonzero(lack == Lack.NOTHING)
-        self._alive = end if sound.size else self._alive
+        is_sound, loud = lack == Lack.NOTHING, noise * FAR_BELOW > floor
+        self._alive = end if is_sound.any() else self._alive
+        sound = np.flatnonzero(is_sound & ~loud)
         period = self._n_sound[sound] // _PERIOD % _PERIODS
         begins = self._n_sound[sound] % _PERIOD == 0
         before = np.where(begins, np.inf, self._floors[sound, period])
@@ -124,7 +130,7 @@ class SensorWatch:
         self._swings[:, :, slot] = np.maximum(swings, self._swings[:, :, slot]) if first else swings
         falls, rises = self._swings.max(axis=2)
         turned = (falls > _UPSIDE_DOWN * rises) & (falls > _CLEAR * np.where(np.isfinite(floor), floor, np.inf))
-        return _Stretch(end, lack, middle, turned)
+        return _Stretch(end, lack, middle, loud, turned)
 
     def advance(self, time: float) -> None:
         """Take into account all stretches up to a time [s]."""
@@ -132,11 +138,14 @@ class SensorWatch:
             stretch = self._waiting.popleft()
             self.lack, self.middle, self.turned = stretch.lack, stretch.middle, stretch.turned
             self.last_sound[stretch.lack == Lack.NOTHING] = stretch.end
+            self.last_usual[~stretch.loud] = stretch.end
+            self.n_dead += stretch.lack != Lack.NOTHING
+            self.n_all += 1
 
     def why_blind(self, rows: Sequence[int], channels: Sequence[str]) -> str:
         """Return in words what the latest stretch of some channels lacks."""
         reasons = {
-            Lack.NOTHING: "has just given a sample again",
+            Lack.NOTHING: "was dead for most of the last seconds",
             Lack.SAMPLES: "gives no samples",
             Lack.CHANGE: "is constant at {:.4g}",
             Lack.NOISE: "is far below its earlier noise",

@@ -72,6 +72,8 @@ _SPREAD = {False: ((7.0, 0.10), (10.0, 0.12)), True: ((3.5, 0.05), (15.0, 0.34))
 #: coal's than sqrt(a / n + a / n of the coal), and no further above that of the training than hard simulated seams
 #: reach: but for one of 100 cycles of such seams. In standard deviations of the training.
 OF_ANCHOR, _BELOW_COAL, _HARDEST = 60, 6.3, 1.3
+#: Up to this factor a seam and a wrong scale look alike: where any seam may fall, it is told and withdraws nothing.
+_AS_A_SEAM = 5.0
 #: Between these factors g and m/s^2 may have been confused.
 _LIKE_G = (5.0, 20.0)
 #: Fraction of answers without any mark from which these, and not the marks, decide on the cause.
@@ -448,6 +450,11 @@ class Diagnosis:
         if condition == Condition.CHAIN:
             return self._misshapen((name,))
         return self._finding(self.channels[name].decisive.most_common(1)[0][0], (name,))
+
+    def is_as_a_seam(self, channel: str) -> bool:
+        """Return whether the factor of the levels of a channel may be that of a seam."""
+        factor = self._scales[channel].factor
+        return max(factor, 1 / factor) < _AS_A_SEAM
 
     def far_scale(self, channel: str) -> float:
         """Return the likely factor of the levels of a channel, if it is so large that it is a cause; else 1."""
