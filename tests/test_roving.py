@@ -250,5 +250,5 @@ def test_a_model_of_one_place_says_so():
     model = load_model("default-acceleration")
     arrays = dict(model.arrays) | {"beam.region": np.zeros(4)}
     arrays["beam.participation"] = arrays["beam.participation"][:, :1, :1]
-    said = [of_model(one, RATE, PredictionSettings()) for one in (model, replace(model, arrays=arrays))]
-    assert [[one.kind for one in some] for some in said] == [[], ["one_place"]]
+    for one, kinds in ((model, []), (replace(model, arrays=arrays), ["one_place"])):
+        assert [found.kind for found in of_model(one, one.sampling_rates[0], PredictionSettings())] == kinds

@@ -212,12 +212,23 @@ def test_channels_of_one_beam_that_are_not_declared_are_told_once() -> None:
     )
     names = ("left", "right", "other")
     single, declared = ((0,), (1,), (2,)), ((0, 1), (2,))
-    assert "give --same-beam left+right" in "".join(Together(RATE, single).feed(impacts, names))
+    (found,) = Together(RATE, single).feed(impacts, names, ended=True)
+    assert (found.kind, found.channels, found.fields["beam"]) == ("same_beam", ("left", "right"), "left+right")
     counter = Together(RATE, declared)
-    assert [line for impact in impacts for line in counter.feed([impact], names)] == []
+    assert [line for impact in impacts for line in counter.feed([impact], names, ended=False)] == []
     assert len(counter._recent) < 10
-    told = list(Together(RATE, ((0, 2), (1,))).feed(impacts, names))
-    assert len([line for line in told if "left and other hear other rocks" in line]) == 1
+    told = list(Together(RATE, ((0, 2), (1,))).feed(impacts, names, ended=True))
+    assert [one.channels for one in told if one.kind == "other_rocks"] == [("left", "other")]
+
+
+def test_many_channels_of_one_signal_are_one_finding() -> None:
+    impacts = [Detected(row, 2000 * k + row) for k in range(1, 40) for row in range(84)]
+    for size in (1, 7, len(impacts)):
+        together = Together(RATE, [(row,) for row in range(84)])
+        parts = [impacts[first : first + size] for first in range(0, len(impacts), size)]
+        names = [str(row) for row in range(84)]
+        found = [one for part in parts for one in together.feed(part, names, ended=part is parts[-1])]
+        assert [len(one.channels) for one in found] == [84]
 
 
 def test_many_rocks_are_no_reason_to_suspect_one_beam() -> None:
@@ -226,7 +237,7 @@ def test_many_rocks_are_no_reason_to_suspect_one_beam() -> None:
     impacts = [
         Detected(row, round(t * RATE)) for row in range(2) for t in np.cumsum(rng.exponential(1 / 40, 20_000)).tolist()
     ]
-    assert list(Together(RATE, ((0,), (1,))).feed(sorted(impacts, key=lambda one: one.onset), "ab")) == []
+    assert list(Together(RATE, ((0,), (1,))).feed(sorted(impacts, key=lambda one: one.onset), "ab", ended=True)) == []
 
 
 # -- streams ----------------------------------------------------------------------------------------------
@@ -301,7 +312,7 @@ def test_two_sensors_are_one_row_and_surer(model: StoredModel, samples: np.ndarr
     single, lines = told(two[:2], model)
     assert len(single) == 120
     assert len(lines) == 1
-    assert lines[0].endswith("give --same-beam 1+2")
+    assert lines[0].endswith("give same_beam=[('1', '2')]")
     grouped_answers, lines = told(two, model, "1+2")
     both = [one for one in grouped_answers if one.channel == "1+2"]
     assert len(both) == 60
@@ -321,10 +332,9 @@ def test_a_wrong_gain_is_left_out_and_told_when_it_ends(model: StoredModel, samp
     wrong[: samples.size // 2] *= 9.81
     both, lines = told(np.stack([samples, wrong]), model, "1+2")
     alike(both[:25], alone[:25])
-    assert [line.split(" at ")[0].split(": ")[1] for line in lines] == [
-        "channel 2 of 1+2 is left out",
-        "channel 2 of 1+2 counts again",
-    ]
+    left_out, back = lines
+    assert "channel 2: since " in left_out and "it is left out of 1+2" in left_out
+    assert "channel 2: it counts again at " in back
 
 
 def test_forces_have_the_mean_of_log_odds(default_force: StoredModel) -> None:
@@ -364,7 +374,7 @@ def test_python_and_recordings_take_groups(model: StoredModel, samples: np.ndarr
     two = np.stack([samples, again(samples)], axis=1)[: samples.size // 5]
     table = predict(two, RATE, "m/s^2", same_beam=[("1", "2")])
     assert set(table["channel"]) == {"1+2"}
-    with pytest.warns(UserWarning, match=r"give --same-beam 1\+2"):
+    with pytest.warns(UserWarning, match="give same_beam="):
         predict(np.tile(two, (3, 1)), RATE, "m/s^2")
     np.save(tmp_path / "two.npy", two)
     recording = open_recording(tmp_path / "two.npy", sampling_rate=RATE, unit="m/s^2")

@@ -11,6 +11,7 @@ from cgid._lib.terminal import counted
 from cgid.cli.output import finite, print_json, say, warn
 from cgid.cli.table import TableOutput
 from cgid.errors import BadData
+from cgid.identification.prediction.findings import as_option
 from cgid.units import Column
 
 if TYPE_CHECKING:
@@ -131,8 +132,6 @@ class AnswerLines:
 
     def finding(self, source: str, finding: Finding, n_channels: int = 1, *, withdrawn: bool = False) -> None:
         """Print what begins or ends, on stderr and in JSON; `withdrawn`: the decision of a support with it."""
-        from cgid.identification.prediction.findings import as_option
-
         self._line("finding", source, finding.content(as_option))
         line = finding.line(source, n_channels, as_option)
         if finding.is_note:
@@ -240,6 +239,7 @@ class RecordingRows:
         self._held: dict[str, SupportState] = {}  # fractions of few impacts, told at the end unless one of more follows
         assert pipeline.watch is not None
         self._watch = pipeline.watch
+        self._silent: list[Finding] = []
         self._decided: set[str] = set()  # supports of which something is decided
         self.threshold = self._watch.threshold
 
@@ -266,9 +266,8 @@ class RecordingRows:
         """Print pending lines at the end of a recording, and what is wrong with all of it."""
         last = self._pipeline.finish()
         self.lines.begin(self.source, self._pipeline.model, self.settings)  # the head of an empty table
-        silent = [one for one in self._pipeline.findings.all if one.is_silent]
-        if silent and not self.tally.total and not self._live:
-            raise BadData(silent[0].line(self.source, len(self._pipeline.names)))
+        if self._silent:
+            raise BadData(self._steps.of(self._silent[0]).line(self.source, len(self._pipeline.names), as_option))
         if not self._measured and self.tally.total:
             first = self._pending_answers[0] if self._pending_answers else None
             more = f" (and so for all {self.tally.total} {self.kind}s)" if self.tally.total > 1 else ""
@@ -290,6 +289,9 @@ class RecordingRows:
         """Print what begins and ends, each with the decision that it withdraws."""
         if not (self._live or self.settings.needs_shares or self.tally.total > 1):
             found = [one for one in found if not one.is_of_fraction]  # a recording of one impact has no fraction
+        if not self.tally.total and not self._live:  # where no channel gives anything, that is an error
+            self._silent += [one for one in found if one.is_silent]
+            found = [one for one in found if not one.is_silent]
         lost = {one.state.share.channel for one in reports if one.state.decision == "none"} & self._decided
         for one in map(self._steps.of, found):
             own = {name for name in lost if one.concerns(name)} if one.channels and not one.is_over else set()
