@@ -1,46 +1,32 @@
 """What of a channel is not as in the training, explained once: by one score for every fault that is known.
 
-The latest impacts of a channel are summarised in one vector. Each explanation (as the training, another scale, upside
-down, clipped, ...) is a density of it, learned from simulated recordings, sound and spoilt; where features carry powers
-of a unit, the fault is undone in the vector instead. The best explanation is told where it is clearly better than "as
-the training", by a limit of its own that at most so many sound recordings exceed.
+`explain` compares the latest impacts with `cgid.identification.model.explanations`, and `ChannelWatch` does so again
+and again in a live stream.
 """
 
 from __future__ import annotations
 
 from collections import deque
 from collections.abc import Mapping
-from dataclasses import dataclass
-from enum import StrEnum
-from typing import TYPE_CHECKING, Any, ClassVar, Self
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Self
 
 import numpy as np
-from numpy.typing import NDArray
+
+from cgid.identification.model.explanations import MOST_IMPACTS, Fault, Impacts, bin_of, candidates_of
 
 if TYPE_CHECKING:
     from cgid.identification.model.model import StoredModel
     from cgid.identification.prediction.answers import Answer
 
-#: Latest impacts that count, and their age in a live stream [s].
-MOST_IMPACTS = 200
+__all__ = ["ChannelWatch", "Evidence", "Explained", "Fault", "Past", "explain"]
+
+#: Age of the impacts that count in a live stream [s].
 OLDEST = 300.0
 #: Impacts from which on something is told.
-LEAST_IMPACTS = 10
-
-
-class Fault(StrEnum):
-    """What may be wrong with a channel; the values are words for programs."""
-
-    SCALE = "scale"  # samples are too large or too small, by `Explained.factor`
-    RATE = "rate"  # the stated sampling rate is `Explained.factor` times the true one
-    UPSIDE_DOWN = "upside_down"
-    CLIPPED = "clipped"
-    NOISE = "noise"
-    RINGING = "ringing"  # the sensor or its mount has a resonance
-    LOW_PASS = "low_pass"  # a filter, or a loose mount
-    BEAM = "beam"  # another beam than the model's
-    ROCKS = "rocks"  # of other sizes, hardness or falls; never of a beam, where any seam is sound
-    UNKNOWN = "unknown"  # nothing that is known explains it
+LEAST_IMPACTS = 3
+#: Explanations whose odds are within this of the best are told beside it.
+_ALIKE = 3.0
 
 
 class Evidence:
@@ -67,24 +53,6 @@ class Evidence:
     def n_unknown(self) -> int:
         """Number of impacts outside of the training, or not measured."""
         return sum(not answer.novelty <= 1 for answer in self.answers)
-
-
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class Explanations:
-    """The densities of all explanations of a model, as arrays in its file."""
-
-    PREFIX: ClassVar = "explanations."
-    ARRAYS: ClassVar[tuple[str, ...]] = ()
-
-    @classmethod
-    def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> Self | None:
-        """Return the explanations in the arrays of a model; None without any. Raise `BadData` if they do not fit."""
-        return None
-
-    @property
-    def arrays(self) -> dict[str, NDArray[Any]]:
-        """The arrays in a model file."""
-        return {self.PREFIX + name: np.ascontiguousarray(getattr(self, name)) for name in self.ARRAYS}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -142,7 +110,26 @@ class Past:
 
 def explain(evidence: Evidence, model: StoredModel, past: Past | None = None) -> Explained:
     """Return what explains the impacts best, in the training and, with a `past`, of a change since then."""
-    return Explained(n_impacts=evidence.n_impacts, n_unknown=evidence.n_unknown)
+    impacts, n_unknown = Impacts.of(evidence.answers, model), evidence.n_unknown
+    nothing = Explained(n_impacts=evidence.n_impacts, n_unknown=n_unknown)
+    known = model.explanations
+    if known is None or len(impacts.novelty) < LEAST_IMPACTS:
+        return nothing
+    odds, factors = known.odds(impacts, model)
+    excess = odds - known.limits[:, bin_of(len(impacts.novelty))]
+    told = [k for k in np.argsort(-odds).tolist() if excess[k] > 0]
+    if not told:
+        return replace(nothing, odds=float(excess.max()))
+    names = [one.faults for one in candidates_of(model.beam is not None)]
+    best = told[0]
+    others = {one: None for k in told[1:] if odds[k] > odds[best] - _ALIKE for one in names[k]}
+    return replace(
+        nothing,
+        faults=names[best],
+        factor=float(factors[best]),
+        odds=float(excess[best]),
+        others=tuple(one for one in others if one not in names[best]),
+    )
 
 
 class ChannelWatch:
