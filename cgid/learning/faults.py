@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,12 +21,16 @@ from cgid._lib.validation import Floats
 from cgid.errors import InvalidValue
 from cgid.identification.model.explanations import (
     BINS,
+    FLOOR,
+    MOST_OF_PAST,
     Explanations,
     Fault,
     Impacts,
     candidates_of,
     detrended,
+    difference,
     kinds_of,
+    reference,
     summary,
 )
 from cgid.identification.model.model import StoredModel
@@ -78,12 +82,16 @@ SPOILT = (Fault.UPSIDE_DOWN, Fault.CLIPPED, Fault.NOISE, Fault.RINGING, Fault.LO
 
 
 class Recording(NamedTuple):
-    """The impacts of one simulated recording, whether each is of gangue, and what is wrong with it, if anything."""
+    """The impacts of one simulated recording, whether each is of gangue, and what is wrong with it, if anything.
+
+    `at_home` is of forces on the rig of their scene.
+    """
 
     impacts: Impacts
     gangue: NDArray[np.bool_]
     fault: Fault | None
     factor: float
+    at_home: bool = False
 
 
 def any_seam(scene: Scene, seed: int, number: int) -> Scene:
@@ -141,7 +149,7 @@ def _times(value: float | str, factor: float) -> float | str:
     return f"{number[0] * factor!r} {number[1]}" if number else float(value) * factor
 
 
-def of_streams(scene: Scene, model: StoredModel, numbers: Iterable[int], seed: int) -> Iterator[list[Recording]]:
+def of_seams(scene: Scene, model: StoredModel, numbers: Iterable[int], seed: int) -> Iterator[list[Recording]]:
     """Yield a sound stream of any seam, and the same spoilt in each way."""
     for number in numbers:
         rng = np.random.default_rng([seed, number, 75])
@@ -192,7 +200,8 @@ def of_forces(batches: Iterable[Batch], model: StoredModel, seed: int) -> Iterat
             answers = answers_of(own, rate, model)
             frame = np.array([answer.time * batch.sampling_rate // length for answer in answers], np.intp)
             gangue = np.asarray(batch.labels)[np.minimum(frame, len(frames) - 1)] == "gangue"
-            made.append(Recording(Impacts.of(answers, model), gangue[_counted(answers)], fault, factor))
+            impacts, at_home = Impacts.of(answers, model), "many rigs" not in batch.source
+            made.append(Recording(impacts, gangue[_counted(answers)], fault, factor, at_home))
         yield made
 
 
@@ -259,6 +268,9 @@ _WINDOWS = 2
 #: So many windows have the fraction of gangue of the begin of a cycle; the others any (assumed).
 _COAL_SHARE = 0.25
 _COAL_FRACTION = 0.05
+#: Standard deviation of the logarithm of a channel's noise by itself: the background may change by half (a choice;
+#: with 0.1 a gain of 2 is told as often as a background that doubles, explain2.md).
+_STEADY = 0.4
 #: Fewest impacts of a window.
 _FEWEST = 3
 #: Fewest windows of a density; those of the next bin stand for fewer.
@@ -275,61 +287,77 @@ _LEAST_ODDS = 3.0
 
 
 class Window(NamedTuple):
-    """The summary of some impacts of a recording, without a move."""
+    """Some impacts of a recording, and their summary, or their difference from a past of the same channel."""
 
     recording: int
     fault: Fault | None
+    at_home: bool
     in_bin: int
     impacts: Impacts
+    past: Floats | None
     summary: Floats
 
 
 def with_faults(model: StoredModel, recordings: Iterable[Sequence[Recording]], seed: int) -> StoredModel:
     """Return a model that explains recordings, from simulated ones, sound and spoilt; nothing else changes."""
-    made = list(recordings)
-    spectrum = np.zeros(1)
+    made, spectrum = list(recordings), np.zeros(1)
+    arrays: dict[str, NDArray[Any]] = {}
     if model.beam is not None:
         sound = [detrended(one.impacts.spectra) for parts in made for one in parts if one.fault is None]
         spectrum = np.nan_to_num(np.mean(sound, axis=0))
-    windows = list(windows_of(model, made, spectrum, np.random.default_rng([seed, 77])))
     fold = np.random.default_rng([seed, 78]).permutation(len(made)) % _FOLDS
-    odds: list[list[Floats]] = [[] for _ in BINS]
-    with threadpool_limits(1):
-        for k in range(_FOLDS):
-            others = fitted(model, [one for one in windows if fold[one.recording] != k], spectrum)
-            for one in windows:
-                if fold[one.recording] == k and one.fault is None:
-                    odds[one.in_bin].append(others.odds(one.impacts, model)[0])
-        known = fitted(model, windows, spectrum)
-    limits = np.array([np.quantile(found, 1 - _FALSE_RATE, axis=0) for found in odds]).T
-    known = replace(known, limits=np.maximum(limits, _LEAST_ODDS))
+    for prefix in Explanations.PREFIXES:
+        of_past = prefix != Explanations.PREFIXES[0]
+        windows = list(windows_of(model, made, spectrum, np.random.default_rng([seed, 77]), of_past=of_past))
+        odds: list[list[Floats]] = [[] for _ in BINS]
+        with threadpool_limits(1):
+            for k in range(_FOLDS):
+                others = fitted(model, [one for one in windows if fold[one.recording] != k], spectrum)
+                for one in windows:
+                    if fold[one.recording] == k and one.fault is None:
+                        odds[one.in_bin].append(others.odds(one.impacts, model, one.past)[0])
+            known = fitted(model, windows, spectrum)
+        limits = np.array([np.quantile(found, 1 - _FALSE_RATE, axis=0) for found in odds]).T
+        arrays |= replace(known, limits=np.maximum(limits, _LEAST_ODDS)).arrays(prefix)
     told = {"n_recordings": len(made), "false_rate": _FALSE_RATE}
-    return replace(model, arrays={**model.arrays, **known.arrays}, training={**model.training, "faults": told})
+    return replace(model, arrays={**model.arrays, **arrays}, training={**model.training, "faults": told})
 
 
 def windows_of(
-    model: StoredModel, recordings: Sequence[Sequence[Recording]], spectrum: Floats, rng: np.random.Generator
+    model: StoredModel,
+    recordings: Sequence[Sequence[Recording]],
+    spectrum: Floats,
+    rng: np.random.Generator,
+    *,
+    of_past: bool = False,
 ) -> Iterator[Window]:
-    """Yield windows of recordings, of all lengths and fractions."""
+    """Yield windows of recordings, of all lengths and fractions; or their difference from earlier sound impacts."""
     for number, parts in enumerate(recordings):
         for one in parts:
             for in_bin, most in enumerate(BINS):
                 least = BINS[in_bin - 1] + 1 if in_bin else _FEWEST
                 for _ in range(_WINDOWS if one.fault else _SOUND_WINDOWS):
-                    fraction = _COAL_FRACTION if rng.random() < _COAL_SHARE else rng.random()
-                    chosen = _chosen(one.gangue, int(rng.integers(least, most + 1)), fraction, rng)
-                    if len(chosen) >= least:
-                        impacts = one.impacts.at(chosen)
-                        found = summary(impacts, model, spectrum, np.zeros((1, 2)))[0]
-                        yield Window(number, one.fault, in_bin, impacts, found)
+                    begin = int((1 - _SPOILT_PART) * one.gangue.size) if of_past and one.fault is None else 0
+                    chosen = begin + _chosen(one.gangue[begin:], int(rng.integers(least, most + 1)), rng)
+                    if len(chosen) < least:
+                        continue
+                    impacts, past = one.impacts.at(chosen), None
+                    if of_past:
+                        first = parts[0].gangue[: int((1 - _SPOILT_PART) * parts[0].gangue.size)]
+                        past = reference(parts[0].impacts.at(_chosen(first, MOST_OF_PAST, rng)), model)
+                        past[FLOOR - impacts.spectra.shape[1]] += _STEADY * rng.standard_normal()
+                        found = difference(impacts, model, past, np.zeros((1, 3)))[0]
+                    else:
+                        found = summary(impacts, model, spectrum, np.zeros((1, 3)))[0]
+                    yield Window(number, one.fault, one.at_home, in_bin, impacts, past, found)
 
 
-def _chosen(gangue: NDArray[np.bool_], n: int, fraction: float, rng: np.random.Generator) -> NDArray[np.intp]:
-    """Return up to n impacts, this fraction of them of gangue, in order."""
+def _chosen(gangue: NDArray[np.bool_], n: int, rng: np.random.Generator) -> NDArray[np.intp]:
+    """Return up to n impacts in order, a random fraction of them of gangue."""
+    fraction = _COAL_FRACTION if rng.random() < _COAL_SHARE else rng.random()
     n_gangue = rng.binomial(min(n, gangue.size), fraction)
     parts = [rng.permutation(np.flatnonzero(gangue == one)) for one in (True, False)]
-    chosen = np.concatenate([parts[0][:n_gangue], parts[1][: max(n - n_gangue, 0)]])
-    return np.sort(chosen[:n])
+    return np.sort(np.concatenate([parts[0][:n_gangue], parts[1][: max(n - n_gangue, 0)]]))
 
 
 def fitted(model: StoredModel, windows: Sequence[Window], spectrum: Floats) -> Explanations:
@@ -341,15 +369,18 @@ def fitted(model: StoredModel, windows: Sequence[Window], spectrum: Floats) -> E
         centre=centre,
         scale=scale,
         mean=np.zeros((len(kinds), n_bins, n)),
-        whitening=np.zeros((len(kinds), n_bins, n, n)),
+        whitening=np.zeros((len(kinds), n_bins, n * (n + 1) // 2)),
         limits=np.zeros((len(candidates_of(model.beam is not None)), n_bins)),
         spectrum=spectrum,
     )
     z = known.standardised(np.array([one.summary for one in windows]))
     bins = np.array([one.in_bin for one in windows])
     faults = np.array([kinds.index(one.fault) for one in windows])
+    at_home = np.array([one.at_home for one in windows])
     for k, kind in enumerate(kinds):
-        of_kind = faults > 0 if kind is Fault.UNKNOWN else faults == k
+        of_kind = faults > 0 if kind is Fault.UNKNOWN else faults == kinds.index(kind)
+        if kind is None and kinds.count(None) > 1:
+            of_kind &= at_home == (k > 0)
         for in_bin in range(n_bins):
             near = next(
                 bin_
@@ -359,5 +390,5 @@ def fitted(model: StoredModel, windows: Sequence[Window], spectrum: Floats) -> E
             own = z[of_kind & (bins == near)]
             covariance = ledoit_wolf(own)[0] * (_WIDER**2 if kind is Fault.UNKNOWN else 1.0)
             known.mean[k, in_bin] = own.mean(axis=0)
-            known.whitening[k, in_bin] = np.linalg.inv(np.linalg.cholesky(covariance))
+            known.whitening[k, in_bin] = np.linalg.inv(np.linalg.cholesky(covariance))[np.tril_indices(n)]
     return known

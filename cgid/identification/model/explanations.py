@@ -140,6 +140,11 @@ _SMOOTH = 15
 _LEAST_BANDS = 60
 #: Impacts whose novelty is found anew for each move: more of them cost time and tell little.
 _MOST_TRIED = 60
+#: Fewer impacts have no correlation.
+_FEW = 5
+#: Numbers of a summary that its spectrum gives; wide bands of a spectrum.
+_OF_SPECTRUM = 3
+_WIDE_BANDS = 7
 #: Shifts of a spectrum, in bands: rates up to 6 times the true one.
 _SHIFTS = np.arange(-90, 91)
 
@@ -150,7 +155,7 @@ def needed(model: StoredModel) -> tuple[str, ...]:
 
 
 def summary(impacts: Impacts, model: StoredModel, spectrum: Floats, moves: Floats) -> Floats:
-    """Return what impacts are like once peaks and widths are moved by logarithms (n_moves, 2), (n_moves, n_summary).
+    """Return what impacts are like once peaks and widths are moved by logarithms (n_moves, 3), (n_moves, n_summary).
 
     `spectrum` is that of sound recordings, (n_bands,), not used of forces. What cannot be told is nan.
     """
@@ -164,14 +169,14 @@ def summary(impacts: Impacts, model: StoredModel, spectrum: Floats, moves: Float
     fall = np.maximum(baseline - low, _NO_NOISE * rise)
     clear = -np.log(np.maximum(noise / rise, _NO_NOISE))
     ends = max(int(np.sum(np.abs(end) > (1 - _SAME_LIMIT) * np.abs(end).max())) for end in (high, low))
-    few = len(peak) < 3
+    alike = len(peak) < _FEW or min(peak.std(), width.std()) == 0
     rest = [
         *_of(restitution, _QUARTILES),
         *_of(deviation, _QUARTILES),
         *_of(unexplained, _QUARTILES),
         *(_of(np.arctanh(0.999 * one) if model.beam else one, 0.5) for one in columns[5:]),
         *([_of(np.log(impacts.misshapen[known] + _NOTHING), 0.5)] if model.beam else []),
-        np.nan if few else np.arctanh(0.99 * np.corrcoef(peak, width)[0, 1]),
+        np.nan if alike else np.arctanh(0.99 * np.corrcoef(peak, width)[0, 1]),
         *(_log_odds(count, n) for count in (n - known.sum(), impacts.flagged.sum(), ends - 1)),
         _log_odds(((n_high > 2) | (n_low > 2)).sum(), n),
         *_of(clear, [0.5, 0.9]),
@@ -182,7 +187,7 @@ def summary(impacts: Impacts, model: StoredModel, spectrum: Floats, moves: Float
     ]
     out = np.empty((len(moves), 12 + len(rest)))
     out[:, 12:] = rest
-    out[:, _PEAK], out[:, _WIDTH] = _of(peak, _QUANTILES) + moves[:, :1], _of(width, _QUANTILES) + moves[:, 1:]
+    out[:, _PEAK], out[:, _WIDTH] = _of(peak, _QUANTILES) + moves[:, :1], _of(width, _QUANTILES) + moves[:, 1:2]
     some = impacts.values[known][:: -(-len(peak) // _MOST_TRIED) or 1]
     inputs, guards = np.split(some, [len(model.features)], axis=1)
     if not len(inputs):
@@ -190,12 +195,48 @@ def summary(impacts: Impacts, model: StoredModel, spectrum: Floats, moves: Float
         return out
     places = [model.features.index(name) for name in names[:2]]
     moved = np.tile(inputs, (len(moves), 1, 1))
-    moved[:, :, places] *= np.exp(moves[:, None, :])
+    moved[:, :, places] *= np.exp(moves[:, None, :2])
     levels = model.levels(moved.reshape(-1, inputs.shape[1])).reshape(len(moves), -1)
     out[:, _LEVEL] = np.median(levels, axis=1) + levels.std(axis=1)
     novelty = model.novelty(moved.reshape(-1, inputs.shape[1]), np.tile(guards, (len(moves), 1)))
     out[:, _ODDS] = [_log_odds(count, len(inputs)) for count in (novelty.reshape(len(moves), -1) > 1).sum(axis=1)]
     return out
+
+
+#: Largest number of a reference that is kept in a file.
+MAX_NUMBER = 1e9
+#: Where a reference has its noise, before its spectrum.
+FLOOR = -1
+#: Impacts of a reference at least and at most: with fewer a change of 2 is told less often (explain2.md, 2).
+LEAST_OF_PAST = 50
+MOST_OF_PAST = 80
+
+
+def reference(impacts: Impacts, model: StoredModel) -> Floats:
+    """Return what impacts of a channel are like, for `difference`, (n_summary + n_more + n_bands,)."""
+    own = np.nan_to_num(detrended(impacts.spectra))
+    return np.concatenate([summary(impacts, model, own, np.zeros((1, 3)))[0], _more(impacts), own])
+
+
+def difference(impacts: Impacts, model: StoredModel, past: Floats, moves: Floats) -> Floats:
+    """Return how later impacts differ from a `reference`, moved as in `summary`, (n_moves, n_summary + n_more)."""
+    more, n_bands = _more(impacts), impacts.spectra.shape[1]
+    n = len(past) - n_bands - len(more)
+    found = np.empty((len(moves), n + len(more)))
+    found[:, :n] = summary(impacts, model, past[len(past) - n_bands :], moves)
+    compared = n - _OF_SPECTRUM if n_bands else n
+    found[:, :compared] -= past[:compared]
+    found[:, n:] = more - past[n : n + len(more)]
+    found[:, -1] += moves[:, 2]
+    return found
+
+
+def _more(impacts: Impacts) -> Floats:
+    """Return the noise before impacts, and the mean shares of power in wide bands of a vibration, as logarithms."""
+    floor = np.log(_of(impacts.sampled[:, _NOISE], 0.25) + np.finfo(np.float32).tiny)
+    parts = np.array_split(impacts.spectra, _WIDE_BANDS, axis=1) if impacts.spectra.size else []
+    shares = [np.nanmean(part) if np.isfinite(part).any() else np.nan for part in parts]
+    return np.array([*shares, floor])
 
 
 def _of(values: Floats, quantiles: Any) -> Any:
@@ -246,11 +287,11 @@ _SCALES = np.arange(-7.0, 7.05, 0.2)
 _RATES = np.arange(-2.2, 2.25, 0.1)
 _SIZES = np.arange(-2.0, 2.1, 0.4)
 _MODULI = np.arange(-2.4, 2.5, 0.6)
-#: How ln peak and ln width move with them: by units, and by Hertz, F ~ R^2 E^.4, T ~ R E^-.4.
+#: How ln peak, ln width and ln noise move with them: by units, and by Hertz, F ~ R^2 E^.4, T ~ R E^-.4.
 _MOVES = {
-    Fault.SCALE: np.stack([_SCALES, 0 * _SCALES], axis=1),
-    Fault.RATE: np.stack([0 * _RATES, -_RATES], axis=1),
-    Fault.ROCKS: np.array([(2 * r + 0.4 * e, r - 0.4 * e) for r in _SIZES for e in _MODULI]),
+    Fault.SCALE: np.array([(one, 0.0, one) for one in _SCALES]),
+    Fault.RATE: np.array([(0.0, -one, 0.0) for one in _RATES]),
+    Fault.ROCKS: np.array([(2 * r + 0.4 * e, r - 0.4 * e, 0.0) for r in _SIZES for e in _MODULI]),
 }
 
 
@@ -263,58 +304,75 @@ class Candidate(NamedTuple):
 
 
 def kinds_of(is_beam: bool) -> tuple[Fault | None, ...]:
-    """Return the explanations that have a density of their own: None is as the training."""
-    return (None, *_SPOILT, *(_OF_BEAM if is_beam else ()), Fault.UNKNOWN)
+    """Return the explanations that have a density of their own: None is as the training, of forces on many rigs.
+
+    The last of forces is as the training on the rig of its scenes, where recordings differ less.
+    """
+    return (None, *_SPOILT, *_OF_BEAM, Fault.UNKNOWN) if is_beam else (None, *_SPOILT, Fault.UNKNOWN, None)
 
 
 def candidates_of(is_beam: bool) -> list[Candidate]:
     """Return the explanations in the order of their limits."""
-    found = [Candidate((one,), one) for one in kinds_of(is_beam) if one is not None]
+    found = [Candidate((one,), one) for one in kinds_of(is_beam) if one]
     found += [Candidate((one,), None, one) for one in ((Fault.SCALE,) if is_beam else _MOVES)]
     found += [Candidate((Fault.SCALE, one), one, Fault.SCALE) for one in (Fault.CLIPPED, Fault.NOISE)]
     return found if is_beam else [*found, Candidate((Fault.RATE, Fault.CLIPPED), Fault.CLIPPED, Fault.RATE)]
 
 
+def moves_of(is_beam: bool) -> tuple[Floats, Mapping[Fault | None, slice]]:
+    """Return the moves that undo all candidates, (n_moves, 3), the first none, and the rows of each."""
+    names = [Fault.SCALE] if is_beam else list(_MOVES)
+    ends = np.cumsum([1, *(len(_MOVES[one]) for one in names)]).tolist()
+    rows: dict[Fault | None, slice] = {None: slice(0, 1)}
+    rows |= zip(names, itertools.starmap(slice, itertools.pairwise(ends)), strict=True)
+    return np.concatenate([np.zeros((1, 3)), *(-_MOVES[one] for one in names)]), rows
+
+
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Explanations:
-    """The densities of all explanations of a model, as arrays in its file."""
+    """The densities of all explanations of a model, as arrays in its file: of summaries, or of differences."""
 
     centre: Floats  # (n_summary,) of sound recordings
     scale: Floats  # (n_summary,) their standard deviations
     mean: Floats  # (n_kinds, n_bins, n_summary) in these units
-    whitening: Floats  # (n_kinds, n_bins, n_summary, n_summary), lower triangles
+    whitening: Floats  # (n_kinds, n_bins, n_summary (n_summary + 1) / 2), lower triangles
     limits: Floats  # (n_candidates, n_bins) least log odds against "as the training"
     spectrum: Floats  # (n_bands,) of sound recordings, 0 beyond the recorder's; one number of forces
 
-    PREFIX: ClassVar = "explanations."
+    PREFIXES: ClassVar = ("explanations.", "changes.")
     ARRAYS: ClassVar = ("centre", "scale", "mean", "whitening", "limits", "spectrum")
 
     @classmethod
-    def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> Self | None:
+    def from_arrays(cls, arrays: Mapping[str, NDArray[Any]], prefix: str) -> Self | None:
         """Return the explanations in the arrays of a model; None without any. Raise `BadData` if they do not fit."""
-        stored = {name: arrays[cls.PREFIX + name] for name in cls.ARRAYS if cls.PREFIX + name in arrays}
+        stored = {name: arrays[prefix + name] for name in cls.ARRAYS if prefix + name in arrays}
         if not stored:
             return None
         for name in cls.ARRAYS:
             if name not in stored:
-                raise BadData(f"array {cls.PREFIX}{name} is missing")
+                raise BadData(f"array {prefix}{name} is missing")
         is_beam, n, n_bins = stored["spectrum"].size > 1, stored["centre"].size, len(BINS)
         shapes = {"centre": (n,), "scale": (n,), "mean": (len(kinds_of(is_beam)), n_bins, n)}
-        shapes |= {"whitening": (*shapes["mean"], n), "limits": (len(candidates_of(is_beam)), n_bins)}
+        shapes["whitening"] = (*shapes["mean"][:2], n * (n + 1) // 2)
+        shapes["limits"] = (len(candidates_of(is_beam)), n_bins)
         shapes["spectrum"] = (len(BANDS) if is_beam else 1,)
         for name, shape in shapes.items():
             if stored[name].shape != shape:
-                raise BadData(f"array {cls.PREFIX}{name} must have shape {shape}, got {stored[name].shape}")
-        diagonal = np.diagonal(stored["whitening"], axis1=2, axis2=3)
+                raise BadData(f"array {prefix}{name} must have shape {shape}, got {stored[name].shape}")
+        diagonal = stored["whitening"][..., np.cumsum(np.arange(1, n + 1)) - 1]
         for name, values in (("scale", stored["scale"]), ("whitening", diagonal)):
             if values.min() < MIN_DIVISOR:
-                raise BadData(f"array {cls.PREFIX}{name} must be at least {MIN_DIVISOR:g}")
+                raise BadData(f"array {prefix}{name} must be at least {MIN_DIVISOR:g}")
         return cls(**stored)
 
     @property
-    def arrays(self) -> dict[str, NDArray[Any]]:
-        """The arrays in a model file."""
-        return {self.PREFIX + name: np.ascontiguousarray(getattr(self, name), np.float32) for name in self.ARRAYS}
+    def n_reference(self) -> int:
+        """Numbers of a `reference` of differences."""
+        return self.centre.size + (self.spectrum.size if self.spectrum.size > 1 else 0)
+
+    def arrays(self, prefix: str) -> dict[str, NDArray[Any]]:
+        """Return the arrays in a model file."""
+        return {prefix + name: np.ascontiguousarray(getattr(self, name), np.float32) for name in self.ARRAYS}
 
     def standardised(self, summaries: Floats) -> Floats:
         """Return summaries (n, n_summary) in standard deviations of sound recordings; what is not known is usual."""
@@ -322,35 +380,41 @@ class Explanations:
         size = np.abs(z)
         return np.asarray(np.where(size > _FAR, np.sign(z) * (_FAR + np.log1p(np.maximum(size - _FAR, 0))), z))
 
-    def densities(self, kind: int, in_bin: int, z: Floats) -> Floats:
+    def densities(self, kind: Fault | None, in_bin: int, z: Floats) -> Floats:
         """Return the log density of a kind at standardised summaries (n, n_summary), (n,)."""
-        whitening = self.whitening[kind, in_bin].astype(np.float64)
-        distance = np.square((z - self.mean[kind, in_bin]) @ whitening.T).sum(axis=1)
-        volume = np.log(np.diagonal(whitening)).sum()
-        return np.asarray(volume - (_FREEDOM + z.shape[1]) / 2 * np.log1p(distance / _FREEDOM))
+        found, n = [], z.shape[1]
+        for number, one in enumerate(kinds_of(self.spectrum.size > 1)):
+            if one is kind:
+                whitening = np.zeros((n, n))
+                whitening[np.tril_indices(n)] = self.whitening[number, in_bin]
+                distance = np.square((z - self.mean[number, in_bin]) @ whitening.T).sum(axis=1)
+                volume = np.log(np.diagonal(whitening)).sum()
+                found.append(volume - (_FREEDOM + n) / 2 * np.log1p(distance / _FREEDOM))
+        return np.asarray(np.logaddexp.reduce(found))
 
-    def odds(self, impacts: Impacts, model: StoredModel) -> tuple[Floats, Floats]:
-        """Return the log odds of each candidate against "as the training", and its factor, (n_candidates,) each."""
+    def odds(self, impacts: Impacts, model: StoredModel, past: Floats | None = None) -> tuple[Floats, Floats]:
+        """Return the log odds of each candidate against "as the training", and its factor, (n_candidates,) each.
+
+        With a `reference` as `past`, against "as before".
+        """
         in_bin, is_beam = bin_of(len(impacts.novelty)), model.beam is not None
-        kinds, candidates = kinds_of(is_beam), candidates_of(is_beam)
-        moves = {one.undone: _MOVES[one.undone] for one in candidates if one.undone is not None}
-        every = np.concatenate([np.zeros((1, 2)), *(-move for move in moves.values())])
-        summaries = summary(impacts, model, self.spectrum, every)
+        moves, rows = moves_of(is_beam)
+        if past is None:
+            summaries = summary(impacts, model, self.spectrum, moves)
+        else:
+            summaries = difference(impacts, model, past, moves)
         z = self.standardised(summaries)
-        ends = np.cumsum([1, *(len(m) for m in moves.values())]).tolist()
-        rows = {None: slice(0, 1)} | {
-            one: slice(*pair) for one, pair in zip(moves, itertools.pairwise(ends), strict=True)
-        }
-        sound = self.densities(0, in_bin, z[:1])[0]
+        sound = self.densities(None, in_bin, z[:1])[0]
         odds, factors = [], []
-        for _, kind, undone in candidates:
-            found = self.densities(kinds.index(kind), in_bin, z[rows[undone]])
+        for _, kind, undone in candidates_of(is_beam):
+            found = self.densities(kind, in_bin, z[rows[undone]])
             best = int(np.argmax(found))
-            odds.append(found[best] + np.log(np.mean(np.exp(found - found[best]))) - sound)
-            move = moves[undone][best] if undone is not None else np.zeros(2)
-            factors.append(np.exp(move[0] - move[1]) if undone in (Fault.SCALE, Fault.RATE) else np.nan)
+            odds.append(np.logaddexp.reduce(found) - np.log(len(found)) - sound)
+            move = moves[rows[undone]][best]
+            factors.append(np.exp(move[1] - move[0]) if undone in (Fault.SCALE, Fault.RATE) else np.nan)
             if kind is Fault.RATE:
-                factors[-1] = 1.02 ** summaries[0, -3]
+                shift = -_OF_SPECTRUM if past is None else -_OF_SPECTRUM - 1 - _WIDE_BANDS
+                factors[-1] = 1.02 ** summaries[0, shift]
         return np.array(odds), np.array(factors)
 
 

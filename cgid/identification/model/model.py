@@ -271,7 +271,7 @@ class StoredModel(Model):
         self.neighbourhood.check()
         # They check their arrays.
         _ = self._classifier, self.conformal, self.contrast, self.beam, self.confusion, self.seams, self.world
-        _ = self.explanations
+        _ = self.explanations, self.changes
         _ = self._level_weights
 
     def __eq__(self, other: object) -> bool:
@@ -524,7 +524,12 @@ class StoredModel(Model):
     @cached_property
     def explanations(self) -> Explanations | None:
         """What explains recordings that are not as in the training; None without simulated faults."""
-        return Explanations.from_arrays(self.arrays)
+        return Explanations.from_arrays(self.arrays, Explanations.PREFIXES[0])
+
+    @cached_property
+    def changes(self) -> Explanations | None:
+        """What explains that a channel is not as before; None without simulated faults."""
+        return Explanations.from_arrays(self.arrays, Explanations.PREFIXES[1])
 
     @cached_property
     def compared(self) -> list[int]:
