@@ -22,6 +22,7 @@ from cgid.errors import BadData, InvalidValue
 from cgid.identification.model.anchor import SeamNetworks
 from cgid.identification.model.conformal import Conformal
 from cgid.identification.model.confusion import Confusion
+from cgid.identification.model.explanations import Explanations
 from cgid.identification.model.families import (
     BY_NAME,
     MIN_DIVISOR,
@@ -270,6 +271,7 @@ class StoredModel(Model):
         self.neighbourhood.check()
         # They check their arrays.
         _ = self._classifier, self.conformal, self.contrast, self.beam, self.confusion, self.seams, self.world
+        _ = self.explanations, self.changes
         _ = self._level_weights
 
     def __eq__(self, other: object) -> bool:
@@ -518,6 +520,16 @@ class StoredModel(Model):
     def world(self) -> World | None:
         """What recordings like those of the training look like; None without simulated recordings."""
         return World.from_arrays(self.arrays)
+
+    @cached_property
+    def explanations(self) -> Explanations | None:
+        """What explains recordings that are not as in the training; None without simulated faults."""
+        return Explanations.from_arrays(self.arrays, Explanations.PREFIXES[0])
+
+    @cached_property
+    def changes(self) -> Explanations | None:
+        """What explains that a channel is not as before; None without simulated faults."""
+        return Explanations.from_arrays(self.arrays, Explanations.PREFIXES[1])
 
     @cached_property
     def compared(self) -> list[int]:

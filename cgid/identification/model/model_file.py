@@ -23,6 +23,7 @@ from cgid._lib import validation
 from cgid.errors import BadData, InvalidValue
 from cgid.identification.model.anchor import SeamNetworks, pulse_names
 from cgid.identification.model.confusion import Confusion
+from cgid.identification.model.explanations import Explanations, needed
 from cgid.identification.model.families import (
     BY_NAME,
     MIN_DIVISOR,
@@ -352,6 +353,7 @@ def _check_arrays(model: StoredModel) -> None:
     known |= {f"family.{name}" for name in family.AXES} | {f"beam.{name}" for name in Beam.ARRAYS}
     known |= {Contrast.PREFIX + name for name in (*Standardiser.NAMES, *Network.AXES, *Linear.AXES, "limit")}
     known |= {part.PREFIX + name for part in (Confusion, SeamNetworks, World) for name in part.ARRAYS}
+    known |= {prefix + name for prefix in Explanations.PREFIXES for name in Explanations.ARRAYS}
     for name, array in arrays.items():
         if name not in known:
             raise BadData(f"array {name!r} must be left out, a model of family {model.family} has no such array")
@@ -368,6 +370,8 @@ def _check_arrays(model: StoredModel) -> None:
         raise BadData("arrays of seams must be left out, they are for pulses of gangue and one other label")
     if any(name.startswith(World.PREFIX) for name in arrays) and not trait_names(model.measured):
         raise BadData("arrays of a world must be left out, they are for pulses and what these leave unexplained")
+    if any(name.startswith(Explanations.PREFIXES) for name in arrays) and not needed(model):
+        raise BadData("arrays of explanations must be left out, they are for pulses, shapes and what these leave")
     Standardiser.from_arrays(arrays, STANDARDISER)  # checks its scale and floor
     if any_through_beam(model.measured) != any(name.startswith("beam.") for name in arrays):
         raise BadData("a model must have the arrays of a beam if and only if features need it")

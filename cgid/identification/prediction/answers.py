@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 from cgid._lib.validation import UNKNOWN, Floats
 from cgid.errors import BadData, InvalidValue, MissingOption
 from cgid.identification.detection.detector import find_impacts
-from cgid.identification.detection.events import Event, frames_alike
+from cgid.identification.detection.events import Event, Framing, frames_alike
 from cgid.identification.model.anchor import pulse_names
+from cgid.identification.model.explanations import sampled
 from cgid.identification.model.model import Model, StoredModel, stored
 from cgid.identification.prediction.diagnosis import Cause, causes_of, with_frames
 from cgid.identification.prediction.settings import PredictionSettings
@@ -75,6 +76,11 @@ class Answer:
     pulse : tuple of float or None
         Peak force, width [s] and restitution of the contact, if these are features of the model; None without a
         measurement.
+    values : tuple of float or None
+        Inputs and guards of the model as measured; None without a measurement.
+    sampled : ndarray or None
+        What its samples show beside them, `cgid.identification.model.explanations.sampled`; None unless it was
+        found in a recording of one sensor.
     traits : tuple of float or None
         What is compared with recordings like those of the training, `cgid.identification.model.world.TRAITS`; None if
         the model knows none, or without a measurement.
@@ -99,6 +105,8 @@ class Answer:
     level: float = math.nan
     pulse: tuple[float, ...] | None = None
     traits: tuple[float, ...] | None = None
+    values: tuple[float, ...] | None = None
+    sampled: NDArray[np.float32] | None = field(default=None, compare=False)
 
     def __repr__(self) -> str:
         numbers = [f"p({label}) {value:.3f}" for label, value in self.probabilities.items()]
@@ -281,6 +289,7 @@ def measured_events(
             "a complete recording of them, or use a model of one sensor"
         )
     answers: dict[int, Answer] = {}
+    shown: dict[int, NDArray[np.float32]] = {}
     values = np.full((len(events), len(model.measured)), np.nan)
     for rows, frames in frames_alike(events):
         event = events[rows[0]]
@@ -296,11 +305,17 @@ def measured_events(
             channel=np.array([events[k].since * len(channels) + events[k].channel for k in rows]),
         )
         answers |= zip(rows, part, strict=True)
+        if frames.ndim == 2:
+            framing = Framing.of(model.kind, event.sampling_rate)
+            spectrum = model.beam is not None
+            seen = sampled(frames, event.sampling_rate, framing.quiet - framing.lead, spectrum=spectrum)
+            shown |= zip(rows, seen, strict=True)
     values[[bool(event.problem) for event in events]] = np.nan
-    return [_placed(answers[number], event, channels) for number, event in enumerate(events)], values
+    placed = (_placed(answers[k], event, channels, shown.get(k)) for k, event in enumerate(events))
+    return list(placed), values
 
 
-def _placed(answer: Answer, event: Event, channels: Sequence[str]) -> Answer:
+def _placed(answer: Answer, event: Event, channels: Sequence[str], shown: NDArray[np.float32] | None) -> Answer:
     return replace(
         unmeasured(event.problem) if event.problem else answer,
         time=event.time,
@@ -309,6 +324,7 @@ def _placed(answer: Answer, event: Event, channels: Sequence[str]) -> Answer:
         overlapping=event.overlapping or answer.overlapping,
         clipped=event.clipped,
         cut=event.cut,
+        sampled=shown,
     )
 
 
@@ -428,7 +444,8 @@ def answers_from(
     column = guards.T[model.guards.index("beam_unexplained")] if "beam_unexplained" in model.guards else None
     levels = model.levels(inputs)
     pulses = inputs[:, [model.features.index(name) for name in pulse_names(model.features)]].tolist()
-    traits = np.hstack([inputs, guards])[:, model.compared].tolist()
+    table = np.hstack([inputs, guards])
+    traits, values = table[:, model.compared].tolist(), table.tolist()
     untrained = "" if model.covers(sampling_rate) else f"not trained at {sampling_rate:g} Hz"
     for row, (label, labels) in enumerate(zip(*settings.labels(model, probabilities), strict=True)):
         novelty = float(novelties[row])
@@ -446,6 +463,7 @@ def answers_from(
             level=float(levels[row]),
             pulse=tuple(pulses[row]) or None,
             traits=tuple(traits[row]) or None,
+            values=tuple(values[row]),
         )
 
 
