@@ -444,6 +444,7 @@ MODEL: Any = SimpleNamespace(
     kind="pulse",
     subject="impact",
     quantity="force",
+    together=1,
     beam=None,
     unexplained=0.0,
     level_deviation=0.0,

@@ -94,7 +94,7 @@ class Telling(Findings):
         """Return what is known at the end of a recording of this duration [s]."""
         found, stated, pause = list[Finding](), self._settings.coal_until, self._settings.cycle_pause
         if stated is not None and stated > duration:
-            found.append(Finding(kind="late_coal", fields={"duration": duration, "stated": f"{stated:.6g} s"}))
+            found.append(Finding(kind="late_coal", fields={"duration": duration, "stated": stated}))
         if pause is not None and duration > (stated or 0.0) + pause:
             for name, begun in watch.cycles().items():
                 found += [] if begun else self._of_cycle(name, begun, duration)
