@@ -19,6 +19,7 @@ from cgid.errors import InvalidValue
 from cgid.identification.model.anchor import N_CLASSES, Anchor, Basis, class_edges
 from cgid.identification.model.confusion import Confusion, StreamAnswers, wilson_interval
 from cgid.identification.model.families import Network
+from cgid.identification.prediction.findings import Finding
 from cgid.identification.prediction.fraction import (
     FIRST,
     LAPSE,
@@ -36,7 +37,6 @@ from cgid.identification.prediction.fraction import (
     trained_share,
     unproven,
 )
-from cgid.identification.prediction.findings import Finding
 from cgid.identification.prediction.prediction import Answer, PredictionSettings
 from cgid.identification.prediction.support import CavingWatch, Decision, Ground, SupportReport
 from cgid.recordings.lines import HEARD_AFTER
