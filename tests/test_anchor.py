@@ -319,8 +319,8 @@ def test_a_window_that_does_not_fit_the_coal_refuses_it_in_a_file_as_in_a_stream
     lines_of(folder, capsys, "monitor", "--coal-until", "1")
     for wrong[0] in list(dict.fromkeys(seen))[1:5]:
         lines = {one: lines_of(folder, capsys, one, "--coal-until", "1")[0] for one in ("monitor", "predict")}
-        warned = {one: [line["message"] for line in found if line["kind"] == "warning"] for one, found in lines.items()}
-        told = {one: [text.split(": ")[1] for text in texts if "hardly" in text] for one, texts in warned.items()}
+        warned = {one: [line["message"] for line in found if line["kind"] == "finding"] for one, found in lines.items()}
+        told = {one: [text for text in texts if "hardly" in text] for one, texts in warned.items()}
         assert told["predict"] == told["monitor"] and len(told["predict"]) == 1
         last = {one: [line["basis"] for line in found if line["kind"] == "share"][-1] for one, found in lines.items()}
         assert last == {"monitor": "anchor_foreign", "predict": "anchor_foreign"}
@@ -369,7 +369,7 @@ def test_cycles_without_a_pause_are_told_once(
         assert lines_of(folder, capsys, command, "--coal-until", "1", "--set", "cycle_pause=1s")[1].count(words) == 1
         # A recording that is no longer than its coal and a pause may end with its first cycle.
         assert "no pause" not in lines_of(folder, capsys, command, "--coal-until", "1", "--set", "cycle_pause=2s")[1]
-    monkeypatch.setattr("cgid.cli.answer_rows._LONGEST_CYCLE", 1.2)
+    monkeypatch.setattr("cgid.identification.prediction.telling._LONGEST_CYCLE", 1.2)
     err = lines_of(folder, capsys, "monitor", "--coal-until", "1", "--set", "cycle_pause=1s")[1]
     (told,) = re.findall(r"no pause of 1 s came from 0 to (\S+) s", err)
     assert 1.2 <= float(told) < 2
@@ -384,11 +384,11 @@ def test_an_anchor_that_does_not_fit_or_is_too_small_or_late_is_told(
         ("any", "4", "--coal-until must be within the recording of 3 s, got 4 s"),
     ):
         lines, err = lines_of(folder, capsys, "predict", "--coal-until", coal, model=model)
-        told = [line["message"] for line in lines if line["kind"] == "warning"]
+        told = [line["message"] for line in lines if line["kind"] == "finding"]
         assert sum(words in one for one in told) == 1, told
         assert err.count(words) == 1
     lines, err = lines_of(folder, capsys, "predict", "--coal-until", "1")
-    assert "coal" not in err and not any("basis" in line for line in lines if line["kind"] == "warning")
+    assert "coal" not in err and not any("coal" in line["message"] for line in lines if line["kind"] == "finding")
 
 
 @pytest.mark.parametrize("command", ["predict", "monitor"])

@@ -23,7 +23,7 @@ from scipy.stats import binom
 from cgid import predict
 from cgid.calibration import SiteCalibration
 from cgid.calibration.modes import FEWEST, uncertain
-from cgid.cli.hints import OWN_SCENE, Hints
+from cgid.cli.hints import OWN_SCENE, NextSteps
 from cgid.cli.main import run
 from cgid.identification.model.model import StoredModel
 from cgid.identification.model.model_file import LEVELS
@@ -34,13 +34,11 @@ from cgid.identification.prediction.diagnosis import (
     Cause,
     CauseKind,
     ChannelAnswers,
-    Condition,
     Diagnosis,
-    Hint,
     _factor_of,
     misfit_text,
-    scale_warning,
 )
+from cgid.identification.prediction.findings import Finding, as_option, words
 from cgid.identification.prediction.prediction import read_model
 from cgid.identification.prediction.stream import identify_blocks
 from cgid.identification.training import train_on_specimens
@@ -108,18 +106,24 @@ def beam() -> np.ndarray:
     return of_the_trained_beam(1.5)
 
 
+def steps_of(diagnosis: Diagnosis, rate: float, options: tuple[str, ...] = (), *more: Any) -> NextSteps:
+    return NextSteps(diagnosis, rate, "my file.csv", options, *more)
+
+
 def hint_of(
     samples: np.ndarray, rate: float, model: StoredModel, options: tuple[str, ...] = (), **fields: object
-) -> Hint | None:
-    hints = Hints(model, rate, "my file.csv", options)
+) -> Finding | None:
+    """The first finding of a recording, with the commands that help."""
+    diagnosis, silent = Diagnosis(model, rate), list[Finding]()
     for step in identify_blocks([samples[None]], rate, model, ("1",), PredictionSettings(**fields)):
-        hints.add(step.answers, step.upside_down)
-    return next(iter(hints.hints()), None)
+        diagnosis.add(step.answers, step.upside_down)
+        silent += [one for one in step.found if one.moves]
+    return next((steps_of(diagnosis, rate, options).of(one) for one in silent + diagnosis.findings()), None)
 
 
 def cause_of(samples: np.ndarray, rate: float, model: StoredModel) -> str | None:
     hint = hint_of(samples, rate, model)
-    return None if hint is None else hint.cause
+    return None if hint is None else hint.kind
 
 
 # -- the cause ----------------------------------------------------------------------------------------
@@ -137,19 +141,19 @@ def test_what_is_answered_well_gets_no_hint(beam: np.ndarray) -> None:
 def test_causes_of_vibrations(beam: np.ndarray) -> None:
     random = np.random.default_rng(0)
     assert cause_of(beam + random.normal(0, 150, beam.size), BEAM_RATE, of_levels()) == "noise"
-    assert cause_of(0.01 * beam, BEAM_RATE, of_levels()) == "amplitude"
+    assert cause_of(0.01 * beam, BEAM_RATE, of_levels()) == "scale"
     other = of_another_beam()
     for samples in (other, other + random.normal(0, 0.02 * other.max(), other.size)):
         assert cause_of(samples, BEAM_RATE, of_levels()) == "features"
-        assert cause_of(samples, BEAM_RATE, BEAM) == "shape"
+        assert cause_of(samples, BEAM_RATE, BEAM) == "other_beam"
 
 
 def test_causes_of_pulses() -> None:
     force = stream(LABELS, 0.05)
     assert cause_of(np.minimum(force, 2000), RATE, PULSES) == "clipped"
     assert cause_of(force + np.roll(force, 97) + np.roll(force, 194), RATE, PULSES) == "overlapping"
-    assert cause_of(1e3 * force, RATE, PULSES) == "amplitude"
-    assert cause_of(1e-3 * force, RATE, PULSES) == "amplitude"
+    assert cause_of(1e3 * force, RATE, PULSES) == "scale"
+    assert cause_of(1e-3 * force, RATE, PULSES) == "scale"
     assert cause_of(force, RATE / 10, PULSES) == "duration"
     times = np.arange(400) / RATE
     ringing = np.convolve(force, np.exp(-times * 1500) * np.sin(2 * np.pi * 1500 * times))[: force.size]
@@ -163,7 +167,7 @@ def test_a_pulse_that_points_down_and_rebounds_is_turned_over() -> None:
     samples = -force + np.convolve(force, np.exp(-times / 5e-3) / (5e-3 * RATE))[: force.size]
     hint = hint_of(samples, RATE, PULSES)
     assert hint is not None
-    assert hint.cause == "upside_down"
+    assert hint.kind == "upside_down"
     assert hint.commands == ("cgid predict 'my file.csv' --set invert=true",)
     assert hint_of(-samples, RATE, PULSES) is None
 
@@ -172,20 +176,20 @@ def test_a_wrong_sampling_rate_is_told_by_the_true_one() -> None:
     """The answers change when only the rate does, so the rate is the cause."""
     samples = of_the_trained_beam(3)
     model = of_levels()
-    hints = Hints(model, 2 * BEAM_RATE, "x.csv", ("--rate", "51200", "--unit", "g"), ("--set", "mass=2"))
+    diagnosis = Diagnosis(model, 2 * BEAM_RATE)
     for step in identify_blocks([samples[None]], 2 * BEAM_RATE, model, ("1",), PredictionSettings()):
         # Only those outside of the training: at this rate about half of them are.
-        hints.add([answer for answer in step.answers if answer.novelty > 1])
-    (hint,) = hints.hints()
-    assert hint is not None
-    assert hint.cause == "sampling_rate"
-    assert "at 25600 Hz they would be inside" in hint.line
-    assert hint.commands == ("cgid predict x.csv --unit g --set mass=2 --rate 25600",)
-    # As well if the file states the wrong rate, but not of a dataset.
-    hints._options, hints._labelled = ("--unit", "g"), False
-    assert hints.hints()[0].commands == hint.commands
-    hints._labelled = True
-    assert hints.hints()[0].commands == () and "correct it in the file" in hints.hints()[0].line
+        diagnosis.add([answer for answer in step.answers if answer.novelty > 1])
+    (found,) = diagnosis.findings()
+    assert found.kind == "rate"
+    assert found.fields["true_rate"] == BEAM_RATE
+    assert "sampling_rate" in found.line("x.csv")
+    for options in (("--rate", "51200", "--unit", "g"), ("--unit", "g")):  # as well if the file states the wrong rate
+        hint = NextSteps(diagnosis, 2 * BEAM_RATE, "x.csv", options, ("--set", "mass=2")).of(found)
+        assert hint.commands == ("cgid predict x.csv --unit g --set mass=2 --rate 25600",)
+    # Not of a dataset.
+    hint = NextSteps(diagnosis, 2 * BEAM_RATE, "x.csv", ("--unit", "g"), labelled=True).of(found)
+    assert hint.commands == () and "correct it in the file" in hint.line("x.csv", 1, as_option)
 
 
 @pytest.mark.parametrize("model", [PULSES, BEAM])
@@ -195,16 +199,14 @@ def test_frames_without_an_impact_are_too_weak(model: StoredModel) -> None:
     quiet = np.random.default_rng(0).normal(0, 0.1, (30, 1060))
     rising = quiet + np.append(np.zeros(1000), 100 * np.sin(np.linspace(0, 1.5, 60)))
     for frames, cause in ((np.full_like(quiet, 0.5), "noise"), (rising, "unmeasured")):
-        hints = Hints(model, rate, "x")
-        hints.add(identify_frames(frames, rate, model, pre_trigger=1000))
-        assert [(hint.cause, hint.n_unknown) for hint in hints.hints()] == [(cause, 30)]
+        diagnosis = Diagnosis(model, rate)
+        diagnosis.add(identify_frames(frames, rate, model, pre_trigger=1000))
+        (found,) = diagnosis.findings()
+        assert (found.kind, found.fields["unknown"]) == (cause, "30 of 30 impacts unknown: ")
 
 
-def test_each_cause_has_a_text() -> None:
-    texts = tomllib.loads((ROOT / "cgid" / "cli" / "hints.toml").read_text(encoding="utf-8"))
-    # Too weak to measure; the shape through a beam; channels of a beam; levels that are not those of the training.
-    more = {"hidden", "other_beam", "same_beam", "scale"}
-    assert set(texts) == {*CauseKind, *more}
+def test_each_cause_has_words() -> None:
+    assert set(CauseKind) <= words().keys()
 
 
 @pytest.mark.parametrize(
@@ -212,7 +214,7 @@ def test_each_cause_has_a_text() -> None:
 )
 def test_any_factor_is_told_in_words_that_are_right(factor: float, told: str) -> None:
     model = read_model("default")
-    assert f"about {told} times as large as in the training" in scale_warning(factor, model)
+    assert f"about {told} times as large" in Diagnosis(model)._scale(("1",), factor).line("x")
     for part, word in ((MisfitPart.SCALE, "large"), (MisfitPart.SIZES, "large"), (MisfitPart.SEAM, "hard")):
         text = misfit_text(Misfit(part, 50, factor), model)
         assert f"about {told} times as {word}" in text and text.endswith("(told of at most 1 % of recordings that are)")
@@ -271,20 +273,17 @@ def answers_of(share: float, noise: float | None) -> list[Answer]:
     return identify_frames(batch.signals, batch.sampling_rate, model, pre_trigger=batch.pre_trigger)
 
 
-def change_of(answers: list[Answer], model: StoredModel = BEAM) -> Hint | None:
-    """The hint for answers that come every second; it must not come before there are enough."""
-    hints = Hints(model, BEAM_RATE, "my file.csv", ("--unit", "g"), live=True)
+def change_of(answers: list[Answer], model: StoredModel = BEAM) -> Finding | None:
+    """The first finding of answers that come every second, if it is of the beam; not before there are enough."""
+    diagnosis = Diagnosis(model, BEAM_RATE, live=True)
     for number, answer in enumerate(answers):
-        hints.add([replace(answer, time=float(number))])
-        if any(change.condition == Condition.BEAM for change in hints.changes(float(number))):
-            assert number >= 29
-            return next(iter(hints.hints()), None)
+        diagnosis.add([replace(answer, time=float(number))])
+        for found in diagnosis.changes(float(number)):
+            if found.kind == "beam":
+                assert number >= 29
+                assert found in diagnosis.standing("1")
+                return steps_of(diagnosis, BEAM_RATE, ("--unit", "g")).of(found)
     return None
-
-
-def cause_of_change(answers: list[Answer], model: StoredModel = BEAM) -> str | None:
-    hint = change_of(answers, model)
-    return None if hint is None else hint.cause
 
 
 @pytest.mark.parametrize("noise", few([None, 0.3, 0.003]))
@@ -299,8 +298,7 @@ def test_modes_that_are_off_by_a_hundredth_are_noticed(noise: float | None) -> N
     assert np.mean([answer.label == "unknown" for answer in answers]) > (0.2 if noise == 0.03 else 0.5)
     hint = change_of(answers)
     assert hint is not None
-    assert hint.cause == "beam"
-    assert hint.line.startswith("the beam has changed, or it is another: the modes of the model's leave ")
+    assert "the modes of the model's leave" in hint.line("x")
     assert hint.commands[0] == "cgid events 'my file.csv' --unit g -o events.csv"
     # The beam of a user is not that of the shipped scene.
     assert hint.instead == (
@@ -310,12 +308,12 @@ def test_modes_that_are_off_by_a_hundredth_are_noticed(noise: float | None) -> N
         "cgid predict 'my file.csv' --unit g --model site.npz",
     )
     # Disturbed impacts show nothing, and few are not enough.
-    assert cause_of_change([replace(answer, overlapping=True) for answer in answers]) != "beam"
-    assert cause_of_change(answers[:29]) != "beam"
+    assert change_of([replace(answer, overlapping=True) for answer in answers]) is None
+    assert change_of(answers[:29]) is None
     # A model that was trained on such errors finds nothing new in them.
     middle = float(np.median([answer.unexplained for answer in answers]))
     used = replace(BEAM, training={**BEAM.training, "median_beam_unexplained": middle})
-    assert cause_of_change(answers, used) != "beam"
+    assert change_of(answers, used) is None
     assert StoredModel.from_bytes(used.to_bytes()).unexplained == middle
 
 
@@ -336,26 +334,25 @@ def test_forces_that_no_contact_has_are_told_with_the_way_to_find_out() -> None:
     """From a hundred impacts on, while the beam explains them; long pulses tell nothing."""
     answers = [replace(answer, label="coal", unexplained=0.0) for answer in answers_of(0.0, None)[:50]] * 4
     for share, told in ((2.5, False), (6.0, True)):
-        hints = Hints(BEAM, BEAM_RATE, "my file.csv", ("--unit", "g"), live=True)
-        found: list[tuple[int, Condition, bool]] = []
+        diagnosis = Diagnosis(BEAM, BEAM_RATE, live=True)
+        found: list[tuple[int, Finding]] = []
         for number, answer in enumerate(answers):
-            hints.add([replace(answer, time=float(number), misshapen=share if number % 2 else float("nan"))])
-            found += [(number, one.condition, one.begins) for one in hints.changes(float(number))]
-        assert found == ([(199, Condition.CHAIN, True)] if told else [])
-        lines = [hint.line for hint in hints.hints()]
-        assert bool(lines) == told
+            diagnosis.add([replace(answer, time=float(number), misshapen=share if number % 2 else float("nan"))])
+            found += [(number, one) for one in diagnosis.changes(float(number))]
+        assert [(number, one.kind, one.is_over) for number, one in found] == [(199, "chain", False)] * told
+        assert [one.kind for one in diagnosis.findings()] == ["chain"] * told
         if told:
-            assert lines[0].startswith("the force has a shape that no contact has (6 % of it, median of the last 100")
-            assert lines[0].endswith("cgid calibrate 'my file.csv' --unit g --scene tail_beam -o site.toml")
-    # Where most begin while an earlier one rings, the scene of a stream explains them.
-    hints = Hints(BEAM, BEAM_RATE, "my file.csv", ("--unit", "g"))
+            assert found[0][1].fields["value"] == 6.0
+            (hint,) = (steps_of(diagnosis, BEAM_RATE, ("--unit", "g")).of(one) for one in diagnosis.findings())
+            assert hint.commands[0].startswith("cgid calibrate 'my file.csv' --unit g --scene tail_beam -o site.toml")
+    # Where most begin while an earlier one rings, the scene of a stream explains them; behind the beam of a user,
+    # neither of them does.
     times = 0.03 * np.arange(200) + 0.3 * (np.arange(200) // 3)
-    hints.add([replace(one, time=float(time), misshapen=6.0) for one, time in zip(answers, times, strict=True)])
-    (hint,) = hints.hints()
-    assert hint.line.endswith("cgid calibrate 'my file.csv' --unit g --scene caving -o site.toml")
-    # Behind the beam of a user, neither of them does.
-    hints.model = with_modes_off(0.05)
-    assert hints.hints()[0].commands[1].startswith("cgid calibrate 'my file.csv' --unit g --scene YOUR_BEAM.toml ")
+    for model, scene in ((BEAM, "caving"), (with_modes_off(0.05), "YOUR_BEAM.toml")):
+        diagnosis = Diagnosis(model, BEAM_RATE)
+        diagnosis.add([replace(one, time=float(time), misshapen=6.0) for one, time in zip(answers, times, strict=True)])
+        (hint,) = (steps_of(diagnosis, BEAM_RATE, ("--unit", "g")).of(one) for one in diagnosis.findings())
+        assert any(f"calibrate 'my file.csv' --unit g --scene {scene} " in step for step in hint.commands)
 
 
 @pytest.mark.long
@@ -373,23 +370,15 @@ def test_a_changed_beam_in_a_stream(tmp_path: Path, capsys: pytest.CaptureFixtur
     ):
         assert run(["monitor", *arguments]) == 0
         told = capsys.readouterr()
-        found = [line for line in map(json.loads, told.out.splitlines()) if line["kind"] == "hint"]
+        found = [line for line in map(json.loads, told.out.splitlines()) if line.get("finding") == "beam"]
         assert len(found) == n_hints
-        assert told.err.count("cgid: hint: ") == n_hints
+        assert told.err.count("the beam has changed") == n_hints
         for line in found:
-            assert line["cause"] == "beam"
             assert line["commands"][0].startswith(f"cgid events {file} ")
             assert line["instead"][1].startswith(f"cgid calibrate {file} ")
 
 
 # -- the line -----------------------------------------------------------------------------------------
-
-
-def printed(path: Path, options: list[str], capsys: pytest.CaptureFixture[str]) -> list[str]:
-    """Return the lines of the hint that `predict` prints for a recording."""
-    assert run(["predict", str(path), *options]) == 0
-    lines = capsys.readouterr().err.splitlines()
-    return lines[next(k for k, line in enumerate(lines) if line.startswith("cgid: hint: ")) :]
 
 
 def test_the_unit_that_explains_the_size_is_named() -> None:
@@ -399,16 +388,17 @@ def test_the_unit_that_explains_the_size_is_named() -> None:
         ((), ()),
     ):
         hint = hint_of(1e3 * force, RATE, PULSES, options)
-        assert hint is not None and (hint.cause, hint.commands) == ("amplitude", wanted)
+        assert hint is not None and (hint.kind, hint.commands) == ("scale", wanted)
 
 
 def test_the_coal_of_another_seam_ends_within_a_recording_of_fifty_impacts() -> None:
     """At eight rocks a second these take ten seconds."""
     for part in (MisfitPart.SEAM, MisfitPart.SIZES):
-        hints = Hints(BEAM, BEAM_RATE, "a.wav", ("--unit", "g"))
-        hints.add(answers_of(0.0, None))
-        text = hints.misfit_warning(Misfit(part, 50, 2.0))
-        assert text.endswith("is that of this seam: cgid predict a.wav --unit g --coal-until 10s")
+        diagnosis = Diagnosis(BEAM, BEAM_RATE)
+        diagnosis.misfits["1"] = Misfit(part, 50, 2.0)
+        (found,) = diagnosis.findings()
+        hint = NextSteps(diagnosis, BEAM_RATE, "a.wav", ("--unit", "g")).of(found)
+        assert hint.commands == ("cgid predict a.wav --unit g --coal-until 10s",)
 
 
 # -- every command that is printed --------------------------------------------------------------------
@@ -437,20 +427,20 @@ def recordings_with_hints(folder: Path) -> dict[str, tuple[str, list[str]]]:
     wavfile.write(folder / "two channels.wav", round(BEAM_RATE), np.stack([counts, -counts], 1))
     pulses = ["--rate", f"{RATE:g}"]
     return {
-        text("two.csv", BEAM_RATE, "left (m/s^2),right (m/s^2)", *two): ("shape", []),
-        text("units.csv", BEAM_RATE, "left (g),right (m/s^2),tap (N)", motion / 9.8, *two): ("shape", []),
+        text("two.csv", BEAM_RATE, "left (m/s^2),right (m/s^2)", *two): ("other_beam", []),
+        text("units.csv", BEAM_RATE, "left (g),right (m/s^2),tap (N)", motion / 9.8, *two): ("other_beam", []),
         array("volts.npy", *(one / 100 for one in two)): (
-            "shape",
+            "other_beam",
             [*unstated, "--unit", "V", "--sensitivity", "1=10 mV/(m/s^2)", "--sensitivity", "2=9 mV/(m/s^2)"],
         ),
         array("picked.npy", *two, motion): (
-            "shape",
+            "other_beam",
             [*unstated, "--unit", "g", "--channel", "3", "--channel", "1", "--set", "coverage=.9"],
         ),
-        "two channels.wav": ("shape", ["--full-scale", "5 g", "--set", "dead_time=6"]),
-        array("faster.npy", resample_poly(motion, 2, 1)): ("shape", ["--rate", "51200", "--unit", "m/s^2"]),
+        "two channels.wav": ("other_beam", ["--full-scale", "5 g", "--set", "dead_time=6"]),
+        array("faster.npy", resample_poly(motion, 2, 1)): ("other_beam", ["--rate", "51200", "--unit", "m/s^2"]),
         array("down.npy", force, rebounding): ("upside_down", [*pulses, "--unit", "N"]),
-        array("kilo.npy", force, force): ("amplitude", [*pulses, "--unit", "kN"]),
+        array("kilo.npy", force, force): ("scale", [*pulses, "--unit", "kN"]),
         array("ringing.npy", ringing, ringing): ("vibration", [*pulses, "--unit", "N"]),
     }
 
@@ -517,8 +507,8 @@ def test_every_command_of_a_hint_works(
     cause, options = recordings_with_hints(recordings)[name]
     assert run(["predict", f"../recordings/{name}", *options, "--json"]) == 0
     lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
-    hints = [line for line in lines if line["kind"] == "hint"]
-    assert [hint["cause"] for hint in hints][:1] == [cause]
+    hints = [line for line in lines if line["kind"] == "finding" and line["commands"]]
+    assert [hint["finding"] for hint in hints][:1] == [cause]
     commands = [follow(way, run_one) for hint in hints for way in (hint["commands"], hint["instead"])]
     capsys.readouterr()
     assert any(commands)
@@ -535,9 +525,9 @@ def test_the_same_is_told_with_and_without_a_report(
     for more in ((), ("--report", "page.html")):
         assert run(["predict", name, *options, "--json", *more]) == 0
         lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
-        told.append([line for line in lines if line["kind"] in ("warning", "hint")])
+        told.append([line for line in lines if line["kind"] == "finding"])
     assert told[0] == told[1]
-    assert any(line["kind"] == "hint" for line in told[0])
+    assert any(line["commands"] for line in told[0])
 
 
 # -- the level ----------------------------------------------------------------------------------------
@@ -555,9 +545,9 @@ def own_answers(model: str, factor: float) -> tuple[Answer, ...]:
 
 def level_of(model: str, answers: tuple[Answer, ...]) -> str | None:
     shipped = StoredModel.load(ROOT / "models" / f"{model}.npz")
-    hints = Hints(shipped, shipped.sampling_rates[0], "x")
-    hints.add(answers)
-    return next((hints.level_warning(factor) for factor in hints.wrong_scales().values()), None)
+    diagnosis = Diagnosis(shipped, shipped.sampling_rates[0])
+    diagnosis.add(answers)
+    return next((one.line("x") for one in diagnosis.findings() if one.kind == "scale"), None)
 
 
 SHIPPED = ["default", "default-acceleration"]
@@ -572,7 +562,7 @@ def test_a_factor_adds_its_logarithm_to_the_levels(model: str) -> None:
 
 
 def conditions_of(parts: list[tuple[str, tuple[Answer, ...]]], model: str) -> list[tuple[int, str, str, bool]]:
-    """Return when what begins and ends in a live stream: number of the impact, channel, condition.
+    """Return when what begins and ends in a live stream: number of the impact, channel, kind, whether it begins.
 
     These are blows one by one, without rebounds, so the stream as a whole is not of the world of the training.
     """
@@ -582,8 +572,8 @@ def conditions_of(parts: list[tuple[str, tuple[Answer, ...]]], model: str) -> li
         for answer in answers:
             number += 1
             diagnosis.add([replace(answer, channel=channel, time=number / 8)])
-            changes = [one for one in diagnosis.changes(number / 8) if one.condition != Condition.FOREIGN]
-            found += [(number, one.channel, str(one.condition), one.begins) for one in changes]
+            changes = [one for one in diagnosis.changes(number / 8) if one.kind not in ("foreign", "other_seam")]
+            found += [(number, *one.channels, one.kind, not one.is_over) for one in changes]
     return found
 
 
@@ -597,7 +587,7 @@ def test_a_gain_that_changes_is_told_within_thirty_impacts_and_when_it_is_back(m
     begun = [number - before for number, _, condition, begins in found if begins]
     assert 1 <= begun[0] <= 30
     told = dict.fromkeys((condition for _, _, condition, begins in found if begins))
-    assert "wrong_scale" in told
+    assert "scale" in told
     ended = [number - before - n for number, _, condition, begins in found if not begins]
     assert ended and max(ended) <= 120
 
@@ -612,15 +602,15 @@ def test_each_channel_is_told_whatever_is_wrong_with_another() -> None:
     ]
     found = conditions_of(parts, "default")
     assert {(channel, condition) for _, channel, condition, _ in found} == {
-        ("1", "mostly_unknown"),
-        ("2", "wrong_scale"),
+        ("1", "coverage"),
+        ("2", "scale"),
     }
     # In a recording as a whole, too.
-    hints = Hints(StoredModel.load(ROOT / "models" / "default.npz"), RATE, "x")
+    diagnosis = Diagnosis(StoredModel.load(ROOT / "models" / "default.npz"), RATE)
     for channel, answers in parts:
-        hints.add([replace(one, channel=channel) for one in answers])
-    assert [hint.channels for hint in hints.hints()] == [("1",)]
-    assert hints.wrong_scales().keys() == {"2"}
+        diagnosis.add([replace(one, channel=channel) for one in answers])
+    told = {one.kind: one.channels for one in diagnosis.findings()}
+    assert told["coverage"] == ("1",) and told["scale"] == ("2",)
 
 
 def test_only_the_latest_answers_of_a_live_stream_count() -> None:
@@ -753,7 +743,7 @@ def told_of_scale(command: str, kind: str, number: int, factor: float, model: Pa
     capsys.readouterr()
     assert run([command, str(path), *given, *raw]) == 0
     lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
-    return any(line["kind"] in ("warning", "hint") for line in lines)
+    return any(line["kind"] == "finding" and not line["note"] for line in lines)
 
 
 @pytest.mark.parametrize("kind", ["pulse", "vibration", "window"])

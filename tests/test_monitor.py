@@ -64,7 +64,7 @@ def test_a_gap_costs_one_warning_and_no_other_channel(
         out = capsys.readouterr().out
         # Pulses that are turned round in time are no impacts of the training: their level is warned of; and both
         # channels have impacts at the same times.
-        messages = [row["message"] for row in rows_of(out, "warning")]
+        messages = [row["message"] for row in rows_of(out, "finding")]
         own = [text for text in messages if "drop heights" not in text and "the same rocks" not in text]
         return rows_of(out, "impact"), own
 
@@ -99,7 +99,7 @@ def test_a_channel_is_taken_again_and_the_end_comes_only_where_none_is_readable(
         reading = [*given[1:], "--rate", str(RATE), "--unit", "N", "--json"]
         code = run([command, str(tmp_path / given[0]), *reading, *options])
         out, err = capsys.readouterr()
-        return code, rows_of(out, "impact"), [row["message"] for row in rows_of(out, "warning")], err
+        return code, rows_of(out, "impact"), [row["message"] for row in rows_of(out, "finding")], err
 
     first = round(0.3 * RATE)
     samples[first:, 1] = np.nan
@@ -195,7 +195,7 @@ def test_events_leave_before_the_stream_goes_on(force: np.ndarray) -> None:
         process.stdin.close()
         rest = process.stdout.read().decode()
         assert len(rows_of(rest, "impact")) == 24
-        assert "left out" in rows_of(rest, "warning")[0]["message"]
+        assert "left out" in rows_of(rest, "finding")[0]["message"]
     finally:
         process.kill()
         process.wait()
@@ -238,7 +238,7 @@ def test_a_stream_that_stalls_is_stopped_and_taken_up_again(force: np.ndarray) -
         assert next(row for row in states if row["ground"] == "seen")["kind"] in ("share", "state")
         process.stdin.close()
         assert "stopped" not in [row["ground"] for row in states]
-        assert b"stopped since" in process.stderr.read()
+        assert b": stopped: " in process.stderr.read()
         assert process.wait(60) == 0
 
 

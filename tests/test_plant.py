@@ -28,7 +28,7 @@ from cgid.cli.main import run
 from cgid.errors import BadData, CannotCreate, InvalidValue, NoInput
 from cgid.pages.server import MAX_CLIENTS
 from cgid.plant import PlantOutputs, commands, mqtt
-from cgid.plant.modbus import HEAD, MAX_SUPPORTS, WIDTH, registers
+from cgid.plant.modbus import EACH, FINDINGS, HEAD, MAX_SUPPORTS, WIDTH, registers
 from cgid.plant.output import Output
 from cgid.plant.state import BIN_TIME, Waveform
 from cgid.plant.web import page
@@ -501,7 +501,7 @@ def test_only_reads_of_registers_are_answered(outputs) -> None:
         b"\4\xff\xff\0\2": 2,
         b"\x2b\x0e\1\0": 1,
         b"\x11": 1,
-        struct.pack(">BHH", 4, HEAD + WIDTH * MAX_SUPPORTS, 1): 2,
+        struct.pack(">BHH", 4, FINDINGS + EACH * MAX_SUPPORTS, 1): 2,
     }
     for request, error in refused.items():
         assert asked(port, modbus_frame(request)) == [modbus_frame(bytes([request[0] | 0x80, error]))]

@@ -15,12 +15,12 @@ import pytest
 from click.testing import CliRunner
 
 from cgid import load_model, open_recording, predict, read_recording, shipped
-from cgid.cli.hints import Hints
+from cgid.cli.hints import NextSteps
 from cgid.cli.main import cli
 from cgid.errors import InvalidValue
 from cgid.identification.model.model import StoredModel
 from cgid.identification.prediction import Answer, identify_recording
-from cgid.identification.prediction.diagnosis import Cause, CauseKind
+from cgid.identification.prediction.diagnosis import Cause, CauseKind, Diagnosis
 from cgid.identification.prediction.same_beam import (
     CROSSING,
     Detected,
@@ -35,6 +35,7 @@ from cgid.identification.prediction.same_beam import (
 )
 from cgid.identification.prediction.settings import PredictionSettings, require_groups
 from cgid.identification.prediction.stream import answering_channels, identify_blocks
+from cgid.identification.prediction.telling import untold_beams
 from cgid.measure.features.vibration import BEAM_PULSE
 from cgid.scene import load_scene
 from cgid.scene.synthesis.several_sensors import recorded_together
@@ -262,7 +263,7 @@ def told(
         assert all(until <= answer.time for answer in step.answers)
         until = step.until
         answers += step.answers
-        lines += (*step.warnings, *step.wrong_beams)
+        lines += [one.line("signal", len(channels)) for one in step.found if not one.is_silent]
     assert [one.time for one in answers] == sorted(one.time for one in answers)
     return answers, lines
 
@@ -291,7 +292,8 @@ def test_a_missing_channel_changes_no_bit(model: StoredModel, samples: np.ndarra
         both, lines = told(np.stack([samples, missing]), model, "1+2")
         assert rows(both) == rows(alone)
         assert {one.channel for one in both} == {"1+2"}
-        assert [line.split(": ")[1] for line in lines] == [f"channel 2 of 1+2 is left out at {alone[19].time:.6g} s"]
+        (line,) = lines
+        assert f"channel 2: since {alone[19].time:.6g} s: it is left out of 1+2: " in line
 
 
 def test_two_sensors_are_one_row_and_surer(model: StoredModel, samples: np.ndarray) -> None:
@@ -435,7 +437,7 @@ def test_predict_counts_a_rock_once(pairs: Path) -> None:
     assert {line["channel"] for line in lines if line["kind"] == "share"} == {"1+2", "3"}
     assert "hear" not in err
     _, err = ran("predict", pairs / "monday.npy", *READ)
-    assert "channels 1 and 2 hear the same rocks" in err
+    assert "channels 1, 2: they hear the same rocks" in err and "give --same-beam 1+2" in err
     result = CliRunner().invoke(cli, ["predict", str(pairs / "monday.npy"), *map(str, READ), "--channel", "1+2"])
     assert "give --same-beam 1+2 if they are on one beam" in result.stderr
 
@@ -489,20 +491,17 @@ def test_a_table_of_rocks_trains_a_model(pairs: Path) -> None:
         assert ("trained with channels of one beam together; give --same-beam 1+2" in err) is is_told
 
 
-@pytest.mark.parametrize(
-    ("factor", "cause"), [(1.0, "features"), (2.4, "features"), (0.1, "amplitude"), (10.0, "amplitude")]
-)
-def test_no_labels_are_asked_for_where_the_scale_is_wrong(
-    factor: float, cause: str, default_force: StoredModel
-) -> None:
-    hints = Hints(default_force, 200e3, "x.wav", ["--sensitivity", "1 V"], channels=["1"])
+@pytest.mark.parametrize(("factor", "kind"), [(1.0, "features"), (2.4, "features"), (0.1, "scale"), (10.0, "scale")])
+def test_no_labels_are_asked_for_where_the_scale_is_wrong(factor: float, kind: str, default_force: StoredModel) -> None:
+    diagnosis = Diagnosis(default_force, 200e3)
     levels = default_force.level_deviation * np.random.default_rng(2).normal(0, 1, 40) + np.log(factor)
     unlike = Answer(time=0.0, label="unknown", novelty=9.0, probabilities={"coal": 1.0})
     feature = Cause(CauseKind.FEATURES, 1.0, "peak")
-    hints.add([replace(unlike, time=float(k), level=one, cause=feature) for k, one in enumerate(levels.tolist())])
-    (hint,) = hints.hints()
-    assert hint.cause == cause
-    assert bool(hint.commands) is (cause == "features")
+    diagnosis.add([replace(unlike, time=float(k), level=one, cause=feature) for k, one in enumerate(levels.tolist())])
+    (found,) = diagnosis.findings()
+    assert found.kind == kind
+    steps = NextSteps(diagnosis, 200e3, "x.wav", ["--sensitivity", "1 V"], channels=["1"])
+    assert bool(steps.of(found).commands) is (kind == "features")
 
 
 def test_hints_name_the_channels_of_one_beam(default_force: StoredModel) -> None:
@@ -523,9 +522,10 @@ def test_hints_name_the_channels_of_one_beam(default_force: StoredModel) -> None
         (beams, ["--same-beam", "1+2"], ["1+2"], "cgid events x.wav --unit N --same-beam 1+2 -o events.csv"),
         (beams, [], ["1", "2"], "cgid predict x.wav --unit N --same-beam 1+2"),
     ):
-        hints = Hints(own, 200e3, "x.wav", ["--unit", "N"], given, channels=["1", "2"])
-        hints.add([replace(unlike, time=float(k), channel=name) for k in range(30) for name in channels])
-        (hint,) = hints.hints()
+        diagnosis = Diagnosis(own, 200e3, beams="\n".join(untold_beams(own, ["1", "2"], given)))
+        diagnosis.add([replace(unlike, time=float(k), channel=name) for k in range(30) for name in channels])
+        (found,) = diagnosis.findings()
+        hint = NextSteps(diagnosis, 200e3, "x.wav", ["--unit", "N"], given, channels=["1", "2"]).of(found)
         assert hint.commands[0] == first
         if len(hint.commands) > 1:
             assert ("--same-beam 1+2" in hint.commands[-1]) is bool(given)

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid.cli.answer_rows import AnswerLines, RecordingRows
-from cgid.cli.answering import Models, model_option, settings_of, settings_with_coal, warn_of_model
+from cgid.cli.answering import Models, model_option, settings_of, settings_with_coal
 from cgid.cli.help import Command
 from cgid.cli.options import PATH, json_option
 from cgid.cli.output import lines_taken, say, warn
@@ -350,11 +350,12 @@ def _follow(
     labelled: Manifest | None = None,
 ) -> None:
     """Print the predictions for a stream until it ends or is interrupted."""
-    from cgid.cli.hints import Hints
+    from cgid.cli.hints import NextSteps
+    from cgid.identification.prediction.findings import Finding
     from cgid.identification.prediction.pipeline import Pipeline
 
     def warned(text: str) -> None:
-        lines.warning(live.source, f"{live.source}: {text}")
+        lines.finding(live.source, Finding(kind="reading", fields={"text": text}))
 
     model = models.of(live.channels[0].quantity)
     names = [channel.name for channel in live.channels]
@@ -364,11 +365,9 @@ def _follow(
     # A stream is over when the next command runs: that is for a recording of it.
     file = live.source if live.is_wav and Path(live.source).is_file() else "RECORDING"
     beams = beam_words(map("+".join, settings.same_beam))
-    hints = Hints(model, live.sampling_rate, file, given_options()[0], beams, channels=names, live=True)
-    pipeline = Pipeline(
-        model, live.channels, live.sampling_rate, settings, live.source, warned, live=True, diagnosis=hints
-    )
-    rows = RecordingRows(pipeline, lines, hints=hints)
+    pipeline = Pipeline(model, live.channels, live.sampling_rate, settings, live.source, live=True)
+    steps = NextSteps(pipeline.diagnosis, live.sampling_rate, file, given_options()[0], beams, channels=names)
+    rows = RecordingRows(pipeline, lines, steps)
     inbox.on_pause = settings.blinded_after, rows.stopped
     if outputs is not None:
         outputs.begin(
@@ -381,7 +380,6 @@ def _follow(
             blind_after=settings.blinded_after,
             waited=lambda: inbox.waited,
         )
-    warn_of_model(live.source, live.source, live.sampling_rate, model, settings, names)
 
     def begun(name: str) -> None:
         assert pipeline.watch is not None

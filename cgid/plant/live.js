@@ -49,7 +49,7 @@ function groundText(one, old, isVoid) {  // `old` is the age of the data [s]
   const words = { seen: "seen", blind: "BLIND", fault: "FAULTY", wrong_scale: "WRONG SCALE", mostly_unknown: "MOSTLY UNKNOWN", unproven: "MODEL UNPROVEN", stopped: "STREAM STOPPED" };
   const known = isVoid ? `last known: ${words[one.ground]}` : `${words[one.ground]} for ${age(one.ground_since_s)}`;
   const parts = [known + (one.reason ? `: ${one.reason}` : "")];
-  if (one.foreign) parts.push(`${one.foreign} unlike the training`);
+  parts.push(...(one.findings || []));
   if (one.last_sound_s !== null) parts.push(`last valid sample ${age(one.last_sound_s)} ago`);
   if (one.last_identified_s !== null) parts.push(`last identified impact ${age(one.last_identified_s)} ago`);
   return parts.join(" · ");

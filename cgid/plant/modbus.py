@@ -20,7 +20,10 @@ from cgid.plant.state import PlantState, Record, Support, age
 VERSION = 2
 #: Registers of the head and of each support; maximum number of supports.
 HEAD, WIDTH, MAX_SUPPORTS = 16, 16, 256
-_SIZE = HEAD + WIDTH * MAX_SUPPORTS
+#: Behind those of the supports: the numbers of what stands of each, so many at most.
+FINDINGS = HEAD + WIDTH * MAX_SUPPORTS
+EACH = 4
+_SIZE = FINDINGS + EACH * MAX_SUPPORTS
 _NOT_KNOWN = 0xFFFF
 _DECISIONS = {Decision.NONE: 0, Decision.DRAW: 1, Decision.SHUT: 2, Decision.UNSURE: 3}
 _GROUNDS = {
@@ -79,7 +82,7 @@ def answered(request: bytes, plant: PlantState) -> bytes:
 
 
 def registers(plant: PlantState, supports: list[tuple[Support, Record]]) -> list[int]:
-    """Return all registers: the head, then those of each support in the order of the channels."""
+    """Return all registers: the head, those of each support in the order of the channels, and what stands of each."""
     head = [VERSION, plant.beats & 0xFFFF, _tenths(plant.age), _tenths(plant.behind), len(supports), int(plant.ended)]
     values = head + [0] * (HEAD - len(head))
     for support, record in supports[:MAX_SUPPORTS]:
@@ -99,6 +102,10 @@ def registers(plant: PlantState, supports: list[tuple[Support, Record]]) -> list
             _tenths(age(record, record["last_sound_s"])),
         ]
         values += of_support + [0] * (WIDTH - len(of_support))
+    values += [0] * (FINDINGS - len(values))
+    for support, _ in supports[:MAX_SUPPORTS]:
+        numbers = [one["number"] for one in support.findings.values()][:EACH]
+        values += numbers + [0] * (EACH - len(numbers))
     return values
 
 

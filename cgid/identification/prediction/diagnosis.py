@@ -1,7 +1,7 @@
 """Why most impacts of a recording are unknown, whether its beam has changed, and whether its scale is wrong.
 
-A `Diagnosis` counts the predictions of a recording by channel and cause; its `ChannelFinding` is the cause of most
-unknown predictions. `cgid.cli.hints` suggests what to do. A model with a beam also detects changes of the beam that are
+A `Diagnosis` counts the predictions of a recording by channel and cause; its findings are the cause of most unknown
+predictions. `cgid.cli.hints` adds commands. A model with a beam also detects changes of the beam that are
 too small for single impacts: with the right modes, half of the impacts have almost no unexplained energy.
 """
 
@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from cgid._lib.terminal import counted
 from cgid._lib.validation import UNKNOWN, Floats
 from cgid.errors import CgidError
 from cgid.identification.detection.events import EVENT_TIME
@@ -24,6 +25,7 @@ from cgid.identification.model.world import CHECKS, Misfit, MisfitPart, WorldTes
 from cgid.identification.prediction.findings import Finding
 from cgid.measure.features.extraction import extract_array, powers_of
 from cgid.measure.frames import ProblemKind
+from cgid.units import UNITS
 
 if TYPE_CHECKING:
     from cgid.identification.model.model import StoredModel
@@ -91,8 +93,8 @@ class CauseKind(StrEnum):
     UPSIDE_DOWN = "upside_down"
     COVERAGE = "coverage"
     UNMEASURED = "unmeasured"
-    SAMPLING_RATE = "sampling_rate"
-    AMPLITUDE = "amplitude"
+    SAMPLING_RATE = "rate"
+    AMPLITUDE = "scale"
     DURATION = "duration"
     VIBRATION = "vibration"
     SHAPE = "shape"
@@ -342,87 +344,36 @@ class Condition(StrEnum):
     FOREIGN = "foreign"  # the recording as a whole is not like those of the training; this does not end
 
 
-#: Kinds of the findings of conditions.
-_KINDS = {
-    Condition.WRONG_SCALE: "scale",
-    Condition.UPSIDE_DOWN: "upside_down",
-    Condition.MOSTLY_UNKNOWN: "mostly_unknown",
-    Condition.BEAM: "beam",
-    Condition.CHAIN: "chain",
-    Condition.FOREIGN: "foreign",
-}
-
-
-class Change(NamedTuple):
-    """A condition of a channel that begins or ends at a time [s]; the likely factor of a wrong scale."""
-
-    channel: str
-    condition: Condition
-    begins: bool
-    time: float
-    factor: float = float("nan")
-
-
-@dataclass(frozen=True, kw_only=True)
-class ChannelFinding:
-    """Why most answers of some channels are unknown, or how their beam has changed."""
-
-    # `value` is a median over the examples, for a changed beam the part that the latest `n_latest` impacts leave
-    # unexplained [%].
-
-    cause: CauseKind
-    channels: tuple[str, ...]
-    n_unknown: int
-    n_answers: int
-    value: float = float("nan")
-    name: str = ""
-    low: float = float("nan")
-    high: float = float("nan")
-    problem: str = ""
-    n_latest: int = 0
-
-
-class InWords(str):
-    """A step that is no command, such as filling in a table."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Hint:
-    """Why most predictions are unknown or the beam differs from the model's, and what to do."""
-
-    # `commands` are the next steps, in order, and `instead` the alternatives; `channels` is empty if it concerns all.
-
-    cause: CauseKind
-    reason: str
-    advice: str
-    commands: tuple[str, ...]
-    instead: tuple[str, ...] = ()
-    channels: tuple[str, ...] = ()
-    n_unknown: int = 0
-    n_answers: int = 0
-
-    @property
-    def line(self) -> str:
-        """The hint as text: reason, remedy and the first command, which names the next one itself."""
-        return f"{self.reason}; {self.advice}{''.join(f': {step}' for step in self.commands[:1])}"
-
-
 class Diagnosis:
     """Count the predictions of a recording, and determine the causes if most of a channel are unknown.
 
     In a `live` stream each channel is judged by its latest predictions alone, however long the stream runs, and
-    `changes` says what begins and what ends.
+    `changes` says what begins and what ends. `channels` are all of the recording; a model that was trained with `beams`
+    of several, which nobody has named here, knows them as such.
     """
 
-    def __init__(self, model: StoredModel, *, live: bool = False) -> None:
-        self.model, self._live = model, live
+    def __init__(
+        self,
+        model: StoredModel,
+        sampling_rate: float = float("nan"),
+        *,
+        beams: str = "",
+        labelled: bool = False,
+        live: bool = False,
+    ) -> None:
+        self.model, self._live, self._rate, self._labelled, self._beams = model, live, sampling_rate, labelled, beams
         self.channels: dict[str, ChannelAnswers] = {}
         self.upside_down: set[str] = set()
         self._scales: dict[str, _Scale] = {}
-        self._conditions: dict[str, set[Condition]] = {}
+        self._conditions: dict[str, dict[Condition, Finding]] = {}
         self._worlds: dict[str, WorldTest] = {}
         #: What does not fit of each channel that is not like recordings of the training.
         self.misfits: dict[str, Misfit] = {}
+
+    @property
+    def subject(self) -> str:
+        """What one prediction is of, in words."""
+        return "signal" if self._labelled else self.model.subject
 
     def add(self, answers: Iterable[Answer], upside_down: Iterable[str] | None = None) -> None:
         """Count more predictions, and set the channels that are upside down, where this is known."""
@@ -446,19 +397,18 @@ class Diagnosis:
 
     def conditions(self, channel: str) -> set[Condition]:
         """Return what is wrong with a channel, as of the last `changes`."""
-        return self._conditions.get(channel, set())
+        return set(self._conditions.get(channel, ()))
 
     def standing(self, channel: str) -> tuple[Finding, ...]:
         """Return what stands of a channel and can move its answers, as of the last `changes`."""
-        kinds = (_KINDS[one] for one in Condition if one in self.conditions(channel))
-        return tuple(one for kind in kinds if (one := Finding(kind=kind, channels=(channel,))).moves)
+        return tuple(one for one in self._conditions.get(channel, {}).values() if one.moves)
 
-    def changes(self, time: float) -> list[Change]:
+    def changes(self, time: float) -> list[Finding]:
         """Return what has begun or ended in a live stream up to a time [s]."""
         found = []
         changed, foreign = self._changed(), self.misfits
         for name in sorted(self.channels.keys() | self.upside_down):
-            channel, before = self.channels.get(name, ChannelAnswers()), self.conditions(name)
+            channel, before = self.channels.get(name, ChannelAnswers()), self._conditions.get(name, {})
             channel.forget(time)
             now = set[Condition]()
             least = _NO_LONGER if Condition.MOSTLY_UNKNOWN in before else _MOSTLY
@@ -481,14 +431,25 @@ class Diagnosis:
                 and (Condition.WRONG_SCALE in before or now <= {Condition.FOREIGN})
             ):
                 now.add(Condition.WRONG_SCALE)
-            self._conditions[name] = now
-            found += [self.change(name, one, time) for one in Condition if (one in now) != (one in before)]
+            began = {one: replace(self._begun(name, one), begin=time) for one in Condition if one in now - set(before)}
+            found += [replace(before[one], end=time) for one in Condition if one in before.keys() - now]
+            found += began.values()
+            self._conditions[name] = {**{one: told for one, told in before.items() if one in now}, **began}
         return found
 
-    def change(self, channel: str, condition: Condition, time: float) -> Change:
-        """Return a condition of a channel as it is now."""
-        factor = self._scales[channel].factor if channel in self._scales else float("nan")
-        return Change(channel, condition, condition in self.conditions(channel), time, factor)
+    def _begun(self, name: str, condition: Condition) -> Finding:
+        """Return the finding of a condition of a channel that has just begun."""
+        if condition == Condition.WRONG_SCALE:
+            return self._scale((name,), self._scales[name].factor)
+        if condition == Condition.FOREIGN:
+            return self._foreign(name)
+        if condition == Condition.UPSIDE_DOWN:
+            return Finding(kind=str(CauseKind.UPSIDE_DOWN), channels=(name,))
+        if condition == Condition.BEAM:
+            return self._change({name: self.channels[name].median_unexplained()[1]})
+        if condition == Condition.CHAIN:
+            return self._misshapen((name,))
+        return self._finding(self.channels[name].decisive.most_common(1)[0][0], (name,))
 
     def is_as_a_seam(self, channel: str) -> bool:
         """Return whether the factor of the levels of a channel may be that of a seam."""
@@ -515,11 +476,13 @@ class Diagnosis:
         """Return whether a beam that had changed still leaves more of the latest impacts unexplained."""
         return float(np.median(list(channel.unexplained)[-_LATEST[0] :])) > self._limit
 
-    def findings(self, names: Iterable[str] | None = None) -> list[ChannelFinding]:
-        """Return the causes, with the channels of each that are upside down, mostly unknown, or of a changed beam."""
-        changed, causes = self._changed(), dict[CauseKind, list[str]]()
-        for name in self.channels if names is None else sorted(self.channels.keys() & set(names)):
-            channel = self.channels[name]
+    def findings(self) -> list[Finding]:
+        """Return what is wrong with the whole of a recording: one finding a channel."""
+        found, told = list[Finding](), set[str]()
+        causes = dict[CauseKind, list[str]]()
+        changed = {} if self.model.beam is None else self._changed()
+        for name in sorted(self.channels.keys() | self.upside_down):
+            channel = self.channels[name] if name in self.channels else ChannelAnswers()
             # The rebounds of inverted pulses may be identified, but on the wrong side.
             if name in self.upside_down:
                 causes.setdefault(CauseKind.UPSIDE_DOWN, []).append(name)
@@ -533,63 +496,110 @@ class Diagnosis:
                 causes.setdefault(CauseKind.BEAM, []).append(name)
             elif channel.misshapen and channel.median_misshapen > MISSHAPEN:
                 causes.setdefault(CauseKind.CHAIN, []).append(name)
-        return [
-            self._change({name: changed[name] for name in names})
-            if cause is CauseKind.BEAM
-            else self._misshapen(names)
-            if cause is CauseKind.CHAIN
-            else self._finding(cause, names)
-            for cause, names in causes.items()
-        ]
+            elif (factor := _factor_of(channel.levels, self.model)) != 1:
+                found.append(self._scale((name,), factor))
+                told.add(name)
+        for cause, names in causes.items():
+            told |= set(names)
+            if cause is CauseKind.UPSIDE_DOWN:
+                found.append(Finding(kind=str(cause), channels=tuple(names)))
+            elif cause is CauseKind.BEAM:
+                found.append(self._change({name: changed[name] for name in names}))
+            else:
+                found.append(self._misshapen(names) if cause is CauseKind.CHAIN else self._finding(cause, names))
+        return found + [self._foreign(name) for name in sorted(self.misfits.keys() - told)]
 
-    def _finding(self, cause: CauseKind, names: Sequence[str]) -> ChannelFinding:
-        affected = [self.channels[name] for name in names]
+    def _finding(self, cause: CauseKind, names: Sequence[str]) -> Finding:
+        """Return why most answers of some channels are unknown."""
+        model, affected = self.model, [self.channels[name] for name in names]
         examples = [one.cause for channel in affected for one in channel.examples.get(cause, ()) if one.cause]
         problem = sum((channel.problems for channel in affected), Counter[str]()).most_common(1)
         name = Counter(one.name for one in examples).most_common(1)[0][0] if examples else ""
         if cause is CauseKind.FEATURES:  # of several inputs, the one that is most often the cause
             examples = [one for one in examples if one.name == name]
-        return ChannelFinding(
-            cause=cause,
-            **self._counts(names),
-            value=float(np.median([one.value for one in examples])) if examples else float("nan"),
-            name=name,
-            low=examples[0].low if examples else float("nan"),
-            high=examples[0].high if examples else float("nan"),
+        value = float(np.median([one.value for one in examples])) if examples else float("nan")
+        factors = [self.far_scale(name) for name in names]
+        if cause is CauseKind.FEATURES and 1 not in factors:
+            return self._scale(names, float(np.median(factors)), self._unknown(names))
+        if cause is CauseKind.AMPLITUDE:
+            return self._scale(names, value, self._unknown(names))
+        low, high = (examples[0].low, examples[0].high) if examples else (float("nan"), float("nan"))
+        is_outside = np.isfinite(low) and not low <= value <= high
+        kind = str(cause)
+        if cause is CauseKind.SHAPE and model.beam is not None and not self._labelled:
+            kind = "other_beam"
+        elif cause is CauseKind.FEATURES and self._beams:
+            kind = "untold_beam"
+        training = f"(mainly {name}: {value:.3g}, in the training {low:.3g} to {high:.3g})"
+        return self._of(
+            kind,
+            names,
+            unknown=self._unknown(names),
+            value=value,
+            true_rate=value,
+            times=times(value),
             problem=problem[0][0] if problem else "",
+            clear="" if np.isnan(value) else f", only {value:.2g} times as strong as what is before them",
+            range=f" {training}" if is_outside else "",
+            beam=self._beams,
+            what="parts of recordings" if model.subject == "window" else "impacts",
+            or_order=", or the channels are in another order" if model.together > 1 else "",
+            other_rate=f"; and sampled at {self._rate:g} Hz, not {model.rates_text}"
+            if not np.isnan(self._rate) and not model.covers(self._rate)
+            else "",
         )
 
-    def _change(self, changed: Mapping[str, list[float]]) -> ChannelFinding:
+    def _unknown(self, names: Iterable[str]) -> str:
+        """Return in words how many predictions of some channels are unknown."""
+        affected = [self.channels[name] for name in names]
+        n_unknown, n_answers = sum(one.n_unknown for one in affected), sum(one.n_answers for one in affected)
+        return f"{n_unknown} of {counted(n_answers, self.subject)} unknown: "
+
+    def _of(self, kind: str, names: Iterable[str], factor: float = float("nan"), **fields: Any) -> Finding:
+        """Return a finding with the fields that many words share."""
+        common = {
+            "kind": self.subject,
+            "rate": self._rate,
+            "units": ", ".join(spellings(self.model.quantity)),
+            "correct_rate": "correct sampling_rate",
+            "correct_unit": "correct unit",
+        }
+        return Finding(kind=kind, channels=tuple(names), factor=factor, fields=common | fields)
+
+    def _scale(self, names: Sequence[str], factor: float, unknown: str = "") -> Finding:
+        """Return the finding of channels with samples that are about this factor too large."""
+        model = self.model
+        is_like_g = model.quantity == "acceleration" and _LIKE_G[0] < max(factor, 1 / factor) < _LIKE_G[1]
+        return self._of(
+            "scale",
+            names,
+            factor,
+            unknown=unknown,
+            times=times(factor),
+            as_g=" (g taken for m/s^2 or the other way round is a factor of 9.81)" if is_like_g else "",
+            forces="forces" if model.kind == "pulse" or model.beam is not None else "signals",
+        )
+
+    def _foreign(self, name: str) -> Finding:
+        """Return the finding of a channel that as a whole is not like recordings of the training."""
+        misfit = self.misfits[name]
+        is_seam = misfit.part in (MisfitPart.SIZES, MisfitPart.SEAM) and self.model.seams is not None
+        others = tuple(str(one.part) for one in misfit.others)
+        finding = self._of(
+            "other_seam" if is_seam else "foreign", (name,), misfit.factor, text=misfit_text(misfit, self.model)
+        )
+        return replace(finding, others=others)
+
+    def _change(self, changed: Mapping[str, list[float]]) -> Finding:
         """Return the finding of channels whose beam is no longer that of the model."""
         latest = np.concatenate(list(changed.values()))
-        counts = self._counts(changed)
-        return ChannelFinding(cause=CauseKind.BEAM, **counts, value=float(np.median(latest)), n_latest=len(latest))
+        usual = f", {self.model.unexplained:.2g} % in the training" if self.model.unexplained else ""
+        return self._of("beam", changed, value=float(np.median(latest)), n_latest=len(latest), usual=usual)
 
-    def _misshapen(self, names: Sequence[str]) -> ChannelFinding:
+    def _misshapen(self, names: Sequence[str]) -> Finding:
         """Return the finding of channels whose forces no contact has."""
         shares = [self.channels[name].median_misshapen for name in names]
-        counts = self._counts(names)
-        return ChannelFinding(cause=CauseKind.CHAIN, **counts, value=max(shares), n_latest=_SHAPES)
-
-    def _counts(self, affected: Iterable[str]) -> dict[str, Any]:
-        names = tuple(affected)
-        return {
-            "channels": () if len(names) == len(self.channels) else names,
-            "n_unknown": sum(self.channels[name].n_unknown for name in names),
-            "n_answers": sum(self.channels[name].n_answers for name in names),
-        }
-
-    def wrong_scales(self) -> dict[str, float]:
-        """Return the likely factor of each channel whose levels are not those of the training, and nothing else."""
-        explained: set[str] = set()
-        for finding in self.findings():
-            explained |= set(finding.channels or self.channels)
-        factors = {
-            name: _factor_of(channel.levels, self.model)
-            for name, channel in self.channels.items()
-            if name not in explained
-        }
-        return {name: factor for name, factor in factors.items() if factor != 1}
+        return self._of("chain", names, value=max(shares), n_latest=_SHAPES)
 
 
 class _Scale:
@@ -662,18 +672,6 @@ def fits_coal(levels: Sequence[float], coal: Sequence[float], model: StoredModel
     return bool(lowest - limit <= end <= _UPPER + _HARDEST)
 
 
-def sizes_outside(diagnosis: Diagnosis) -> dict[str, float]:
-    """Return the likely factor of each channel that is mostly unknown because of its size."""
-    factors = {}
-    for finding in diagnosis.findings():
-        for name in finding.channels or diagnosis.channels:
-            if finding.cause is CauseKind.AMPLITUDE:
-                factors[name] = finding.value
-            elif finding.cause is CauseKind.FEATURES:
-                factors[name] = _factor_of(diagnosis.channels[name].levels, diagnosis.model)
-    return {name: factor for name, factor in factors.items() if factor != 1}
-
-
 def upper_end(levels: Floats, deviation: float) -> float:
     """Return the upper end of levels, mean and standard deviation together, without stray ones."""
     ordered = np.sort(levels)  # np.median takes three times as long
@@ -691,15 +689,12 @@ def times(factor: float) -> str:
     return f"{float(f'{factor:.{2 + (0.95 < factor < 1.95)}g}'):g} times"
 
 
-def scale_warning(factor: float, model: StoredModel) -> str:
-    """Return one line with both explanations of levels that are not those of the training."""
-    is_like_g = model.quantity == "acceleration" and _LIKE_G[0] < max(factor, 1 / factor) < _LIKE_G[1]
-    as_g = " (g taken for m/s^2 or the other way round is a factor of 9.81)" if is_like_g else ""
-    what = "forces" if model.kind == "pulse" or model.beam is not None else "signals"
-    return (
-        f"the {what} are about {times(factor)} as large as in the training: the scale of the samples is wrong{as_g}, "
-        "or the rocks are of other sizes, drop heights or mixture; check unit, sensitivity, gain and full scale"
-    )
+def spellings(quantity: str) -> list[str]:
+    """Return the units of a quantity, one spelling of each."""
+    first: dict[float, str] = {}
+    for unit, factor in UNITS[quantity].items():
+        first.setdefault(factor, unit)
+    return list(first.values())
 
 
 def misfit_text(misfit: Misfit, model: StoredModel) -> str:

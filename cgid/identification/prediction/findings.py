@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 import re
+import shlex
 import tomllib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -16,12 +17,14 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-__all__ = ["Finding", "FindingWarning", "Findings"]
+__all__ = ["Finding", "FindingWarning", "Findings", "InWords", "SameBeamWarning", "as_argument", "as_option"]
 
 #: An option in the words: its name, and its value unless it is only named.
 _OPTION = re.compile(r"<(\w+)(?:=([^>]*))?>")
 #: Arguments of `cgid.predict` that have another name than the key of a site.
 _ARGUMENTS = {"rate": "sampling_rate"}
+#: Keys of a site that have options of their own.
+_OPTIONS = ("rate", "unit", "sensitivity", "same_beam", "coal_until")
 #: Channels that are named in a line.
 _MAX_NAMED = 3
 
@@ -39,16 +42,34 @@ def as_argument(name: str, value: str | None) -> str:
     """Return an option as Python names it.
 
     >>> as_argument("same_beam", "1+2"), as_argument("lines", "false"), as_argument("rate", None)
-    ('same_beam=[("1", "2")]', 'lines=False', 'sampling_rate')
+    ("same_beam=[('1', '2')]", 'lines=False', 'sampling_rate')
     """
     name = _ARGUMENTS.get(name, name)
     if value is None:
         return name
-    if name == "same_beam":
-        value = "[({})]".format(", ".join(f'"{one}"' for one in value.split("+")))
+    if name == "same_beam":  # beams in lines, their channels joined by "+"
+        value = repr([tuple(beam.split("+")) for beam in value.splitlines()])
     elif value in ("true", "false"):
         value = value.title()
     return f"{name}={value}"
+
+
+def as_option(name: str, value: str | None) -> str:
+    """Return an option as a command line has it.
+
+    >>> as_option("same_beam", "1+2"), as_option("lines", "false"), as_option("rate", None)
+    ('--same-beam 1+2', '--set lines=false', '--rate')
+    """
+    if name == "same_beam" and value is not None:
+        return " ".join(f"--same-beam {shlex.quote(beam)}" for beam in value.splitlines())
+    if name in _OPTIONS:
+        flag = "--" + name.replace("_", "-")
+        return flag if value is None else f"{flag} {shlex.quote(value)}"
+    return name if value is None else shlex.join(["--set", f"{name}={value}"])
+
+
+class InWords(str):
+    """A step that is no command, such as filling in a table."""
 
 
 class _Fields(dict[str, Any]):
@@ -114,6 +135,16 @@ class Finding:
         return bool(words()[self.kind].get("of_fraction"))
 
     @property
+    def is_silent(self) -> bool:
+        """Whether its channels give nothing that could be identified."""
+        return bool(words()[self.kind].get("silent")) or "silent" in self.fields
+
+    @property
+    def is_explained(self) -> bool:
+        """Whether it says nothing where another finding of its channel can move answers."""
+        return bool(words()[self.kind].get("explained"))
+
+    @property
     def is_over(self) -> bool:
         """Whether it has ended."""
         return math.isfinite(self.end)
@@ -144,6 +175,10 @@ class Finding:
         what = self.what(speak)
         parts = "; ".join(part for part in (what, self.help(speak)) if part)
         return what and f"{source}{where}: {parts}{''.join(f': {step}' for step in self.commands[:1])}"
+
+    def warning(self, line: str) -> FindingWarning:
+        """Return its line as a warning of Python."""
+        return (SameBeamWarning if words()[self.kind].get("of_beams") else FindingWarning)(line, self)
 
     def content(self, speak: Speak = as_argument) -> dict[str, Any]:
         """Return the record for JSON."""
@@ -186,11 +221,14 @@ class FindingWarning(UserWarning):
         return str(self.args[0])
 
 
+class SameBeamWarning(FindingWarning):
+    """A finding of channels that hear the same rocks and are not declared as of one beam, or the reverse."""
+
+
 class Findings:
     """All findings of a recording, `all`, in the order in which they were told."""
 
-    def __init__(self) -> None:
-        self.all: list[Finding] = []
+    all: list[Finding]
 
     def tell(self, found: Iterable[Finding]) -> list[Finding]:
         """Take what begins and what ends, and return it as it is told: alike findings of several channels as one."""

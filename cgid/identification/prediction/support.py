@@ -22,7 +22,8 @@ from cgid.errors import InvalidValue
 from cgid.identification.model.anchor import MIN_LUMPS, Anchor, Basis
 from cgid.identification.model.model import StoredModel
 from cgid.identification.prediction.answers import Answer
-from cgid.identification.prediction.diagnosis import OF_ANCHOR, Change, Condition, Diagnosis, fits_coal
+from cgid.identification.prediction.diagnosis import OF_ANCHOR, Condition, Diagnosis, fits_coal
+from cgid.identification.prediction.findings import Finding
 from cgid.identification.prediction.fraction import (
     NoConfusion,
     Share,
@@ -246,7 +247,7 @@ class CavingWatch:
         self._heard: list[tuple[float, str]] = []  # when machines were heard [s]
         self._steps = 0
         self._is_new = False  # whether predictions have come since the last gangue fraction
-        self._changes: list[Change] = []
+        self._changes: list[Finding] = []
 
     def feed(
         self, answers: Iterable[Answer], until: float, heard: Mapping[str, float] | None = None
@@ -301,7 +302,7 @@ class CavingWatch:
         anchors = {name: one.window.anchor for name, one in self._supports.items()}
         return {name: one.short for name, one in anchors.items() if one is not None and one.short is not None}
 
-    def take_changes(self) -> list[Change]:
+    def take_changes(self) -> list[Finding]:
         """Return what has begun or ended with the predictions of the channels since the last call."""
         changes, self._changes = self._changes, []
         return changes
