@@ -11,13 +11,14 @@ import sys
 import threading
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from scipy.io import wavfile
 
 from cgid.cli.main import run
-from cgid.cli.monitor import Inbox
+from cgid.cli.monitor import Inbox, Outbox
 from cgid.errors import INTERRUPTIONS
 from tests.streams_of_pulses import RATE, ROOT, stream, window_model
 
@@ -332,3 +333,56 @@ def test_a_live_stream_is_behind_by_what_waits_and_a_file_is_not(monkeypatch: py
     assert inbox.behind == 0.5
     leave.set()
     assert sum(block.shape[1] for block in iterator) == 50
+
+
+# -- stdout beside other outputs ------------------------------------------------------------------------------
+
+
+def outbox_lines(n: int) -> list[str]:
+    return [f"{k} " + "x" * 1000 for k in range(n)]
+
+
+def test_a_slow_reader_loses_no_line_and_one_who_is_away_holds_nothing_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("cgid.cli.monitor.UNREAD", 0.4)
+    for is_slow in (True, False):
+        reading, writing = os.pipe()
+        said: list[str] = []
+        lines, got = outbox_lines(300), []  # a pipe holds some 64
+        begun = time.monotonic()
+        with os.fdopen(reading, "rb") as reader:
+
+            def read(reader: Any = reader, got: list[str] = got, is_slow: bool = is_slow) -> None:
+                for line in reader:
+                    got.append(line.decode().rstrip("\n"))
+                    time.sleep(0.004 * is_slow)
+
+            thread = threading.Thread(target=read)
+            outbox = Outbox(writing, said.append, 20)
+            with outbox:
+                if is_slow:
+                    thread.start()
+                for line in lines:
+                    outbox.put(line)
+                if not is_slow:
+                    assert time.monotonic() - begun < 30 * 0.4  # waits once for the time without a reader
+                    thread.start()
+            os.close(writing)
+            thread.join()
+        if is_slow:
+            assert got == lines and said == []
+        else:
+            assert got == sorted(got, key=lambda one: int(one.split()[0])) and set(got) < set(lines)
+            assert got[-1] == lines[-1]
+            assert f"{len(lines) - len(got)} " in said[-1] and len(said) == 3  # nobody reads, again, so many lost
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no full device")
+def test_a_full_disk_behind_stdout_ends_no_other_output(raw: Path, tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "cgid", "monitor", str(raw), *RAW, "--live", str(tmp_path / "page.html")]
+    with Path("/dev/full").open("w") as full:
+        done = subprocess.run(command, cwd=ROOT, stdout=full, stderr=subprocess.PIPE, text=True)
+    assert done.returncode == 0
+    assert (
+        len([line for line in done.stderr.splitlines() if "warning: stdout" in line]) == 2
+    )  # when it begins, and how many
+    assert '"ended": true' in (tmp_path / "page.html").read_text()

@@ -31,7 +31,7 @@ MIN_SHARE_TIME = 0.05
 COST_LATE, COST_EARLY = 1.0, 6.0
 #: A support is blind after this time without valid samples [s].
 BLIND_TIME = 5.0
-#: A longer hold keeps a decision for ever, and a longer time without valid samples ends the watch of a sensor [s].
+#: A longer hold keeps a decision for ever, and a longer `blind_after` switches the watch of a sensor off [s].
 LONGEST = 3600.0
 #: The rules of settings that are numbers, unless None.
 RULES = {

@@ -68,8 +68,8 @@ class Telling(Findings):
         self.all, self._model, self._settings = [], model, settings
         self._grounds: dict[str, tuple[str, bool]] = {}  # last ground, and whether something was decided
         self._bases: dict[str, Basis] = {}  # last basis of the gangue fraction
-        self._short: set[str] = set()  # supports that had a caving cycle shorter than its coal
         self._endless: set[str] = set()  # supports whose caving cycle goes on without a pause
+        self._short: set[str] = set()  # supports that had a caving cycle shorter than its coal
 
     def of_reports(self, reports: Iterable[SupportReport], watch: CavingWatch) -> list[Finding]:
         """Return what begins and ends with the reports of supports."""
@@ -82,12 +82,11 @@ class Telling(Findings):
             begun = watch.cycles().get(share.channel, share.time) if self._settings.cycle_pause else share.time
             if share.time - begun > _LONGEST_CYCLE:
                 found += self._of_cycle(share.channel, begun, state.time)
-        for name, (begin, end) in watch.short_cycles().items():
-            if name not in self._short:
-                self._short.add(name)
-                stated, pause = self._settings.coal_until, self._settings.cycle_pause
-                fields = {"begun": begin, "until": end, "stated": stated, "pause": pause or 0.0}
-                found.append(Finding(kind="short_cycle", channels=(name,), fields=fields))
+        for name in watch.short_cycles().keys() - self._short:
+            self._short.add(name)
+            begun, until = watch.short_cycles()[name]
+            fields = {"begun": begun, "until": until, "coal": self._settings.coal_until}
+            found.append(Finding(kind="short_cycle", channels=(name,), fields=fields))
         return found
 
     def at_end(self, duration: float, watch: CavingWatch) -> list[Finding]:
