@@ -995,11 +995,15 @@ def levels_watched(coal: float, factor: float, gangue: float = 0.0, **settings: 
 
 def test_a_seam_harder_than_the_training_is_no_wrong_scale_beside_its_coal() -> None:
     hard = {"coal": 0.1, "factor": 1.0, "gangue": 0.8}
-    assert Ground.WRONG_SCALE in levels_watched(**hard)
-    assert set(levels_watched(**hard, coal_until=30.0)) == {Ground.SEEN}
-    soft = {"coal": -1.5, "factor": 1.0, "gangue": 0.2}
-    assert set(levels_watched(**soft)[10:]) == {Ground.WRONG_SCALE}
-    assert set(levels_watched(**soft, coal_until=30.0)) == {Ground.SEEN}
+    assert Ground.WRONG_SCALE in levels_watched(**hard, trained_seam=True)
+    for settings in ({}, {"coal_until": 30.0}):  # any seam, or this one
+        assert set(levels_watched(**hard, **settings)) == {Ground.SEEN}
+    soft = {"coal": -1.2, "factor": 1.0, "gangue": 0.2}
+    assert set(levels_watched(**soft, trained_seam=True)[10:]) == {Ground.WRONG_SCALE}
+    for settings in ({}, {"coal_until": 30.0}):
+        assert set(levels_watched(**soft, **settings)) == {Ground.SEEN}
+    # Six times is no seam.
+    assert set(levels_watched(-1.0, 1 / 6)[75:]) == set(levels_watched(0.0, 10.0)[75:]) == {Ground.WRONG_SCALE}
 
 
 @pytest.mark.parametrize(("coal", "factor"), [(0.0, 0.3), (-1.0, 0.4), (0.0, 9.81), (0.5, 6.0)])
@@ -1011,7 +1015,7 @@ def test_a_scale_that_changes_after_the_coal_is_told(coal: float, factor: float)
 
 def test_coal_of_a_wrong_scale_or_too_little_of_it_is_judged_by_the_training() -> None:
     assert set(levels_watched(np.log(9.81), 1.0, coal_until=30.0)[10:]) == {Ground.WRONG_SCALE}
-    assert set(levels_watched(-1.5, 1.0, coal_until=0.5)[10:]) == {Ground.WRONG_SCALE}
+    assert set(levels_watched(-2.5, 1.0, coal_until=0.5)[10:]) == {Ground.WRONG_SCALE}
 
 
 def test_another_cycle_has_levels_of_its_own() -> None:

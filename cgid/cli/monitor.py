@@ -38,9 +38,7 @@ if TYPE_CHECKING:
 MAX_WAITING = 128 << 20
 #: Maximum amount of data taken at once [bytes], because processing takes many times more memory.
 MAX_READ = 8 << 20
-#: Blocks are joined up to this duration [s], because short ones are inefficient,
-MIN_INTERVAL = 0.05
-#: for at most this time [s].
+#: Short blocks are joined for at most this time [s].
 _TIMEOUT = 0.1
 #: Maximum number of lines that wait for the reader of stdout, and after which time it has none [s].
 MAX_LINES, UNREAD = 10_000, 5.0
@@ -131,8 +129,10 @@ class Inbox:
     def _next(self) -> NDArray[Any] | None:
         """Return the waiting blocks as one, None at the end."""
         self._wait()
+        from cgid.recordings.live import SHORTEST
+
         with self._changed:
-            self._changed.wait_for(lambda: self._ended or self._n_waiting >= MIN_INTERVAL * self._rate, _TIMEOUT)
+            self._changed.wait_for(lambda: self._ended or self._n_waiting >= SHORTEST * self._rate, _TIMEOUT)
             blocks, size = [], 0
             while self._waiting and size < MAX_READ:
                 blocks.append(self._waiting.popleft())
