@@ -311,9 +311,9 @@ def spoilt(model: StoredModel, seed: int) -> Iterator[list[Recording]]:
 def faults_section(told: dict[str, Any]) -> list[str]:
     """Return the lines about explanations of recordings."""
     return [
-        f"{told['n_recordings']} simulated recordings, each sound and spoilt, taught it to explain one that is not as in "
-        f"the training. An explanation is told where its odds are above those in {1 - told['false_rate']:.1%} of sound "
-        f"windows that did not teach it."
+        f"{told['n_recordings']} simulated recordings, each sound and spoilt, taught it to explain one that is not as "
+        f"in the training. An explanation is told where its odds are above those in {1 - told['false_rate']:.1%} of "
+        "sound windows that did not teach it."
     ]
 
 

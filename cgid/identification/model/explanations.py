@@ -205,6 +205,8 @@ def summary(impacts: Impacts, model: StoredModel, spectrum: Floats, moves: Float
 
 #: Largest number of a reference that is kept in a file.
 MAX_NUMBER = 1e9
+#: Impacts after a change from which on it is told (explain2.md, 2: some 2 s).
+LEAST_CHANGED = 20
 #: Where a reference has its noise, before its spectrum.
 FLOOR = -1
 #: Impacts of a reference at least and at most: with fewer a change of 2 is told less often (explain2.md, 2).
