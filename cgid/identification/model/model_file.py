@@ -98,9 +98,7 @@ def _array(stored: bytes, name: str) -> NDArray[Any]:
     # With Python's integers the product cannot overflow.
     size = math.prod(map(int, shape)) * dtype.itemsize
     if dtype.str not in _TYPES or size != len(stored) - stream.tell() or 0 in shape or len(shape) > _MAX_AXES:
-        raise BadData(
-            f"array {name} must contain plain numbers (float64, float32, int32, int64, bool) as declared"
-        )
+        raise BadData(f"array {name} must contain plain numbers (float64, float32, int32, int64, bool) as declared")
     array: NDArray[Any] = np.frombuffer(stored, dtype, offset=stream.tell())  # read-only
     if dtype.kind == "b" and (array.view(np.uint8) > 1).any():
         raise BadData(f"array {name} must contain truth values, bytes 0 and 1")
