@@ -108,8 +108,8 @@ RIG_FRAME = {"samples": 4096, "pre_trigger": 300}
 #: Simulated recordings of the world of a model: at least 99 for a rate of one in a hundred.
 N_RECORDINGS = 199
 #: Simulated recordings of a beam and of forces, each sound and spoilt in six or seven ways; impacts of one of forces.
-N_STREAMS_SPOILT = 60
-N_FORCES_SPOILT = 170
+N_STREAMS_SPOILT = 49
+N_FORCES_SPOILT = 227
 IMPACTS_SPOILT = 128
 #: Scenes of successive recordings of forces, of each shipped one (0, 4, 8) and its three rigs after it: half at home.
 ORDER_SPOILT = (0, 1, 4, 2, 0, 5, 3, 4, 6, 8, 7, 0, 9, 4, 10, 8, 11)

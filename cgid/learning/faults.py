@@ -372,6 +372,7 @@ def fitted(model: StoredModel, windows: Sequence[Window], spectrum: Floats) -> E
     """Return the densities of windows, without limits."""
     sound = np.array([one.summary for one in windows if one.fault is None])
     centre, scale = np.nanmean(sound, axis=0), np.maximum(np.nanstd(sound, axis=0), _LEAST_SPREAD)
+    assert np.isfinite(centre).all()
     kinds, n_bins, n = kinds_of(model.beam is not None), len(BINS), len(centre)
     known = Explanations(
         centre=centre,
