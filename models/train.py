@@ -108,8 +108,8 @@ RIG_FRAME = {"samples": 4096, "pre_trigger": 300}
 #: Simulated recordings of the world of a model: at least 99 for a rate of one in a hundred.
 N_RECORDINGS = 199
 #: Simulated recordings of a beam and of forces, each sound and spoilt in six or seven ways; impacts of one of forces.
-N_STREAMS_SPOILT = 60
-N_FORCES_SPOILT = 170
+N_STREAMS_SPOILT = 49
+N_FORCES_SPOILT = 227
 IMPACTS_SPOILT = 128
 #: Scenes of successive recordings of forces, of each shipped one (0, 4, 8) and its three rigs after it: half at home.
 ORDER_SPOILT = (0, 1, 4, 2, 0, 5, 3, 4, 6, 8, 7, 0, 9, 4, 10, 8, 11)
@@ -311,9 +311,9 @@ def spoilt(model: StoredModel, seed: int) -> Iterator[list[Recording]]:
 def faults_section(told: dict[str, Any]) -> list[str]:
     """Return the lines about explanations of recordings."""
     return [
-        f"{told['n_recordings']} simulated recordings, each sound and spoilt, taught it to explain one that is not as in "
-        f"the training. An explanation is told where its odds are above those in {1 - told['false_rate']:.1%} of sound "
-        f"windows that did not teach it."
+        f"{told['n_recordings']} simulated recordings, each sound and spoilt, taught it to explain one that is not as "
+        f"in the training. An explanation is told where its odds are above those in {1 - told['false_rate']:.1%} of "
+        "sound windows that did not teach it."
     ]
 
 

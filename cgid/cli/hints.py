@@ -73,7 +73,6 @@ class NextSteps:
         fields = {
             **finding.fields,
             "correct_rate": self._correction("--rate"),
-            "correct_unit": self._correction("--unit"),
             "lacking": "" if is_enough else f"; record {CALIBRATED} clear impacts or more for that",
         }
         return replace(finding, commands=first, instead=second, fields=fields)
@@ -93,6 +92,10 @@ class NextSteps:
 
     def _calibration(self, _: Finding) -> tuple[str, ...]:
         return self._calibrated(is_of_scene=False)
+
+    def _calibration_of_beam(self, finding: Finding) -> tuple[str, ...]:
+        is_of_beam = self.model.beam is not None and not self._labelled
+        return self._calibration(finding) if is_of_beam else ()
 
     def _calibration_of_scene(self, _: Finding) -> tuple[str, ...]:
         return self._calibrated(is_of_scene=self._is_of_shipped_beam)
@@ -129,12 +132,6 @@ class NextSteps:
         for at in places:
             options = [*options[:at], *options[at + 2 :]]
         return (shlex.join(["cgid", "predict", self._source, *options, *words]),)
-
-    def _acceleration(self, _: Finding) -> tuple[str, ...]:
-        if "--unit" not in self._options or self._is_converted("--unit"):
-            return ()
-        options = [*_without(self._options, ("--unit",)), "--unit", "m/s^2"]
-        return (shlex.join(["cgid", "predict", self._source, *options]),)
 
     def _unit(self, finding: Finding) -> tuple[str, ...]:
         """Return the command with the unit that undoes the factor of the scale; none if no unit does."""

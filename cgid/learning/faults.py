@@ -22,6 +22,7 @@ from cgid.errors import InvalidValue
 from cgid.identification.model.explanations import (
     BINS,
     FLOOR,
+    LEAST_CHANGED,
     MOST_OF_PAST,
     Explanations,
     Fault,
@@ -52,6 +53,8 @@ _BUSIEST = 16.0
 #: So many streams have the noise of the scene, the others up to this many times it (assumed).
 _QUIET_SHARE = 0.4
 _LOUDEST = 10.0
+#: So many recordings of forces have one noise between all impacts, the others that of each (assumed).
+_ONE_NOISE = 0.5
 #: Last part of a stream that is spoilt in each way: enough for the most impacts that count, and no rock of the first.
 _SPOILT_PART = 0.55
 #: Thickness of other beams over the model's, at least this far from it, and what counts as the same.
@@ -190,8 +193,10 @@ def of_forces(batches: Iterable[Batch], model: StoredModel, seed: int) -> Iterat
         rng = np.random.default_rng([seed, number, 76])
         frames, before = np.asarray(batch.signals, np.float64), max(int(batch.pre_trigger or 0), 2)
         gap = round(10e-3 * batch.sampling_rate)
-        # What is before a frame goes on before it, to and fro.
+        # What is before a frame goes on before it, to and fro; or one noise is between all.
         quiet = np.pad(frames[:, :before], ((0, 0), (gap, 0)), mode="symmetric")[:, :gap]
+        if rng.random() < _ONE_NOISE:
+            quiet = frames[:, :before].std() * rng.standard_normal(quiet.shape)
         samples = np.hstack([quiet, frames]).ravel()
         length = gap + frames.shape[1]
         made = []
@@ -263,7 +268,7 @@ def spoilt(
 # -- densities ---------------------------------------------------------------------------------------------
 
 #: Windows of each recording in each bin of impacts, of sound and of spoilt ones.
-_SOUND_WINDOWS = 4
+_SOUND_WINDOWS = 3
 _WINDOWS = 2
 #: So many windows have the fraction of gangue of the begin of a cycle; the others any (assumed).
 _COAL_SHARE = 0.25
@@ -317,7 +322,8 @@ def with_faults(model: StoredModel, recordings: Iterable[Sequence[Recording]], s
                     if fold[one.recording] == k and one.fault is None:
                         odds[one.in_bin].append(others.odds(one.impacts, model, one.past)[0])
             known = fitted(model, windows, spectrum)
-        limits = np.array([np.quantile(found, 1 - _FALSE_RATE, axis=0) for found in odds]).T
+        filled = next(found for found in odds if found)  # changes are told from more impacts on
+        limits = np.array([np.quantile(found or filled, 1 - _FALSE_RATE, axis=0) for found in odds]).T
         arrays |= replace(known, limits=np.maximum(limits, _LEAST_ODDS)).arrays(prefix)
     told = {"n_recordings": len(made), "false_rate": _FALSE_RATE}
     return replace(model, arrays={**model.arrays, **arrays}, training={**model.training, "faults": told})
@@ -335,7 +341,9 @@ def windows_of(
     for number, parts in enumerate(recordings):
         for one in parts:
             for in_bin, most in enumerate(BINS):
-                least = BINS[in_bin - 1] + 1 if in_bin else _FEWEST
+                least = max(BINS[in_bin - 1] + 1 if in_bin else 0, LEAST_CHANGED if of_past else _FEWEST)
+                if most < least:
+                    continue
                 for _ in range(_WINDOWS if one.fault else _SOUND_WINDOWS):
                     begin = int((1 - _SPOILT_PART) * one.gangue.size) if of_past and one.fault is None else 0
                     chosen = begin + _chosen(one.gangue[begin:], int(rng.integers(least, most + 1)), rng)
@@ -364,6 +372,7 @@ def fitted(model: StoredModel, windows: Sequence[Window], spectrum: Floats) -> E
     """Return the densities of windows, without limits."""
     sound = np.array([one.summary for one in windows if one.fault is None])
     centre, scale = np.nanmean(sound, axis=0), np.maximum(np.nanstd(sound, axis=0), _LEAST_SPREAD)
+    assert np.isfinite(centre).all()
     kinds, n_bins, n = kinds_of(model.beam is not None), len(BINS), len(centre)
     known = Explanations(
         centre=centre,

@@ -175,7 +175,7 @@ def summary(impacts: Impacts, model: StoredModel, spectrum: Floats, moves: Float
         *_of(deviation, _QUARTILES),
         *_of(unexplained, _QUARTILES),
         *(_of(np.arctanh(0.999 * one) if model.beam else one, 0.5) for one in columns[5:]),
-        *([_of(np.log(impacts.misshapen[known] + _NOTHING), 0.5)] if model.beam else []),
+        *([_of(np.log(impacts.misshapen[np.isfinite(impacts.misshapen)] + _NOTHING), 0.5)] if model.beam else []),
         np.nan if alike else np.arctanh(0.99 * np.corrcoef(peak, width)[0, 1]),
         *(_log_odds(count, n) for count in (n - known.sum(), impacts.flagged.sum(), ends - 1)),
         _log_odds(((n_high > 2) | (n_low > 2)).sum(), n),
@@ -205,6 +205,8 @@ def summary(impacts: Impacts, model: StoredModel, spectrum: Floats, moves: Float
 
 #: Largest number of a reference that is kept in a file.
 MAX_NUMBER = 1e9
+#: Impacts after a change from which on it is told (explain2.md, 2: some 2 s).
+LEAST_CHANGED = 20
 #: Where a reference has its noise, before its spectrum.
 FLOOR = -1
 #: Impacts of a reference at least and at most: with fewer a change of 2 is told less often (explain2.md, 2).

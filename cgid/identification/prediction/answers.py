@@ -18,7 +18,6 @@ from cgid.identification.detection.events import Event, Framing, frames_alike
 from cgid.identification.model.anchor import pulse_names
 from cgid.identification.model.explanations import sampled
 from cgid.identification.model.model import Model, StoredModel, stored
-from cgid.identification.prediction.diagnosis import Cause, causes_of, with_frames
 from cgid.identification.prediction.settings import PredictionSettings
 from cgid.measure.features.extraction import as_rows, measured, require_measurable
 from cgid.measure.frames import DETECTION_LIMIT, MINIMUM_FRAME, Problem, ProblemKind, frames_of
@@ -65,8 +64,6 @@ class Answer:
         Whether samples stand at the limit of the recorder.
     cut : bool
         Whether the recording begins or ends within the impact.
-    cause : Cause or None
-        The cause if it is outside the training range; None if inside or not measured.
     unexplained : float
         Fraction of its energy not explained by the model's beam [%]; nan without a beam or a measurement.
     misshapen : float
@@ -81,9 +78,6 @@ class Answer:
     sampled : ndarray or None
         What its samples show beside them, `cgid.identification.model.explanations.sampled`; None unless it was
         found in a recording of one sensor.
-    traits : tuple of float or None
-        What is compared with recordings like those of the training, `cgid.identification.model.world.TRAITS`; None if
-        the model knows none, or without a measurement.
     """
 
     channel: str = field(default="1", metadata={"column": Column("channel")})
@@ -99,12 +93,10 @@ class Answer:
     prediction_set: tuple[str, ...] | None = field(default=None, metadata={"column": Column("prediction_set")})
     in_training_range: bool = False
     problem_kind: ProblemKind | None = None
-    cause: Cause | None = None
     unexplained: float = math.nan
     misshapen: float = math.nan
     level: float = math.nan
     pulse: tuple[float, ...] | None = None
-    traits: tuple[float, ...] | None = None
     values: tuple[float, ...] | None = None
     sampled: NDArray[np.float32] | None = field(default=None, compare=False)
 
@@ -415,7 +407,7 @@ def _identified(
     if beam is not None and model.extras:
         rows = zip(identified, extras.tolist(), sound, strict=True)
         identified = [_with_extras(answer, *more) if is_sound else answer for answer, more, is_sound in rows]
-    return with_frames(identified, frames, sampling_rate, model, pre_trigger), values
+    return identified, values
 
 
 def _with_extras(answer: Answer, misshapen: float, overlap: float) -> Answer:
@@ -438,14 +430,10 @@ def answers_from(
         return
     novelties = model.novelty(inputs, guards)
     probabilities = vote(model.probabilities(inputs), novelties <= 1)
-    outliers = np.flatnonzero(novelties > 1)
-    causes = causes_of(model, inputs[outliers], guards[outliers]) if outliers.size else []
-    cause_of = dict(zip(outliers.tolist(), causes, strict=True))
     column = guards.T[model.guards.index("beam_unexplained")] if "beam_unexplained" in model.guards else None
     levels = model.levels(inputs)
     pulses = inputs[:, [model.features.index(name) for name in pulse_names(model.features)]].tolist()
-    table = np.hstack([inputs, guards])
-    traits, values = table[:, model.compared].tolist(), table.tolist()
+    values = np.hstack([inputs, guards]).tolist()
     untrained = "" if model.covers(sampling_rate) else f"not trained at {sampling_rate:g} Hz"
     for row, (label, labels) in enumerate(zip(*settings.labels(model, probabilities), strict=True)):
         novelty = float(novelties[row])
@@ -458,11 +446,9 @@ def answers_from(
             in_training_range=not (outside or untrained),
             problem=outside or settings.doubt(labels) or untrained,
             prediction_set=labels,
-            cause=cause_of.get(row),
             unexplained=float("nan") if column is None else float(column[row]),
             level=float(levels[row]),
             pulse=tuple(pulses[row]) or None,
-            traits=tuple(traits[row]) or None,
             values=tuple(values[row]),
         )
 

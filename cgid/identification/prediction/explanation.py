@@ -16,6 +16,7 @@ import numpy as np
 from cgid._lib.validation import Floats
 from cgid.errors import BadData
 from cgid.identification.model.explanations import (
+    LEAST_CHANGED,
     LEAST_OF_PAST,
     MAX_NUMBER,
     MOST_IMPACTS,
@@ -40,8 +41,6 @@ OLDEST = 300.0
 LEAST_IMPACTS = 3
 #: Explanations whose odds are within this of the best are told beside it.
 _ALIKE = 3.0
-#: Impacts after a change from which on it is told (explain2.md, 2: some 2 s).
-_LEAST_CHANGED = 20
 #: A live stream is looked at after so many impacts, then after every so many more (explain2.md, 1).
 _LOOKS = (10, 20)
 _EVERY = 40
@@ -161,7 +160,7 @@ def explain(evidence: Evidence, model: StoredModel, past: Past | None = None) ->
     """Return what explains the latest impacts: as a change since a `past`, else by the training."""
     if past is not None and model.changes is not None:
         latest = Impacts.of(list(evidence.answers)[-MOST_OF_PAST:], model)
-        if len(latest.novelty) >= _LEAST_CHANGED:
+        if len(latest.novelty) >= LEAST_CHANGED:
             found = _judged(model.changes, latest, evidence, model, past)
             if found.faults or past.by_word:
                 return found

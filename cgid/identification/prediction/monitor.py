@@ -155,7 +155,7 @@ class Monitor:
     def duration(self) -> float:
         """Duration of the samples that were fed [s]."""
         n_waiting = sum(block.shape[1] for block in self._waiting)
-        return (self._pipeline.n_seen + n_waiting) / self.sampling_rate
+        return float((self._pipeline.n_seen + n_waiting) / self.sampling_rate)
 
     @property
     def states(self) -> list[SupportState]:

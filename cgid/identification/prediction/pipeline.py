@@ -23,7 +23,7 @@ from cgid.identification.prediction.same_beam import rows_of
 from cgid.identification.prediction.settings import PredictionSettings
 from cgid.identification.prediction.stream import STRATEGIES, Step, answering_channels, factors_for, identify_blocks
 from cgid.identification.prediction.support import CavingWatch, SupportReport
-from cgid.identification.prediction.telling import Telling, of_model, untold_beams, warn
+from cgid.identification.prediction.telling import Telling, of_model, warn
 from cgid.recordings import Channel, RecordingFile, open_recording
 from cgid.recordings.chain import scaled
 from cgid.recordings.gaps import Gaps
@@ -85,8 +85,7 @@ class Pipeline:
         self._sensors = SensorWatch(len(channels), sampling_rate, give_up) if needs_sensors else None
         #: Names of the channels of the predictions; channels that are used together have one name.
         self.supports = answering_channels(model, self.names, settings.same_beam)
-        beams = "\n".join(untold_beams(model, self.names, settings.same_beam)) if len(self.names) > 1 else ""
-        self.diagnosis = Diagnosis(model, sampling_rate, beams=beams, live=live)
+        self.diagnosis = Diagnosis(model, sampling_rate)
         self.watch: CavingWatch | None = None
         if watched:
             self.watch = CavingWatch(
@@ -97,7 +96,7 @@ class Pipeline:
                 sensors=self._sensors,
                 channels=self.names,
                 rows=rows_of(model, self.names, settings.same_beam),
-                diagnosis=self.diagnosis if live else Diagnosis(model, sampling_rate, beams=beams, live=True),
+                diagnosis=self.diagnosis,
             )
 
     @property
@@ -129,10 +128,10 @@ class Pipeline:
         if known := of_model(self.model, self.sampling_rate, self.settings, self.names, decides=decides):
             yield Step([], 0.0, found=self.findings.tell(known))
         for step in identify_blocks(blocks, self.sampling_rate, self.model, self.names, self.settings, self.source):
-            if not self.live:
-                self.diagnosis.add(step.answers, step.upside_down)
             self._found += step.found
-            if self.watch is not None:
+            if self.watch is None:
+                self.diagnosis.add(step.answers)
+            else:
                 step = replace(step, reports=self.watch.feed(step.answers, step.until, step.heard))
                 self._of_watch(self.watch, step.reports)
             yield replace(step, found=self._told()) if self._found else step

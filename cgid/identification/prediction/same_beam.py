@@ -357,12 +357,10 @@ class SameBeam:
             answer = replace(
                 answer,
                 # The cause that the samples show is that of the clearest channel.
-                cause=answer.cause and (best.cause or answer.cause),
                 end=max(one.end for one in own),
                 overlapping=any(one.overlapping for one in own),
                 clipped=any(one.clipped for one in own),
                 cut=any(one.cut for one in own),
-                traits=None,  # recordings of several channels were not simulated
                 misshapen=best.misshapen,
             )
             yield answer, parts

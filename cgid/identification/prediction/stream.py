@@ -59,7 +59,6 @@ class Step:
     until: float  # all predictions before this time have arrived [s]
     found: Sequence[Finding] = ()  # what begins and what ends, in order of time
     heard: Mapping[str, float] = field(default_factory=dict)  # channel -> until when a machine's tones were left in [s]
-    upside_down: tuple[str, ...] | None = None  # at the end, the channels whose pulses seem to point downwards
     reports: Sequence[SupportReport] = ()  # of the supports, up to this time
 
 
@@ -190,13 +189,6 @@ def _impacts(
                     for name, rows in zip(names, groups, strict=True)
                     if deaf.keys() & set(rows)
                 },
-                upside_down=tuple(
-                    name
-                    for name, rows in zip(names, groups, strict=True)
-                    if any(ear.is_upside_down(row) for row in rows if row not in silent)
-                )
-                if ended
-                else None,
             )
             waiting.clear()
 

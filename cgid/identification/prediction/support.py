@@ -93,9 +93,6 @@ class SupportState:
         Time of the last sound sample in the stream; nan before the first.
     last_identified : float [s]
         Time of the last identified impact in the stream; nan before the first.
-    foreign : str
-        What of the recording is not as in recordings of the training, a `cgid.identification.model.world.Part`; else
-        empty. Its decision stays.
     """
 
     time: float
@@ -106,7 +103,6 @@ class SupportState:
     reason: str = ""
     last_sound: float = float("nan")
     last_identified: float = float("nan")
-    foreign: str = ""
 
     def content(self) -> dict[str, Any]:
         """Return the record for JSON; the line adds the wall clock."""
@@ -125,7 +121,6 @@ class SupportState:
             "unknown": share.n_unknown,
             "last_sound_s": self.last_sound,
             "last_identified_s": self.last_identified,
-            "foreign": self.foreign,
         }
 
 
@@ -177,7 +172,7 @@ class CavingWatch:
         # Grounds and stated coal are looked at in between, as often as in a live stream.
         self._every = max(math.ceil(shares.step / min(shares.window / STEPS, _LONGEST_STEP) - 1e-9), 1)
         self._step = shares.step / self._every
-        self.diagnosis = Diagnosis(model, live=True) if diagnosis is None else diagnosis
+        self.diagnosis = Diagnosis(model) if diagnosis is None else diagnosis
         #: Fraction above which continuing costs more than shutting; None for a model without gangue or another label.
         self.threshold: float | None = None
         rules: list[ShutDecision | None] = [None] * len(supports)
@@ -341,15 +336,10 @@ class CavingWatch:
                 support.last_identified = answer.time
         if self._sensors is not None:
             self._sensors.advance(end)
-            if self.diagnosis.model.kind == "pulse":
-                turned = (name for name, one in self._supports.items() if self._sensors.turned[one.rows].any())
-                self.diagnosis.add((), turned)
         self._changes += self.diagnosis.changes(end)
         self._is_new = self._is_new and in_between
-        foreign = self.diagnosis.misfits
         for name, support in self._supports.items():
             ground, since, reason = self._ground(name, support, end)
-            support.foreign = str(foreign[name].part) if name in foreign else ""
             is_told = not in_between or ground != (Ground.SEEN if support.state is None else support.state.ground)
             anchor = support.window.anchor
             if not is_told and anchor is not None and not anchor.is_foreign:
@@ -412,7 +402,6 @@ class _Support:
     is_blind: bool = False
     looked: tuple[NDArray[np.int64] | int, int] = (0, 0)  # dead stretches of each row, and all, at the last look
     is_silent: bool = False
-    foreign: str = ""
     levels: deque[float] = field(default_factory=lambda: deque(maxlen=OF_ANCHOR))
     forgotten: list[tuple[float, float]] = field(default_factory=list)  # impacts after a time and up to another [s]
 
@@ -468,7 +457,6 @@ class _Support:
             reason=reason,
             last_sound=self.last_sound,
             last_identified=self.last_identified,
-            foreign=self.foreign,
         )
         if before is None and ground in (Ground.SEEN, Ground.UNPROVEN):
             state = replace(state, since=0.0)
