@@ -448,6 +448,9 @@ MODEL: Any = SimpleNamespace(
     beam=None,
     unexplained=0.0,
     level_deviation=0.0,
+    level_range={},
+    explanations=None,
+    changes=None,
 )
 
 
@@ -791,6 +794,18 @@ def test_a_finding_that_moves_answers_takes_the_ground() -> None:
         reports = watch.feed([one for one in answers if begin <= one.time < until], until)
         seen.append({(one.state.ground, one.state.decision) for one in reports if one.state.time > until - 2})
     assert seen == [{(Ground.SEEN, Decision.SHUT)}, {(Ground.FAULT, Decision.NONE)}, {(Ground.SEEN, Decision.SHUT)}]
+
+
+def test_nothing_is_decided_anew_while_something_may_be_wrong() -> None:
+    rng, doubts = np.random.default_rng(1), [True]
+    watch = CavingWatch(MODEL, ["1"], PredictionSettings(share_step=0.5))
+    watch.diagnosis.is_doubtful = lambda channel: doubts[-1]  # type: ignore[method-assign]
+    seen = []
+    for begin, until, gangue, doubt in ((0, 15, 0.95, True), (15, 20, 0.95, False), (20, 50, 0.0, True)):
+        doubts.append(doubt)
+        reports = watch.feed(flow(rng, begin, until, gangue), until)
+        seen.append([one.state.decision for one in reports][-1])
+    assert seen == [Decision.NONE, Decision.SHUT, Decision.SHUT]
 
 
 def test_a_quiet_pause_is_not_blind_and_a_sensor_that_never_gave_a_sample_is() -> None:

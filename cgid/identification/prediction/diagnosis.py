@@ -132,11 +132,14 @@ class Diagnosis:
 
     def standing(self, channel: str) -> tuple[Finding, ...]:
         """Return what surely stands of a channel and can move its answers, as of the last `changes`."""
-        if channel not in self.channels:
+        if channel not in self.channels or self.is_doubtful(channel):
             return ()
-        watch = self.channels[channel].watch
-        is_doubtful = bool(watch.explained.faults) and not watch.is_sure
-        return tuple(one for one in self._standing.get(channel, {}).values() if one.moves and not is_doubtful)
+        return tuple(one for one in self._standing.get(channel, {}).values() if one.moves)
+
+    def is_doubtful(self, channel: str) -> bool:
+        """Return whether something is wrong by impacts that no later ones have confirmed: until then nothing changes."""
+        watch = self.channels[channel].watch if channel in self.channels else None
+        return watch is not None and bool(watch.explained.faults) and not watch.is_sure
 
     def changes(self, time: float) -> list[Finding]:
         """Return what has begun or ended up to a time [s]."""
@@ -169,9 +172,10 @@ class Diagnosis:
         return found
 
     def is_as_a_seam(self, channel: str) -> bool:
-        """Return whether the factor of the levels of a channel may be that of a seam."""
+        """Return whether the factor of the levels of a channel may be that of a seam; no seam changes by itself."""
         factors = [one.factor for one in self.standing(channel) if one.kind == Fault.SCALE]
-        return all(max(factor, 1 / factor) < _AS_A_SEAM for factor in factors)
+        is_change = channel in self.channels and self.channels[channel].watch.explained.of_past
+        return not is_change and all(max(factor, 1 / factor) < _AS_A_SEAM for factor in factors)
 
     def _of(self, name: str, channel: _Channel, explained: Explained, *, whole: bool = False) -> list[Finding]:
         """Return what explains the impacts of a channel: one finding a fault."""

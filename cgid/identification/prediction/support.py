@@ -346,7 +346,7 @@ class CavingWatch:
                 support.window.at(end)  # which finds out
                 is_told = anchor.is_foreign
             if is_told:
-                is_known = end >= self._deaf_until
+                is_known = end >= self._deaf_until and not self.diagnosis.is_doubtful(name)
                 yield from support.at(support.window.at(end), ground, since, reason, is_known=is_known)
 
     def _ground(self, name: str, support: _Support, end: float) -> tuple[Ground, float, str]:
@@ -435,7 +435,7 @@ class _Support:
         self.window.forget(start, end)
 
     def at(self, share: Share, ground: Ground, since: float, reason: str, *, is_known: bool) -> Iterator[SupportReport]:
-        """Yield the reports of the window that ends now; without `is_known` nothing is decided yet."""
+        """Yield the reports of the window that ends now; unless `is_known` nothing is decided anew."""
         before, switch = self.state, None
         if before is not None and before.ground != Ground.SEEN and ground == Ground.SEEN:
             # What came on another ground is no evidence.
