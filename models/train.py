@@ -35,15 +35,13 @@ import numpy as np
 from beside_force import beside_force, force_model, force_table
 from domain_shift import domain_shift, domain_shift_table
 from selection import select, selection_section
-from single_forces import of_batches, pool_of_pulses
+from single_forces import pool_of_pulses
 
 from cgid import shipped
 from cgid._lib.files import write_together
-from cgid._lib.validation import Floats
 from cgid.identification.model.families import Neighbourhood
 from cgid.identification.model.model import StoredModel
 from cgid.identification.model.model_file import UNEXPLAINED
-from cgid.identification.model.world import trait_names
 from cgid.identification.training.card import PICTURES, Section, check_model_output, table, write_card, write_model
 from cgid.identification.training.rows import (
     BEAM_FEATURES,
@@ -57,10 +55,8 @@ from cgid.identification.training.training import train_on_specimens
 from cgid.learning.faults import Recording, of_forces, of_seams, with_faults
 from cgid.learning.seams import N_STREAMS, Pool, pool_of, wide, with_seams
 from cgid.learning.streams import StreamRows, finished, rows_of_streams, variations
-from cgid.learning.world import of_streams, with_world
 from cgid.measure.modal.beam import Beam
 from cgid.scene import Scene, load_scene, parse_scene, synthesise
-from cgid.scene.synthesis.draws import BLOCK
 from cgid.scene.synthesis.through_beam import beam_of
 
 HERE = Path(__file__).parent
@@ -105,8 +101,6 @@ BEAM_RIGS = {name: RIGS[name] for name in ("noise_exponent", "hum", "hum_frequen
 }
 #: Samples of a frame on all rigs, of which before touch: 4.1 ms at 1 MHz, where the longest contact lasts 2.1 ms.
 RIG_FRAME = {"samples": 4096, "pre_trigger": 300}
-#: Simulated recordings of the world of a model: at least 99 for a rate of one in a hundred.
-N_RECORDINGS = 199
 #: Simulated recordings of a beam and of forces, each sound and spoilt in six or seven ways; impacts of one of forces.
 N_STREAMS_SPOILT = 49
 N_FORCES_SPOILT = 227
@@ -234,15 +228,6 @@ def seams_section(told: dict[str, Any]) -> list[str]:
     ]
 
 
-def world_section(told: dict[str, Any]) -> list[str]:
-    """Return the lines about recordings that are not like those of the training."""
-    return [
-        f"After 50, 100, 200, ... impacts a recording is compared with {told['n_recordings']} simulated ones of the "
-        f"world of the training. One like them is told as foreign with a probability of at most {told['rate']:.2g}, "
-        "however long it is."
-    ]
-
-
 def sections(model: StoredModel) -> list[Section]:
     """Return the sections of the card about the comparisons in the record of a model."""
     told, found = model.training, []
@@ -252,8 +237,6 @@ def sections(model: StoredModel) -> list[Section]:
         found.append(("On streams", streams_section(told["streams"])))
     if "seams" in told:
         found.append(("In other seams", seams_section(told["seams"])))
-    if "world" in told:
-        found.append(("Recordings of another world", world_section(told["world"])))
     if "faults" in told:
         found.append(("Faults of a recording", faults_section(told["faults"])))
     if "beside_force" in told:
@@ -278,19 +261,6 @@ def finish(model: StoredModel, n_impacts: int, n_streams: int, seed: int) -> Sto
     model = finished(model, further)
     told = {UNEXPLAINED: float(np.median(guards[:, 0])), "domain_shift": domain_shift(model)}
     return replace(model, training={**model.training, **told})
-
-
-def recordings(model: StoredModel, n: int, seed: int) -> Iterator[tuple[Floats, float]]:
-    """Yield simulated recordings of the world of a model's training."""
-    if model.beam is not None:
-        yield from of_streams(streams(n, seed, model.beam.beam))
-        return
-    scenes = []
-    for scene in map(shipped_scene, ("reference", "rock", "corners")):
-        scenes += [(scene, 1), *on_rigs(scene, 3)]
-    each = -(-n // sum(count for _, count in scenes))
-    batches = (synthesise(scene, BLOCK * each * count, seed + k) for k, (scene, count) in enumerate(scenes))
-    yield from of_batches(islice(chain.from_iterable(batches), n), trait_names(model.measured), seed)
 
 
 def spoilt(model: StoredModel, seed: int) -> Iterator[list[Recording]]:
@@ -319,7 +289,6 @@ def faults_section(told: dict[str, Any]) -> list[str]:
 
 def simulated(model: StoredModel, seed: int) -> StoredModel:
     """Return a model with what simulated seams and recordings teach beside its answers."""
-    model = with_world(model, recordings(model, N_RECORDINGS, seed + 8100), seed)
     model = with_seams(model, pool(model, N_STREAMS, seed + 20), seed)
     return with_faults(model, spoilt(model, seed + 8799), seed)
 

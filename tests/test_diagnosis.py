@@ -1,4 +1,4 @@
-"""Why most answers are unknown: recordings made for each cause get that cause, good ones get no hint."""
+"""What is wrong with the channels of a recording, the commands that help, and levels."""
 
 from __future__ import annotations
 
@@ -18,7 +18,6 @@ import numpy as np
 import pytest
 from scipy.io import wavfile
 from scipy.signal import resample_poly
-from scipy.stats import binom
 
 from cgid import predict
 from cgid.calibration import SiteCalibration
@@ -27,43 +26,25 @@ from cgid.cli.hints import OWN_SCENE, NextSteps
 from cgid.cli.main import run
 from cgid.identification.model.model import StoredModel
 from cgid.identification.model.model_file import LEVELS
-from cgid.identification.model.world import Misfit, MisfitPart
 from cgid.identification.prediction import Answer, PredictionSettings, identify_frames
 from cgid.identification.prediction import diagnosis as diagnosis_module
-from cgid.identification.prediction.diagnosis import (
-    Cause,
-    CauseKind,
-    ChannelAnswers,
-    Diagnosis,
-    _factor_of,
-    misfit_text,
-)
-from cgid.identification.prediction.findings import Finding, as_option, words
+from cgid.identification.prediction.diagnosis import Diagnosis, _factor_of
+from cgid.identification.prediction.findings import Finding
 from cgid.identification.prediction.prediction import read_model
 from cgid.identification.prediction.stream import identify_blocks
-from cgid.identification.training import train_on_specimens
 from cgid.identification.training.grouped import level_range
-from cgid.identification.training.rows import DEFAULT_VIBRATION_FEATURES, Rows, sets_for
+from cgid.identification.training.rows import Rows, sets_for
 from cgid.measure.features.extraction import supported
 from cgid.measure.features.pulses import MAX_UNEXPLAINED
-from cgid.scene import Scene, load_scene, parse_scene, synthesise, varied
+from cgid.scene import Scene, load_scene, parse_scene, synthesise
 from cgid.scene.output.recordings import parts_of_recording
 from tests import few
-from tests.ringing import ringing_batch
 from tests.streams_of_pulses import RATE, ROOT, stream
 
 LABELS = ["coal", "gangue"] * 8
 BEAM_RATE = 25_600.0
 PULSES = StoredModel.load(ROOT / "models" / "default.npz")
 BEAM = StoredModel.load(ROOT / "models" / "default-acceleration.npz")
-
-
-@cache
-def of_levels() -> StoredModel:
-    scene = load_scene(ROOT / "datasets" / "tail_beam.toml")
-    return train_on_specimens(
-        synthesise(scene, 2000, 5), features=supported(DEFAULT_VIBRATION_FEATURES, BEAM_RATE, 2048), seed=1
-    ).model
 
 
 def of_the_trained_beam(blows_per_second: float) -> np.ndarray:
@@ -116,17 +97,12 @@ def hint_of(
     """The first finding of a recording, with the commands that help."""
     diagnosis, silent = Diagnosis(model, rate), list[Finding]()
     for step in identify_blocks([samples[None]], rate, model, ("1",), PredictionSettings(**fields)):
-        diagnosis.add(step.answers, step.upside_down)
+        diagnosis.add(step.answers)
         silent += [one for one in step.found if one.moves]
     return next((steps_of(diagnosis, rate, options).of(one) for one in silent + diagnosis.findings()), None)
 
 
-def cause_of(samples: np.ndarray, rate: float, model: StoredModel) -> str | None:
-    hint = hint_of(samples, rate, model)
-    return None if hint is None else hint.kind
-
-
-# -- the cause ----------------------------------------------------------------------------------------
+# -- what is wrong --------------------------------------------------------------------------------------
 
 
 def test_what_is_answered_well_gets_no_hint(beam: np.ndarray) -> None:
@@ -136,246 +112,6 @@ def test_what_is_answered_well_gets_no_hint(beam: np.ndarray) -> None:
     force = stream(LABELS, 0.05)
     for good in (force, force - force.mean(), force + random.normal(0, 400, force.size)):
         assert hint_of(good, RATE, PULSES) is None
-
-
-def test_causes_of_vibrations(beam: np.ndarray) -> None:
-    random = np.random.default_rng(0)
-    assert cause_of(beam + random.normal(0, 150, beam.size), BEAM_RATE, of_levels()) == "noise"
-    assert cause_of(0.01 * beam, BEAM_RATE, of_levels()) == "scale"
-    other = of_another_beam()
-    for samples in (other, other + random.normal(0, 0.02 * other.max(), other.size)):
-        assert cause_of(samples, BEAM_RATE, of_levels()) == "features"
-        assert cause_of(samples, BEAM_RATE, BEAM) == "other_beam"
-
-
-def test_causes_of_pulses() -> None:
-    force = stream(LABELS, 0.05)
-    assert cause_of(np.minimum(force, 2000), RATE, PULSES) == "clipped"
-    assert cause_of(force + np.roll(force, 97) + np.roll(force, 194), RATE, PULSES) == "overlapping"
-    assert cause_of(1e3 * force, RATE, PULSES) == "scale"
-    assert cause_of(1e-3 * force, RATE, PULSES) == "scale"
-    assert cause_of(force, RATE / 10, PULSES) == "duration"
-    times = np.arange(400) / RATE
-    ringing = np.convolve(force, np.exp(-times * 1500) * np.sin(2 * np.pi * 1500 * times))[: force.size]
-    assert cause_of(ringing, RATE, PULSES) == "vibration"
-
-
-def test_a_pulse_that_points_down_and_rebounds_is_turned_over() -> None:
-    force = stream(LABELS, 0.05)
-    # A coupling condenser: what falls comes back a little higher.
-    times = np.arange(round(0.03 * RATE)) / RATE
-    samples = -force + np.convolve(force, np.exp(-times / 5e-3) / (5e-3 * RATE))[: force.size]
-    hint = hint_of(samples, RATE, PULSES)
-    assert hint is not None
-    assert hint.kind == "upside_down"
-    assert hint.commands == ("cgid predict 'my file.csv' --set invert=true",)
-    assert hint_of(-samples, RATE, PULSES) is None
-
-
-def test_a_wrong_sampling_rate_is_told_by_the_true_one() -> None:
-    """The answers change when only the rate does, so the rate is the cause."""
-    samples = of_the_trained_beam(3)
-    model = of_levels()
-    diagnosis = Diagnosis(model, 2 * BEAM_RATE)
-    for step in identify_blocks([samples[None]], 2 * BEAM_RATE, model, ("1",), PredictionSettings()):
-        # Only those outside of the training: at this rate about half of them are.
-        diagnosis.add([answer for answer in step.answers if answer.novelty > 1])
-    (found,) = diagnosis.findings()
-    assert found.kind == "rate"
-    assert found.fields["true_rate"] == BEAM_RATE
-    assert "sampling_rate" in found.line("x.csv")
-    for options in (("--rate", "51200", "--unit", "g"), ("--unit", "g")):  # as well if the file states the wrong rate
-        hint = NextSteps(diagnosis, 2 * BEAM_RATE, "x.csv", options, ("--set", "mass=2")).of(found)
-        assert hint.commands == ("cgid predict x.csv --unit g --set mass=2 --rate 25600",)
-    # Not of a dataset.
-    hint = NextSteps(diagnosis, 2 * BEAM_RATE, "x.csv", ("--unit", "g"), labelled=True).of(found)
-    assert hint.commands == () and "correct it in the file" in hint.line("x.csv", 1, as_option)
-
-
-@pytest.mark.parametrize("model", [PULSES, BEAM])
-def test_frames_without_an_impact_are_too_weak(model: StoredModel) -> None:
-    """Those that are cut off cannot be measured, either, but for another reason."""
-    rate = model.sampling_rates[0]
-    quiet = np.random.default_rng(0).normal(0, 0.1, (30, 1060))
-    rising = quiet + np.append(np.zeros(1000), 100 * np.sin(np.linspace(0, 1.5, 60)))
-    for frames, cause in ((np.full_like(quiet, 0.5), "noise"), (rising, "unmeasured")):
-        diagnosis = Diagnosis(model, rate)
-        diagnosis.add(identify_frames(frames, rate, model, pre_trigger=1000))
-        (found,) = diagnosis.findings()
-        assert (found.kind, found.fields["unknown"]) == (cause, "30 of 30 impacts unknown: ")
-
-
-def test_each_cause_has_words() -> None:
-    assert set(CauseKind) <= words().keys()
-
-
-@pytest.mark.parametrize(
-    ("factor", "told"), [(1.04, "1.04"), (0.97, "0.97"), (1.8, "1.8"), (0.1, "0.1"), (162.3, "160")]
-)
-def test_any_factor_is_told_in_words_that_are_right(factor: float, told: str) -> None:
-    model = read_model("default")
-    assert f"about {told} times as large" in Diagnosis(model)._scale(("1",), factor).line("x")
-    for part, word in ((MisfitPart.SCALE, "large"), (MisfitPart.SIZES, "large"), (MisfitPart.SEAM, "hard")):
-        text = misfit_text(Misfit(part, 50, factor), model)
-        assert f"about {told} times as {word}" in text and text.endswith("(told of at most 1 % of recordings that are)")
-
-
-def test_causes_add_up_to_the_distance() -> None:
-    """The foremost input is the one without which the squared distance falls most, by finite differences."""
-    frames = ringing_batch(40, noise=1e-3).signals
-    answers = identify_frames(frames, BEAM_RATE, BEAM, pre_trigger=200)
-    assert all(answer.cause is None for answer in answers if answer.novelty <= 1)
-    outside = [answer for answer in answers if answer.novelty > 1]
-    assert outside
-    assert all(answer.cause is not None for answer in outside)
-    random = np.random.default_rng(0)
-    near = BEAM.neighbourhood
-    rows = random.normal(0, 3, (20, len(BEAM.inputs)))
-    for row, foremost in zip(rows, near.most_distant(rows), strict=True):
-        squares = [
-            np.sum((near.whitening[k % len(near.whitening)] @ (row - c)) ** 2) for k, c in enumerate(near.centres)
-        ]
-        nearest = int(np.argmin(squares))
-        whitening, offset = near.whitening[nearest % len(near.whitening)], row - near.centres[nearest]
-        # For a quadratic form, offset times half the gradient is each part of the sum.
-        steps = 1e-6 * np.eye(offset.size)
-        gradient = [
-            (np.sum((whitening @ (offset + step)) ** 2) - np.sum((whitening @ (offset - step)) ** 2)) / 2e-6
-            for step in steps
-        ]
-        assert np.sum(offset * gradient) / 2 == pytest.approx(squares[nearest], rel=1e-5)
-        assert int(np.argmax(offset * gradient)) == foremost
-
-
-# -- a beam that changes --------------------------------------------------------------------------------
-
-
-def with_modes_off(share: float, seed: int = 1) -> StoredModel:
-    """The model of acceleration; each of its modes is off by this share in frequency, and ten times in damping."""
-    assert BEAM.beam is not None
-    own, random = BEAM.beam.beam, np.random.default_rng(seed)
-    frequency, ratio = (
-        one * np.exp(by * random.normal(size=one.size))
-        for one, by in ((own.modes.frequency, share), (own.modes.damping_ratio, 10 * share))
-    )
-    off = replace(own, modes=replace(own.modes, frequency=frequency, damping_ratio=ratio))
-    return replace(BEAM, arrays={**BEAM.arrays, **off.arrays})
-
-
-@cache
-def answers_of(share: float, noise: float | None) -> list[Answer]:
-    """Answers for 96 impacts through modes that are off, with the noise of the scene or a share of the peak."""
-    scene = load_scene("tail_beam")
-    if noise is not None:
-        scene = varied(scene, noise_density=None, range=None, bits=None, relative_noise=noise)
-    batch = next(iter(synthesise(scene, 96, 11)))
-    model = with_modes_off(share)
-    return identify_frames(batch.signals, batch.sampling_rate, model, pre_trigger=batch.pre_trigger)
-
-
-def change_of(answers: list[Answer], model: StoredModel = BEAM) -> Finding | None:
-    """The first finding of answers that come every second, if it is of the beam; not before there are enough."""
-    diagnosis = Diagnosis(model, BEAM_RATE, live=True)
-    for number, answer in enumerate(answers):
-        diagnosis.add([replace(answer, time=float(number))])
-        for found in diagnosis.changes(float(number)):
-            if found.kind == "beam":
-                assert number >= 29
-                assert found in diagnosis.standing("1")
-                return steps_of(diagnosis, BEAM_RATE, ("--unit", "g")).of(found)
-    return None
-
-
-@pytest.mark.parametrize("noise", few([None, 0.3, 0.003]))
-def test_a_beam_that_has_not_changed_gets_no_hint(noise: float | None) -> None:
-    assert change_of(answers_of(0.0, noise)) is None
-
-
-@pytest.mark.parametrize("noise", few([None, 0.03]))
-def test_modes_that_are_off_by_a_hundredth_are_noticed(noise: float | None) -> None:
-    answers = answers_of(0.01, noise)
-    # Most single impacts tell it, too, where noise does not hide it.
-    assert np.mean([answer.label == "unknown" for answer in answers]) > (0.2 if noise == 0.03 else 0.5)
-    hint = change_of(answers)
-    assert hint is not None
-    assert "the modes of the model's leave" in hint.line("x")
-    assert hint.commands[0] == "cgid events 'my file.csv' --unit g -o events.csv"
-    # The beam of a user is not that of the shipped scene.
-    assert hint.instead == (
-        "write YOUR_BEAM.toml, a scene with the size and sensor of your beam",
-        "cgid calibrate 'my file.csv' --unit g --scene YOUR_BEAM.toml -o site.toml",
-        "cgid train site.toml -o site.npz",
-        "cgid predict 'my file.csv' --unit g --model site.npz",
-    )
-    # Disturbed impacts show nothing, and few are not enough.
-    assert change_of([replace(answer, overlapping=True) for answer in answers]) is None
-    assert change_of(answers[:29]) is None
-    # A model that was trained on such errors finds nothing new in them.
-    middle = float(np.median([answer.unexplained for answer in answers]))
-    used = replace(BEAM, training={**BEAM.training, "median_beam_unexplained": middle})
-    assert change_of(answers, used) is None
-    assert StoredModel.from_bytes(used.to_bytes()).unexplained == middle
-
-
-def test_the_median_lies_above_what_is_said() -> None:
-    """But for a chance of 2e-5, by the binomial distribution of ranks."""
-    for n in (30, 47, 100, 300):
-        channel = ChannelAnswers()
-        # The later ones leave less, so that most are looked at.
-        channel.unexplained.extend(np.arange(n, 0.0, -1).tolist())
-        left, latest = channel.median_unexplained()
-        assert len(latest) == n
-        rank = sorted(latest).index(left) + 1
-        assert binom.cdf(rank - 1, n, 0.5) < 2e-5 < binom.cdf(rank + 1, n, 0.5)
-    assert np.isnan(ChannelAnswers().median_unexplained()[0])
-
-
-def test_forces_that_no_contact_has_are_told_with_the_way_to_find_out() -> None:
-    """From a hundred impacts on, while the beam explains them; long pulses tell nothing."""
-    answers = [replace(answer, label="coal", unexplained=0.0) for answer in answers_of(0.0, None)[:50]] * 4
-    for share, told in ((2.5, False), (6.0, True)):
-        diagnosis = Diagnosis(BEAM, BEAM_RATE, live=True)
-        found: list[tuple[int, Finding]] = []
-        for number, answer in enumerate(answers):
-            diagnosis.add([replace(answer, time=float(number), misshapen=share if number % 2 else float("nan"))])
-            found += [(number, one) for one in diagnosis.changes(float(number))]
-        assert [(number, one.kind, one.is_over) for number, one in found] == [(199, "chain", False)] * told
-        assert [one.kind for one in diagnosis.findings()] == ["chain"] * told
-        if told:
-            assert found[0][1].fields["value"] == 6.0
-            (hint,) = (steps_of(diagnosis, BEAM_RATE, ("--unit", "g")).of(one) for one in diagnosis.findings())
-            assert hint.commands[0].startswith("cgid calibrate 'my file.csv' --unit g --scene tail_beam -o site.toml")
-    # Where most begin while an earlier one rings, the scene of a stream explains them; behind the beam of a user,
-    # neither of them does.
-    times = 0.03 * np.arange(200) + 0.3 * (np.arange(200) // 3)
-    for model, scene in ((BEAM, "caving"), (with_modes_off(0.05), "YOUR_BEAM.toml")):
-        diagnosis = Diagnosis(model, BEAM_RATE)
-        diagnosis.add([replace(one, time=float(time), misshapen=6.0) for one, time in zip(answers, times, strict=True)])
-        (hint,) = (steps_of(diagnosis, BEAM_RATE, ("--unit", "g")).of(one) for one in diagnosis.findings())
-        assert any(f"calibrate 'my file.csv' --unit g --scene {scene} " in step for step in hint.commands)
-
-
-@pytest.mark.long
-def test_a_changed_beam_in_a_stream(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    path, wav, model = tmp_path / "stream.raw", tmp_path / "stream.wav", tmp_path / "off.npz"
-    of_the_trained_beam(4.0).astype("<f4").tofile(path)
-    wavfile.write(wav, round(BEAM_RATE), of_the_trained_beam(4.0).astype("<f4"))
-    model.write_bytes(with_modes_off(0.01).to_bytes())
-    how = ["--rate", f"{BEAM_RATE:g}", "--channels", "1", "--sample-format", "f32le", "--unit", "m/s^2", "--json"]
-    # Commands for files read a WAV, and no raw numbers.
-    for arguments, n_hints, file in (
-        ([str(path), *how, "--model", str(model)], 1, "RECORDING"),
-        ([str(wav), *how[-3:], "--model", str(model)], 1, str(wav)),
-        ([str(path), *how], 0, ""),
-    ):
-        assert run(["monitor", *arguments]) == 0
-        told = capsys.readouterr()
-        found = [line for line in map(json.loads, told.out.splitlines()) if line.get("finding") == "beam"]
-        assert len(found) == n_hints
-        assert told.err.count("the beam has changed") == n_hints
-        for line in found:
-            assert line["commands"][0].startswith(f"cgid events {file} ")
-            assert line["instead"][1].startswith(f"cgid calibrate {file} ")
 
 
 # -- the line -----------------------------------------------------------------------------------------
@@ -389,16 +125,6 @@ def test_the_unit_that_explains_the_size_is_named() -> None:
     ):
         hint = hint_of(1e3 * force, RATE, PULSES, options)
         assert hint is not None and (hint.kind, hint.commands) == ("scale", wanted)
-
-
-def test_the_coal_of_another_seam_ends_within_a_recording_of_fifty_impacts() -> None:
-    """At eight rocks a second these take ten seconds."""
-    for part in (MisfitPart.SEAM, MisfitPart.SIZES):
-        diagnosis = Diagnosis(BEAM, BEAM_RATE)
-        diagnosis.misfits["1"] = Misfit(part, 50, 2.0)
-        (found,) = diagnosis.findings()
-        hint = NextSteps(diagnosis, BEAM_RATE, "a.wav", ("--unit", "g")).of(found)
-        assert hint.commands == ("cgid predict a.wav --unit g --coal-until 10s",)
 
 
 # -- every command that is printed --------------------------------------------------------------------
@@ -551,6 +277,8 @@ def level_of(model: str, answers: tuple[Answer, ...]) -> str | None:
 
 
 SHIPPED = ["default", "default-acceleration"]
+#: Of a beam, levels are those of a seam.
+OF_FORCES = ["default"]
 
 
 @pytest.mark.parametrize("model", SHIPPED)
@@ -564,21 +292,20 @@ def test_a_factor_adds_its_logarithm_to_the_levels(model: str) -> None:
 def conditions_of(parts: list[tuple[str, tuple[Answer, ...]]], model: str) -> list[tuple[int, str, str, bool]]:
     """Return when what begins and ends in a live stream: number of the impact, channel, kind, whether it begins.
 
-    These are blows one by one, without rebounds, so the stream as a whole is not of the world of the training.
+    These are answers without their samples, so levels alone tell.
     """
     shipped = StoredModel.load(ROOT / "models" / f"{model}.npz")
-    diagnosis, number, found = Diagnosis(shipped, live=True), 0, []
+    diagnosis, number, found = Diagnosis(shipped), 0, []
     for channel, answers in parts:
         for answer in answers:
             number += 1
             diagnosis.add([replace(answer, channel=channel, time=number / 8)])
-            changes = [one for one in diagnosis.changes(number / 8) if one.kind not in ("foreign", "other_seam")]
-            found += [(number, *one.channels, one.kind, not one.is_over) for one in changes]
+            found += [(number, *one.channels, one.kind, not one.is_over) for one in diagnosis.changes(number / 8)]
     return found
 
 
 @pytest.mark.parametrize("gain", [9.81, 0.102])
-@pytest.mark.parametrize("model", SHIPPED)
+@pytest.mark.parametrize("model", OF_FORCES)
 def test_a_gain_that_changes_is_told_within_thirty_impacts_and_when_it_is_back(model: str, gain: float) -> None:
     own, wrong = own_answers(model, 1.0), own_answers(model, gain)
     n, before = 60, 8 * (len(own) // 60) * 60
@@ -602,7 +329,7 @@ def test_each_channel_is_told_whatever_is_wrong_with_another() -> None:
     ]
     found = conditions_of(parts, "default")
     assert {(channel, condition) for _, channel, condition, _ in found} == {
-        ("1", "coverage"),
+        ("1", "unknown"),
         ("2", "scale"),
     }
     # In a recording as a whole, too.
@@ -610,50 +337,10 @@ def test_each_channel_is_told_whatever_is_wrong_with_another() -> None:
     for channel, answers in parts:
         diagnosis.add([replace(one, channel=channel) for one in answers])
     told = {one.kind: one.channels for one in diagnosis.findings()}
-    assert told["coverage"] == ("1",) and told["scale"] == ("2",)
+    assert told["unknown"] == ("1",) and told["scale"] == ("2",)
 
 
-def test_only_the_latest_answers_of_a_live_stream_count() -> None:
-    """Counts that forget equal those of the last sixty answers alone, causes and examples included."""
-    rng = np.random.default_rng(3)
-    causes = [
-        None,
-        Cause(CauseKind.NOISE, 1.0),
-        Cause(CauseKind.AMPLITUDE, 9.0),
-        Cause(CauseKind.SHAPE, 2.0, "peak_misfit"),
-    ]
-    answers = []
-    for number in range(500):
-        cause = causes[rng.integers(4)]
-        answers.append(
-            Answer(
-                time=number * 2.0,
-                label="coal" if cause is None else "unknown",
-                probabilities={"coal": 0.9} if rng.random() < 0.8 else {},
-                novelty=0.5 if cause is None else 2.0,
-                cause=cause,
-                clipped=bool(rng.random() < 0.2),
-                problem="" if cause is None else cause.kind,
-            )
-        )
-    live = ChannelAnswers(live=True)
-    for answer in answers:
-        live.add(answer, is_vibration=False)
-    last = ChannelAnswers()
-    for answer in answers[-60:]:
-        last.add(answer, is_vibration=False)
-    for name in ("n_answers", "n_unmarked", "n_unknown", "n_usable"):
-        assert getattr(live, name) == getattr(last, name)
-    for name in ("marks", "unmarked", "problems"):
-        assert +getattr(live, name) == +getattr(last, name)
-    assert {name: list(one) for name, one in live.examples.items() if one} == {
-        name: list(one) for name, one in last.examples.items()
-    }
-    live.forget(answers[-1].time + 301)
-    assert (live.n_answers, live.n_unknown, live.marks.total() + live.unmarked.total()) == (0, 0, 0)
-
-
-@pytest.mark.parametrize("model", SHIPPED)
+@pytest.mark.parametrize("model", OF_FORCES)
 def test_a_wrong_scale_is_told_from_ten_impacts_on(model: str) -> None:
     own, wrong = own_answers(model, 1.0), own_answers(model, 9.81)
     assert sum(one.label == "unknown" for one in wrong) < len(wrong) / 2
@@ -666,7 +353,6 @@ def test_a_wrong_scale_is_told_from_ten_impacts_on(model: str) -> None:
     assert level_of(model, wrong[:9]) is None
     text = level_of(model, wrong)
     assert text is not None
-    assert ("9.81" in text) == (model == "default-acceleration")
     assert 6 < float(text.partition("about ")[2].split()[0]) < 16
     small = level_of(model, own_answers(model, 0.102))
     assert small is not None and 0.06 < float(small.partition("about ")[2].split()[0]) < 0.16

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from cgid import predict
 from cgid.cli.answer_rows import AnswerLines
@@ -193,15 +194,27 @@ def forces(seed: int, n: int = 60) -> tuple[np.ndarray, float]:
 def spoilt(seed: int) -> Mapping[str, tuple[np.ndarray, float, set[str]]]:
     """Return recordings with one fault each: samples, the stated rate, and the names that are right."""
     x, rate = forces(seed)
+    random, turn = np.random.default_rng(seed + 1), 2 * np.pi * 9e3 / rate
+    near = np.exp(-0.03 * turn)  # a resonance at 9 kHz with 3 % of the critical damping
     return {
         "as it is": (x, rate, set()),
         "x5": (5 * x, rate, {"scale"}),
         "x40": (40 * x, rate, {"scale"}),
+        "/20": (x / 20, rate, {"scale"}),
+        "rate x5": (x, 5 * rate, {"rate"}),
+        "rate /3": (x, rate / 3, {"rate"}),
+        "clipped": (np.minimum(x, np.percentile(x, 99.3)), rate, {"clipped"}),
         "upside down": (-x, rate, {"upside_down"}),
+        "rings": (
+            lfilter([1 - 2 * near * np.cos(turn) + near**2], [1, -2 * near * np.cos(turn), near**2], x),
+            rate,
+            {"ringing"},
+        ),
+        "noise": (x + random.normal(0, 0.12 * np.abs(x).max(), x.size), rate, {"noise"}),
     }
 
 
-CASES = ("as it is", "x5", "x40", "upside down")
+CASES = ("as it is", "x5", "x40", "/20", "rate x5", "rate /3", "clipped", "upside down", "rings", "noise")
 
 
 @pytest.mark.parametrize("case", CASES)

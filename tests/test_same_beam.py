@@ -20,7 +20,7 @@ from cgid.cli.main import cli
 from cgid.errors import InvalidValue
 from cgid.identification.model.model import StoredModel
 from cgid.identification.prediction import Answer, identify_recording
-from cgid.identification.prediction.diagnosis import Cause, CauseKind, Diagnosis
+from cgid.identification.prediction.diagnosis import Diagnosis
 from cgid.identification.prediction.same_beam import (
     CROSSING,
     Detected,
@@ -35,7 +35,7 @@ from cgid.identification.prediction.same_beam import (
 )
 from cgid.identification.prediction.settings import PredictionSettings, require_groups
 from cgid.identification.prediction.stream import answering_channels, identify_blocks
-from cgid.identification.prediction.telling import untold_beams
+from cgid.identification.prediction.telling import of_model
 from cgid.measure.features.vibration import BEAM_PULSE
 from cgid.scene import load_scene
 from cgid.scene.synthesis.several_sensors import recorded_together
@@ -501,45 +501,25 @@ def test_a_table_of_rocks_trains_a_model(pairs: Path) -> None:
         assert ("trained with channels of one beam together; give --same-beam 1+2" in err) is is_told
 
 
-@pytest.mark.parametrize(("factor", "kind"), [(1.0, "features"), (2.4, "features"), (0.1, "scale"), (10.0, "scale")])
-def test_no_labels_are_asked_for_where_the_scale_is_wrong(factor: float, kind: str, default_force: StoredModel) -> None:
-    diagnosis = Diagnosis(default_force, 200e3)
-    levels = default_force.level_deviation * np.random.default_rng(2).normal(0, 1, 40) + np.log(factor)
-    unlike = Answer(time=0.0, label="unknown", novelty=9.0, probabilities={"coal": 1.0})
-    feature = Cause(CauseKind.FEATURES, 1.0, "peak")
-    diagnosis.add([replace(unlike, time=float(k), level=one, cause=feature) for k, one in enumerate(levels.tolist())])
-    (found,) = diagnosis.findings()
-    assert found.kind == kind
-    steps = NextSteps(diagnosis, 200e3, "x.wav", ["--sensitivity", "1 V"], channels=["1"])
-    assert bool(steps.of(found).commands) is (kind == "features")
-
-
-def test_hints_name_the_channels_of_one_beam(default_force: StoredModel) -> None:
-    """As given; or as in the training, where that is why impacts are unknown."""
-    plain = default_force
-    beams = replace(plain, training={**plain.training, "same_beam": ["1+2"]})
-    unlike = Answer(
-        time=0.0,
-        channel="1",
-        label="unknown",
-        novelty=9.0,
-        probabilities={"coal": 1.0},
-        cause=Cause(CauseKind.FEATURES, 1.0),
-    )
+def test_commands_name_the_channels_of_one_beam(default_force: StoredModel) -> None:
+    """As given; or as in the training, where nobody has said so."""
+    beams = replace(default_force, training={**default_force.training, "same_beam": ["1+2"]})
+    unlike = Answer(time=0.0, channel="1", label="unknown", novelty=9.0, probabilities={"coal": 1.0})
     for own, given, channels, first in (
-        (plain, [], ["1", "2"], "cgid events x.wav --unit N --channel 1 -o events.csv"),
-        (plain, ["--same-beam", "1+2"], ["1+2"], "cgid events x.wav --unit N --same-beam 1+2 -o events.csv"),
+        (default_force, [], ["1", "2"], "cgid events x.wav --unit N --channel 1 -o events.csv"),
+        (default_force, ["--same-beam", "1+2"], ["1+2"], "cgid events x.wav --unit N --same-beam 1+2 -o events.csv"),
         (beams, ["--same-beam", "1+2"], ["1+2"], "cgid events x.wav --unit N --same-beam 1+2 -o events.csv"),
-        (beams, [], ["1", "2"], "cgid predict x.wav --unit N --same-beam 1+2"),
     ):
-        diagnosis = Diagnosis(own, 200e3, beams="\n".join(untold_beams(own, ["1", "2"], given)))
+        diagnosis = Diagnosis(own, 200e3)
         diagnosis.add([replace(unlike, time=float(k), channel=name) for k in range(30) for name in channels])
-        (found,) = diagnosis.findings()
-        hint = NextSteps(diagnosis, 200e3, "x.wav", ["--unit", "N"], given, channels=["1", "2"]).of(found)
-        assert hint.commands[0] == first
-        if len(hint.commands) > 1:
+        steps = NextSteps(diagnosis, 200e3, "x.wav", ["--unit", "N"], given, channels=["1", "2"])
+        for hint in map(steps.of, diagnosis.findings()):
+            assert (hint.kind, hint.commands[0]) == ("unknown", first)
             assert ("--same-beam 1+2" in hint.commands[-1]) is bool(given)
             assert ("--channel" in hint.commands[-1]) is False
+    (found,) = (one for one in of_model(beams, 200e3, PredictionSettings(), ["1", "2"]) if one.kind == "together")
+    hint = NextSteps(Diagnosis(beams, 200e3), 200e3, "x.wav", ["--unit", "N"], channels=["1", "2"]).of(found)
+    assert hint.commands == ("cgid predict x.wav --unit N --same-beam 1+2",)
 
 
 def test_pulse_names_are_those_of_the_model(model: StoredModel) -> None:

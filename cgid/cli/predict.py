@@ -165,7 +165,7 @@ class _Prediction:
         dataset = Dataset(path)
         model = self.models.of(dataset.quantity)
         tally, number = _Tally(model.labels), count()
-        diagnosis = Diagnosis(model, dataset.sampling_rate, labelled=True)
+        diagnosis = Diagnosis(model, dataset.sampling_rate, labelled=True, watched=False)
         steps = NextSteps(diagnosis, dataset.sampling_rate, path, *given_options(), labelled=True)
         with progress_bar(len(dataset), "signals", "predicting") as progress:
             for batch, answers in identify_batches(dataset.batches(), model, self.settings, path):

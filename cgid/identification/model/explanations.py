@@ -305,6 +305,10 @@ class Candidate(NamedTuple):
     undone: Fault | None = None
 
 
+#: Log odds of one fault against two at once, before any evidence (by eye).
+_OF_PAIRS = 8.0
+
+
 def kinds_of(is_beam: bool) -> tuple[Fault | None, ...]:
     """Return the explanations that have a density of their own: None is as the training, of forces on many rigs.
 
@@ -408,10 +412,10 @@ class Explanations:
         z = self.standardised(summaries)
         sound = self.densities(None, in_bin, z[:1])[0]
         odds, factors = [], []
-        for _, kind, undone in candidates_of(is_beam):
+        for faults, kind, undone in candidates_of(is_beam):
             found = self.densities(kind, in_bin, z[rows[undone]])
             best = int(np.argmax(found))
-            odds.append(np.logaddexp.reduce(found) - np.log(len(found)) - sound)
+            odds.append(np.logaddexp.reduce(found) - np.log(len(found)) - sound - _OF_PAIRS * (len(faults) - 1))
             move = moves[rows[undone]][best]
             factors.append(np.exp(move[1] - move[0]) if undone in (Fault.SCALE, Fault.RATE) else np.nan)
             if kind is Fault.RATE:

@@ -18,7 +18,7 @@ import numpy as np
 from cgid._lib.terminal import counted
 from cgid._lib.validation import UNKNOWN, Floats
 from cgid.identification.detection.events import EVENT_TIME
-from cgid.identification.prediction.explanation import ChannelWatch, Evidence, Explained, Fault, explain
+from cgid.identification.prediction.explanation import LEAST_IMPACTS, ChannelWatch, Evidence, Explained, Fault, explain
 from cgid.identification.prediction.findings import Finding
 from cgid.units import UNITS
 
@@ -69,8 +69,10 @@ class Condition(StrEnum):
 class _Channel:
     """The latest predictions of a channel, and what is known of them."""
 
-    def __init__(self, model: StoredModel) -> None:
-        self.watch, self.evidence, self.scale = ChannelWatch(model), Evidence(), _Scale(model)
+    def __init__(self, model: StoredModel, *, watched: bool) -> None:
+        self.evidence = Evidence()
+        self.watch = ChannelWatch(model) if watched else None
+        self.scale = _Scale(model) if watched else None
         self.n_answers = self.n_unknown = self.n_usable = 0
         self.recent: deque[tuple[float, bool]] = deque(maxlen=_RECENT)  # time [s], and whether it is unknown
         self.problems: Counter[str] = Counter()
@@ -92,11 +94,13 @@ class _Channel:
         if answer.problem in self.problems or len(self.problems) < _MAX_EXAMPLES:
             self.problems[answer.problem] += is_unknown
         self.evidence.add(answer)
-        self.watch.add(answer)
+        if self.watch is not None:
+            self.watch.add(answer)
         if np.isfinite(answer.level):
             self.levels.append(answer.level)
             self.n_levels += 1
-            self.scale.test(self)
+            if self.scale is not None:
+                self.scale.test(self)
 
     def is_mostly_unknown(self, *, before: bool) -> bool:
         """Return whether most of the latest predictions are unknown; if they were `before`, until half are not."""
@@ -108,12 +112,14 @@ class _Channel:
 class Diagnosis:
     """Follow the predictions of a recording by channel, and say what is wrong with it.
 
-    `changes` says what begins and what ends, by the latest predictions alone, and `findings` what is wrong with the
-    whole of a recording, up to what its latest impacts show.
+    `findings` says what is wrong with the whole of a recording, by its latest impacts; where it is `watched`, `changes`
+    says what begins and what ends.
     """
 
-    def __init__(self, model: StoredModel, sampling_rate: float = float("nan"), *, labelled: bool = False) -> None:
-        self.model, self._rate, self._labelled = model, sampling_rate, labelled
+    def __init__(
+        self, model: StoredModel, sampling_rate: float = float("nan"), *, labelled: bool = False, watched: bool = True
+    ) -> None:
+        self.model, self._rate, self._labelled, self._watched = model, sampling_rate, labelled, watched
         self.channels: dict[str, _Channel] = {}
         self._standing: dict[str, dict[str, Finding]] = {}
         self._unknown: set[str] = set()  # channels whose latest predictions are mostly unknown
@@ -122,7 +128,7 @@ class Diagnosis:
         """Count more predictions."""
         for answer in answers:
             if answer.channel not in self.channels:
-                self.channels[answer.channel] = _Channel(self.model)
+                self.channels[answer.channel] = _Channel(self.model, watched=self._watched)
             self.channels[answer.channel].add(answer)
 
     def conditions(self, channel: str) -> set[Condition]:
@@ -137,7 +143,7 @@ class Diagnosis:
         return tuple(one for one in self._standing.get(channel, {}).values() if one.moves)
 
     def is_doubtful(self, channel: str) -> bool:
-        """Return whether something is wrong by impacts that no later ones have confirmed: until then nothing changes."""
+        """Return whether something is wrong by impacts that no later ones have confirmed yet."""
         watch = self.channels[channel].watch if channel in self.channels else None
         return watch is not None and bool(watch.explained.faults) and not watch.is_sure
 
@@ -145,6 +151,7 @@ class Diagnosis:
         """Return what has begun or ended up to a time [s]."""
         found = []
         for name, channel in sorted(self.channels.items()):
+            assert channel.watch is not None
             while channel.recent and channel.recent[0][0] < time - _OLDEST:
                 channel.recent.popleft()
             channel.evidence.forget(time)
@@ -165,7 +172,9 @@ class Diagnosis:
         """Return what is wrong with the whole of a recording."""
         found = []
         for name, channel in sorted(self.channels.items()):
-            own = self._of(name, channel, explain(channel.evidence, self.model), whole=True)
+            is_enough = len(channel.evidence.answers) >= LEAST_IMPACTS
+            explained = explain(channel.evidence, self.model) if is_enough else Explained()
+            own = self._of(name, channel, explained, whole=True)
             if not own and 2 * channel.n_unknown > channel.n_answers:
                 own = self._of_unknown(name, channel)
             found += own
@@ -186,7 +195,7 @@ class Diagnosis:
             return []  # on a beam, levels are those of a seam
         # Levels of impacts that the model does not know mean nothing.
         is_known = 2 * channel.n_unknown <= channel.n_answers
-        factor = _factor_of(channel.levels, self.model) if whole else channel.scale.factor
+        factor = _factor_of(channel.levels, self.model) if whole or channel.scale is None else channel.scale.factor
         return [self._finding(str(Fault.SCALE), name, factor)] if factor != 1 and is_known else []
 
     def _of_unknown(self, name: str, channel: _Channel) -> list[Finding]:

@@ -196,7 +196,7 @@ def _judged(
 class ChannelWatch:
     """What is wrong with one channel of a live stream, without flapping.
 
-    It looks after 10, 20 and 40 impacts, then after every 40 more, at the latest 80 of them. A fault begins where its
+    It looks after 10, 20 and 40 impacts, then after every 40, at these and at the latest 80. A fault begins where its
     odds exceed the limit, changes its name only where another one is better at two looks in a row, and ends where two
     looks in a row have odds clearly below the limit.
 
@@ -239,7 +239,9 @@ class ChannelWatch:
         return self._look()
 
     def _look(self) -> bool:
-        now, before = explain(self._evidence, self._model, self.past), self.explained
+        some = {_EVERY, MOST_OF_PAST} if self._evidence.n_impacts > _EVERY else {MOST_OF_PAST}
+        looks = [explain(self._evidence.latest(n), self._model, self.past) for n in sorted(some)]
+        now, before = max(looks, key=lambda one: np.nan_to_num(one.odds, nan=-np.inf)), self.explained
         if not before.faults:
             self.explained = now
             if now.faults:

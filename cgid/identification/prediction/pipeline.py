@@ -85,7 +85,7 @@ class Pipeline:
         self._sensors = SensorWatch(len(channels), sampling_rate, give_up) if needs_sensors else None
         #: Names of the channels of the predictions; channels that are used together have one name.
         self.supports = answering_channels(model, self.names, settings.same_beam)
-        self.diagnosis = Diagnosis(model, sampling_rate)
+        self.diagnosis = Diagnosis(model, sampling_rate, watched=watched)
         self.watch: CavingWatch | None = None
         if watched:
             self.watch = CavingWatch(
