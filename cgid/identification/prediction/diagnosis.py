@@ -183,7 +183,8 @@ class Diagnosis:
     def is_as_a_seam(self, channel: str) -> bool:
         """Return whether the factor of the levels of a channel may be that of a seam; no seam changes by itself."""
         factors = [one.factor for one in self.standing(channel) if one.kind == Fault.SCALE]
-        is_change = channel in self.channels and self.channels[channel].watch.explained.of_past
+        watch = self.channels[channel].watch if channel in self.channels else None
+        is_change = watch is not None and watch.explained.of_past
         return not is_change and all(max(factor, 1 / factor) < _AS_A_SEAM for factor in factors)
 
     def _of(self, name: str, channel: _Channel, explained: Explained, *, whole: bool = False) -> list[Finding]:
