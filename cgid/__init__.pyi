@@ -12,6 +12,7 @@ from cgid import store as store
 from cgid.identification.detection.detector import ImpactDetector as ImpactDetector
 from cgid.identification.detection.detector import find_impacts as find_impacts
 from cgid.identification.model.model import Model as Model
+from cgid.identification.prediction.monitor import Monitor as Monitor
 from cgid.identification.prediction.pipeline import identify_recording as identify_recording
 from cgid.identification.prediction.prediction import load_model as load_model
 from cgid.identification.prediction.prediction import predict as predict

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from cgid._lib.validation import Floats
 from cgid.learning.seams import Pool, pulses_of
 from cgid.measure.features.extraction import extract_array
 from cgid.signals import Batch
@@ -25,19 +24,3 @@ def pool_of_pulses(batches: Iterable[Batch], names: tuple[str, ...]) -> Pool:
     pulse = np.concatenate(pulses)
     every, nothing = np.ones(len(pulse), bool), np.full(len(pulse), np.nan)
     return Pool(pulse=pulse, measured=np.concatenate(measured), told=every, bounce=~every, back=nothing)
-
-
-def of_batches(batches: Iterable[Batch], names: Sequence[str], seed: int) -> Iterator[tuple[Floats, float]]:
-    """Yield batches of single forces, half of them of gangue, as recordings of `with_world` with other fractions."""
-    rng = np.random.default_rng([seed, 32])
-    for batch in batches:
-        features = extract_array(
-            batch.signals, batch.sampling_rate, names, pre_trigger=batch.pre_trigger, invalid="nan"
-        )
-        sound = np.isfinite(features).all(axis=1)
-        gangue = rng.permutation(np.flatnonzero(sound & (batch.labels == "gangue")))
-        coal = rng.permutation(np.flatnonzero(sound & (batch.labels != "gangue")))
-        fraction = float(rng.random())
-        n = min(len(gangue), len(coal))
-        n_gangue = int(rng.binomial(n, fraction))
-        yield features[rng.permutation(np.append(gangue[:n_gangue], coal[: n - n_gangue]))], fraction

@@ -770,6 +770,8 @@ _COMMANDS = r"""
 65 | monitor - --set cost_late=0 --set cost_early=0 | cost_early
 65 | monitor - --set hold=-3 | hold
 65 | predict good.csv --set hold=inf | hold
+65 | monitor - --set hold=1e9 | hold
+65 | monitor - --set blind_after=1e9 | blind_after
 65 | predict good.csv --coal-until 0 | --coal-until
 65 | monitor - --coal-until -5s | --coal-until
 2 | predict good.csv --coal-until soon | --coal-until

@@ -190,6 +190,23 @@ def test_a_pause_begins_another_cycle() -> None:
     assert [anchor.has(time) for time in (149.0, 160.0, 160.1)] == [False, True, False]
 
 
+def test_a_dead_sensor_is_no_pause_and_a_cycle_shorter_than_its_coal_is_known() -> None:
+    anchor = Anchor(30.0, 10.0)
+    for time in np.arange(0.0, 20.0, 0.5):
+        anchor.add(float(time), 0.1, PULSE)
+    anchor.lose(33.0)  # dead from 20 to 33 s
+    anchor.add(34.0, 0.1, PULSE)
+    assert (anchor.cycle, anchor.short) == (0.0, None)
+    for time in (60.0, 62.0, 80.0):
+        anchor.add(time, 0.1, PULSE)
+    # The first cycle was as long as its coal; the second ended two seconds after it began.
+    assert (anchor.cycle, anchor.short) == (80.0, (60.0, 62.0))
+    before_any = Anchor(30.0, 10.0)
+    before_any.lose(50.0)
+    before_any.add(51.0, 0.1, PULSE)
+    assert before_any.cycle == 0.0
+
+
 def test_a_cycle_may_begin_when_it_is_said() -> None:
     anchor = Anchor(10.0)
     for time in range(12):
@@ -302,8 +319,8 @@ def test_a_window_that_does_not_fit_the_coal_refuses_it_in_a_file_as_in_a_stream
     lines_of(folder, capsys, "monitor", "--coal-until", "1")
     for wrong[0] in list(dict.fromkeys(seen))[1:5]:
         lines = {one: lines_of(folder, capsys, one, "--coal-until", "1")[0] for one in ("monitor", "predict")}
-        warned = {one: [line["message"] for line in found if line["kind"] == "warning"] for one, found in lines.items()}
-        told = {one: [text.split(": ")[1] for text in texts if "hardly" in text] for one, texts in warned.items()}
+        warned = {one: [line["message"] for line in found if line["kind"] == "finding"] for one, found in lines.items()}
+        told = {one: [text for text in texts if "hardly" in text] for one, texts in warned.items()}
         assert told["predict"] == told["monitor"] and len(told["predict"]) == 1
         last = {one: [line["basis"] for line in found if line["kind"] == "share"][-1] for one, found in lines.items()}
         assert last == {"monitor": "anchor_foreign", "predict": "anchor_foreign"}
@@ -352,7 +369,7 @@ def test_cycles_without_a_pause_are_told_once(
         assert lines_of(folder, capsys, command, "--coal-until", "1", "--set", "cycle_pause=1s")[1].count(words) == 1
         # A recording that is no longer than its coal and a pause may end with its first cycle.
         assert "no pause" not in lines_of(folder, capsys, command, "--coal-until", "1", "--set", "cycle_pause=2s")[1]
-    monkeypatch.setattr("cgid.cli.answer_rows._LONGEST_CYCLE", 1.2)
+    monkeypatch.setattr("cgid.identification.prediction.telling._LONGEST_CYCLE", 1.2)
     err = lines_of(folder, capsys, "monitor", "--coal-until", "1", "--set", "cycle_pause=1s")[1]
     (told,) = re.findall(r"no pause of 1 s came from 0 to (\S+) s", err)
     assert 1.2 <= float(told) < 2
@@ -367,11 +384,11 @@ def test_an_anchor_that_does_not_fit_or_is_too_small_or_late_is_told(
         ("any", "4", "--coal-until must be within the recording of 3 s, got 4 s"),
     ):
         lines, err = lines_of(folder, capsys, "predict", "--coal-until", coal, model=model)
-        told = [line["message"] for line in lines if line["kind"] == "warning"]
+        told = [line["message"] for line in lines if line["kind"] == "finding"]
         assert sum(words in one for one in told) == 1, told
         assert err.count(words) == 1
     lines, err = lines_of(folder, capsys, "predict", "--coal-until", "1")
-    assert "coal" not in err and not any("basis" in line for line in lines if line["kind"] == "warning")
+    assert "coal" not in err and not any("coal" in line["message"] for line in lines if line["kind"] == "finding")
 
 
 @pytest.mark.parametrize("command", ["predict", "monitor"])

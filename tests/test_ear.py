@@ -111,9 +111,9 @@ def test_another_rate_is_told_once() -> None:
     samples, model = np.random.default_rng(0).normal(size=(1, 150_000)), load_model("default-acceleration")
     for rate, notes in ((51_200.0, 1), (RATE + 1, 0)):
         steps = list(identify_blocks([samples], rate, model, ["1"], PredictionSettings(), "belt"))
-        told = [note for step in steps for note in step.notes]
+        told = [one for step in steps for one in step.found if one.is_note]
         assert len(told) == notes
-        assert all(note.startswith("belt: 51200 Hz is heard at 25600 Hz") for note in told)
+        assert all(one.is_note and one.fields == {"rate": 51200.0, "heard": RATE} for one in told)
 
 
 def recorded(rate: float, folder: Path, monkeypatch: pytest.MonkeyPatch) -> NDArray[np.floating]:

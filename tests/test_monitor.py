@@ -11,13 +11,14 @@ import sys
 import threading
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from scipy.io import wavfile
 
 from cgid.cli.main import run
-from cgid.cli.monitor import Inbox
+from cgid.cli.monitor import Inbox, Outbox
 from cgid.errors import INTERRUPTIONS
 from tests.streams_of_pulses import RATE, ROOT, stream, window_model
 
@@ -63,7 +64,7 @@ def test_a_gap_costs_one_warning_and_no_other_channel(
         out = capsys.readouterr().out
         # Pulses that are turned round in time are no impacts of the training: their level is warned of; and both
         # channels have impacts at the same times.
-        messages = [row["message"] for row in rows_of(out, "warning")]
+        messages = [row["message"] for row in rows_of(out, "finding")]
         own = [text for text in messages if "drop heights" not in text and "the same rocks" not in text]
         return rows_of(out, "impact"), own
 
@@ -98,7 +99,7 @@ def test_a_channel_is_taken_again_and_the_end_comes_only_where_none_is_readable(
         reading = [*given[1:], "--rate", str(RATE), "--unit", "N", "--json"]
         code = run([command, str(tmp_path / given[0]), *reading, *options])
         out, err = capsys.readouterr()
-        return code, rows_of(out, "impact"), [row["message"] for row in rows_of(out, "warning")], err
+        return code, rows_of(out, "impact"), [row["message"] for row in rows_of(out, "finding")], err
 
     first = round(0.3 * RATE)
     samples[first:, 1] = np.nan
@@ -194,7 +195,7 @@ def test_events_leave_before_the_stream_goes_on(force: np.ndarray) -> None:
         process.stdin.close()
         rest = process.stdout.read().decode()
         assert len(rows_of(rest, "impact")) == 24
-        assert "left out" in rows_of(rest, "warning")[0]["message"]
+        assert "left out" in rows_of(rest, "finding")[0]["message"]
     finally:
         process.kill()
         process.wait()
@@ -237,7 +238,7 @@ def test_a_stream_that_stalls_is_stopped_and_taken_up_again(force: np.ndarray) -
         assert next(row for row in states if row["ground"] == "seen")["kind"] in ("share", "state")
         process.stdin.close()
         assert "stopped" not in [row["ground"] for row in states]
-        assert b"stopped since" in process.stderr.read()
+        assert b": stopped: " in process.stderr.read()
         assert process.wait(60) == 0
 
 
@@ -332,3 +333,56 @@ def test_a_live_stream_is_behind_by_what_waits_and_a_file_is_not(monkeypatch: py
     assert inbox.behind == 0.5
     leave.set()
     assert sum(block.shape[1] for block in iterator) == 50
+
+
+# -- stdout beside other outputs ------------------------------------------------------------------------------
+
+
+def outbox_lines(n: int) -> list[str]:
+    return [f"{k} " + "x" * 1000 for k in range(n)]
+
+
+def test_a_slow_reader_loses_no_line_and_one_who_is_away_holds_nothing_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("cgid.cli.monitor.UNREAD", 0.4)
+    for is_slow in (True, False):
+        reading, writing = os.pipe()
+        said: list[str] = []
+        lines, got = outbox_lines(300), []  # a pipe holds some 64
+        begun = time.monotonic()
+        with os.fdopen(reading, "rb") as reader:
+
+            def read(reader: Any = reader, got: list[str] = got, is_slow: bool = is_slow) -> None:
+                for line in reader:
+                    got.append(line.decode().rstrip("\n"))
+                    time.sleep(0.004 * is_slow)
+
+            thread = threading.Thread(target=read)
+            outbox = Outbox(writing, said.append, 20)
+            with outbox:
+                if is_slow:
+                    thread.start()
+                for line in lines:
+                    outbox.put(line)
+                if not is_slow:
+                    assert time.monotonic() - begun < 30 * 0.4  # waits once for the time without a reader
+                    thread.start()
+            os.close(writing)
+            thread.join()
+        if is_slow:
+            assert got == lines and said == []
+        else:
+            assert got == sorted(got, key=lambda one: int(one.split()[0])) and set(got) < set(lines)
+            assert got[-1] == lines[-1]
+            assert f"{len(lines) - len(got)} " in said[-1] and len(said) == 3  # nobody reads, again, so many lost
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no full device")
+def test_a_full_disk_behind_stdout_ends_no_other_output(raw: Path, tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "cgid", "monitor", str(raw), *RAW, "--live", str(tmp_path / "page.html")]
+    with Path("/dev/full").open("w") as full:
+        done = subprocess.run(command, cwd=ROOT, stdout=full, stderr=subprocess.PIPE, text=True)
+    assert done.returncode == 0
+    assert (
+        len([line for line in done.stderr.splitlines() if "warning: stdout" in line]) == 2
+    )  # when it begins, and how many
+    assert '"ended": true' in (tmp_path / "page.html").read_text()

@@ -206,7 +206,7 @@ def test_predict_tells_impacts_shares_and_a_summary(two_channels: Path, capsys: 
     how = ["--rate", str(RATE), "--unit", "N", "--set", "window=0.16", "--set", "dilution_cost=2"]
     assert run(["predict", str(two_channels), "--json", *how]) == 0
     rows = lines_of(capsys)
-    assert {row["version"] for row in rows} == {5}
+    assert {row["version"] for row in rows} == {6}
     impacts = of_kind(rows, "impact")
     assert [row["time_s"] for row in impacts] == sorted(row["time_s"] for row in impacts)
     assert [row["impact"] for row in impacts if row["channel"] == "2"] == list(range(1, 17))
@@ -288,13 +288,13 @@ def test_silent_channel_is_a_warning_and_silence_an_error(tmp_path: Path, capsys
     np.save(tmp_path / "a.npy", np.stack([force, quiet]))
     assert run(["predict", str(tmp_path / "a.npy"), *how]) == 0
     out, err = capsys.readouterr()
-    (warning,) = of_kind([json.loads(line) for line in out.splitlines()], "warning")
-    assert "channel 2: no impact" in warning["message"]
+    (warning,) = of_kind([json.loads(line) for line in out.splitlines()], "finding")
+    assert (warning["channels"], warning["finding"]) == (["2"], "silent")
     assert "channel 2: no impact" in err
     np.save(tmp_path / "many.npy", np.stack([force, *[quiet] * 9]))
     assert run(["predict", str(tmp_path / "many.npy"), *how]) == 0
-    told = [line.split(": ", 2)[2] for line in capsys.readouterr().err.splitlines()]
-    assert len(told) == 4 and told[3].endswith("and 6 more channels without impacts")
+    (told,) = (line for line in capsys.readouterr().err.splitlines() if "no impact" in line)
+    assert "channels 2, 3, 4 and 6 more: " in told
     assert run(["features", str(tmp_path / "many.npy"), *how]) == 0
     out, err = capsys.readouterr()
     assert len(out.splitlines()) == 3 and err.count("no impact") == 3 and "and 6 more channels cannot" in err
@@ -324,7 +324,7 @@ def test_recordings_of_two_quantities_have_two_models(tmp_path: Path, capsys: py
     assert run(["predict", str(tmp_path / "m.csv"), "--json"]) == 0
     rows = lines_of(capsys)
     assert {row["channel"] for row in of_kind(rows, "impact")} == {"hammer"}
-    assert "channel heat: the samples are a voltage [V]" in of_kind(rows, "warning")[0]["message"]
+    assert "channel heat: the samples are a voltage [V]" in of_kind(rows, "finding")[0]["message"]
 
 
 def test_model_of_windows_answers_windows(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -23,6 +23,7 @@ from cgid import load_model, shipped
 from cgid.cli.main import run
 from cgid.identification.model.model import StoredModel, stored
 from cgid.identification.prediction import Answer
+from cgid.identification.prediction.findings import Finding
 from cgid.identification.prediction.fraction import ShareWindow, ShutDecision
 from cgid.measure.overview import OverviewStream
 from cgid.plots import report as page
@@ -38,6 +39,10 @@ def answer(time: float, label: str, probability: float, **more: object) -> Answe
     other = "gangue" if label == "coal" else "coal"
     told = {"coal": 0.0, "gangue": 0.0} | {label: probability, other: 1 - probability}
     return Answer(time=time, label=label, probabilities=told, novelty=0.5, in_training_range=True, **more)
+
+
+def told(text: str) -> Finding:
+    return Finding(kind="reading", fields={"text": text})
 
 
 @pytest.fixture(scope="module")
@@ -76,7 +81,7 @@ def report(tmp_path_factory: pytest.TempPathFactory) -> Report:
         shares=shares,
         turns=turns,
         threshold=rule.threshold,
-        warnings=["the last frame was cut off"],
+        findings=[told("the last frame was cut off")],
     )
 
 
@@ -165,7 +170,7 @@ def test_text_of_strangers_is_only_text(report: Report) -> None:
         source=EVIL,
         recording={EVIL: EVIL},
         model={EVIL: EVIL},
-        warnings=[EVIL],
+        findings=[told(EVIL)],
         answers=[replace(one, label=EVIL, problem=EVIL, channel=EVIL) for one in report.answers[:2]],
         channels=[replace(channel, name=EVIL) for channel in report.channels],
         shares=[replace(share, channel=EVIL) for share in report.shares],
@@ -215,8 +220,8 @@ def browse(page: Path, folder: Path, *more: str) -> str:
 def test_a_browser_shows_it_and_asks_nobody(report: Report, tmp_path: Path, visitors: tuple[int, list[bytes]]) -> None:
     port, asked = visitors
     evil = EVIL.replace("PORT", str(port))
-    told = replace(report, source=evil, warnings=[evil], answers=[replace(report.answers[0], problem=evil)])
-    text = report_page([told], title="quiet")
+    page_of = replace(report, source=evil, findings=[told(evil)], answers=[replace(report.answers[0], problem=evil)])
+    text = report_page([page_of], title="quiet")
     # The same without care: its picture is asked for, so the door is heard, unless the page's own rules forbid it.
     careless = text.replace("<body>", f"<body><img src='http://127.0.0.1:{port}/y'>")
     rules = re.compile(r'<meta http-equiv="Content-Security-Policy"[^>]*>')

@@ -15,12 +15,12 @@ import pytest
 from click.testing import CliRunner
 
 from cgid import load_model, open_recording, predict, read_recording, shipped
-from cgid.cli.hints import Hints
+from cgid.cli.hints import NextSteps
 from cgid.cli.main import cli
 from cgid.errors import InvalidValue
 from cgid.identification.model.model import StoredModel
 from cgid.identification.prediction import Answer, identify_recording
-from cgid.identification.prediction.diagnosis import Cause, CauseKind
+from cgid.identification.prediction.diagnosis import Diagnosis
 from cgid.identification.prediction.same_beam import (
     CROSSING,
     Detected,
@@ -35,6 +35,7 @@ from cgid.identification.prediction.same_beam import (
 )
 from cgid.identification.prediction.settings import PredictionSettings, require_groups
 from cgid.identification.prediction.stream import answering_channels, identify_blocks
+from cgid.identification.prediction.telling import of_model
 from cgid.measure.features.vibration import BEAM_PULSE
 from cgid.scene import load_scene
 from cgid.scene.synthesis.several_sensors import recorded_together
@@ -211,12 +212,23 @@ def test_channels_of_one_beam_that_are_not_declared_are_told_once() -> None:
     )
     names = ("left", "right", "other")
     single, declared = ((0,), (1,), (2,)), ((0, 1), (2,))
-    assert "give --same-beam left+right" in "".join(Together(RATE, single).feed(impacts, names))
+    (found,) = Together(RATE, single).feed(impacts, names, ended=True)
+    assert (found.kind, found.channels, found.fields["beam"]) == ("same_beam", ("left", "right"), "left+right")
     counter = Together(RATE, declared)
-    assert [line for impact in impacts for line in counter.feed([impact], names)] == []
+    assert [line for impact in impacts for line in counter.feed([impact], names, ended=False)] == []
     assert len(counter._recent) < 10
-    told = list(Together(RATE, ((0, 2), (1,))).feed(impacts, names))
-    assert len([line for line in told if "left and other hear other rocks" in line]) == 1
+    told = list(Together(RATE, ((0, 2), (1,))).feed(impacts, names, ended=True))
+    assert [one.channels for one in told if one.kind == "other_rocks"] == [("left", "other")]
+
+
+def test_many_channels_of_one_signal_are_one_finding() -> None:
+    impacts = [Detected(row, 2000 * k + row) for k in range(1, 40) for row in range(84)]
+    for size in (1, 7, len(impacts)):
+        together = Together(RATE, [(row,) for row in range(84)])
+        parts = [impacts[first : first + size] for first in range(0, len(impacts), size)]
+        names = [str(row) for row in range(84)]
+        found = [one for part in parts for one in together.feed(part, names, ended=part is parts[-1])]
+        assert [len(one.channels) for one in found] == [84]
 
 
 def test_many_rocks_are_no_reason_to_suspect_one_beam() -> None:
@@ -225,7 +237,7 @@ def test_many_rocks_are_no_reason_to_suspect_one_beam() -> None:
     impacts = [
         Detected(row, round(t * RATE)) for row in range(2) for t in np.cumsum(rng.exponential(1 / 40, 20_000)).tolist()
     ]
-    assert list(Together(RATE, ((0,), (1,))).feed(sorted(impacts, key=lambda one: one.onset), "ab")) == []
+    assert list(Together(RATE, ((0,), (1,))).feed(sorted(impacts, key=lambda one: one.onset), "ab", ended=True)) == []
 
 
 # -- streams ----------------------------------------------------------------------------------------------
@@ -262,7 +274,7 @@ def told(
         assert all(until <= answer.time for answer in step.answers)
         until = step.until
         answers += step.answers
-        lines += (*step.warnings, *step.wrong_beams)
+        lines += [one.line("signal", len(channels)) for one in step.found if not one.is_silent]
     assert [one.time for one in answers] == sorted(one.time for one in answers)
     return answers, lines
 
@@ -291,7 +303,8 @@ def test_a_missing_channel_changes_no_bit(model: StoredModel, samples: np.ndarra
         both, lines = told(np.stack([samples, missing]), model, "1+2")
         assert rows(both) == rows(alone)
         assert {one.channel for one in both} == {"1+2"}
-        assert [line.split(": ")[1] for line in lines] == [f"channel 2 of 1+2 is left out at {alone[19].time:.6g} s"]
+        (line,) = lines
+        assert f"channel 2: since {alone[19].time:.6g} s: it is left out of 1+2: " in line
 
 
 def test_two_sensors_are_one_row_and_surer(model: StoredModel, samples: np.ndarray) -> None:
@@ -299,7 +312,7 @@ def test_two_sensors_are_one_row_and_surer(model: StoredModel, samples: np.ndarr
     single, lines = told(two[:2], model)
     assert len(single) == 120
     assert len(lines) == 1
-    assert lines[0].endswith("give --same-beam 1+2")
+    assert lines[0].endswith("give same_beam=[('1', '2')]")
     grouped_answers, lines = told(two, model, "1+2")
     both = [one for one in grouped_answers if one.channel == "1+2"]
     assert len(both) == 60
@@ -319,10 +332,9 @@ def test_a_wrong_gain_is_left_out_and_told_when_it_ends(model: StoredModel, samp
     wrong[: samples.size // 2] *= 9.81
     both, lines = told(np.stack([samples, wrong]), model, "1+2")
     alike(both[:25], alone[:25])
-    assert [line.split(" at ")[0].split(": ")[1] for line in lines] == [
-        "channel 2 of 1+2 is left out",
-        "channel 2 of 1+2 counts again",
-    ]
+    left_out, back = lines
+    assert "channel 2: since " in left_out and "it is left out of 1+2" in left_out
+    assert "channel 2: it counts again at " in back
 
 
 def test_forces_have_the_mean_of_log_odds(default_force: StoredModel) -> None:
@@ -362,7 +374,7 @@ def test_python_and_recordings_take_groups(model: StoredModel, samples: np.ndarr
     two = np.stack([samples, again(samples)], axis=1)[: samples.size // 5]
     table = predict(two, RATE, "m/s^2", same_beam="1+2")
     assert set(table["channel"]) == {"1+2"}
-    with pytest.warns(UserWarning, match=r"give --same-beam 1\+2"):
+    with pytest.warns(UserWarning, match="give same_beam="):
         predict(np.tile(two, (3, 1)), RATE, "m/s^2")
     np.save(tmp_path / "two.npy", two)
     recording = open_recording(tmp_path / "two.npy", sampling_rate=RATE, unit="m/s^2")
@@ -435,7 +447,7 @@ def test_predict_counts_a_rock_once(pairs: Path) -> None:
     assert {line["channel"] for line in lines if line["kind"] == "share"} == {"1+2", "3"}
     assert "hear" not in err
     _, err = ran("predict", pairs / "monday.npy", *READ)
-    assert "channels 1 and 2 hear the same rocks" in err
+    assert "channels 1, 2: they hear the same rocks" in err and "give --same-beam 1+2" in err
     result = CliRunner().invoke(cli, ["predict", str(pairs / "monday.npy"), *map(str, READ), "--channel", "1+2"])
     assert "give --same-beam 1+2 if they are on one beam" in result.stderr
 
@@ -489,47 +501,25 @@ def test_a_table_of_rocks_trains_a_model(pairs: Path) -> None:
         assert ("trained with channels of one beam together; give --same-beam 1+2" in err) is is_told
 
 
-@pytest.mark.parametrize(
-    ("factor", "cause"), [(1.0, "features"), (2.4, "features"), (0.1, "amplitude"), (10.0, "amplitude")]
-)
-def test_no_labels_are_asked_for_where_the_scale_is_wrong(
-    factor: float, cause: str, default_force: StoredModel
-) -> None:
-    hints = Hints(default_force, 200e3, "x.wav", ["--sensitivity", "1 V"], channels=["1"])
-    levels = default_force.level_deviation * np.random.default_rng(2).normal(0, 1, 40) + np.log(factor)
-    unlike = Answer(time=0.0, label="unknown", novelty=9.0, probabilities={"coal": 1.0})
-    feature = Cause(CauseKind.FEATURES, 1.0, "peak")
-    hints.add([replace(unlike, time=float(k), level=one, cause=feature) for k, one in enumerate(levels.tolist())])
-    (hint,) = hints.hints()
-    assert hint.cause == cause
-    assert bool(hint.commands) is (cause == "features")
-
-
-def test_hints_name_the_channels_of_one_beam(default_force: StoredModel) -> None:
-    """As given; or as in the training, where that is why impacts are unknown."""
-    plain = default_force
-    beams = replace(plain, training={**plain.training, "same_beam": ["1+2"]})
-    unlike = Answer(
-        time=0.0,
-        channel="1",
-        label="unknown",
-        novelty=9.0,
-        probabilities={"coal": 1.0},
-        cause=Cause(CauseKind.FEATURES, 1.0),
-    )
+def test_commands_name_the_channels_of_one_beam(default_force: StoredModel) -> None:
+    """As given; or as in the training, where nobody has said so."""
+    beams = replace(default_force, training={**default_force.training, "same_beam": ["1+2"]})
+    unlike = Answer(time=0.0, channel="1", label="unknown", novelty=9.0, probabilities={"coal": 1.0})
     for own, given, channels, first in (
-        (plain, [], ["1", "2"], "cgid events x.wav --unit N --channel 1 -o events.csv"),
-        (plain, ["--same-beam", "1+2"], ["1+2"], "cgid events x.wav --unit N --same-beam 1+2 -o events.csv"),
+        (default_force, [], ["1", "2"], "cgid events x.wav --unit N --channel 1 -o events.csv"),
+        (default_force, ["--same-beam", "1+2"], ["1+2"], "cgid events x.wav --unit N --same-beam 1+2 -o events.csv"),
         (beams, ["--same-beam", "1+2"], ["1+2"], "cgid events x.wav --unit N --same-beam 1+2 -o events.csv"),
-        (beams, [], ["1", "2"], "cgid predict x.wav --unit N --same-beam 1+2"),
     ):
-        hints = Hints(own, 200e3, "x.wav", ["--unit", "N"], given, channels=["1", "2"])
-        hints.add([replace(unlike, time=float(k), channel=name) for k in range(30) for name in channels])
-        (hint,) = hints.hints()
-        assert hint.commands[0] == first
-        if len(hint.commands) > 1:
+        diagnosis = Diagnosis(own, 200e3)
+        diagnosis.add([replace(unlike, time=float(k), channel=name) for k in range(30) for name in channels])
+        steps = NextSteps(diagnosis, 200e3, "x.wav", ["--unit", "N"], given, channels=["1", "2"])
+        for hint in map(steps.of, diagnosis.findings()):
+            assert (hint.kind, hint.commands[0]) == ("unknown", first)
             assert ("--same-beam 1+2" in hint.commands[-1]) is bool(given)
             assert ("--channel" in hint.commands[-1]) is False
+    (found,) = (one for one in of_model(beams, 200e3, PredictionSettings(), ["1", "2"]) if one.kind == "together")
+    hint = NextSteps(Diagnosis(beams, 200e3), 200e3, "x.wav", ["--unit", "N"], channels=["1", "2"]).of(found)
+    assert hint.commands == ("cgid predict x.wav --unit N --same-beam 1+2",)
 
 
 def test_pulse_names_are_those_of_the_model(model: StoredModel) -> None:

@@ -222,7 +222,7 @@ class Found:
         steps = list(identify_blocks([samples.astype(np.float32)[None]], RATE, model, ("1",), settings))
         cost = time.process_time() - begun
         answers = [answer for step in steps for answer in step.answers]
-        lines = [line for step in steps for line in (*step.warnings, *step.silent)]
+        lines = [one.line("stream") for step in steps for one in step.found if not one.is_note]
         watch = CavingWatch(model, ("1",), settings)
         reports = [report for step in steps for report in watch.feed(step.answers, step.until, step.heard)]
         return cls(answers, reports + watch.finish(DURATION), lines, cost)

@@ -92,7 +92,7 @@ class Found:
         answers, lines = [], []
         for step in identify_blocks(blocks, RATE, model, channels, settings):
             answers += step.answers
-            lines += [*step.warnings, *step.wrong_beams, *step.silent]
+            lines += [one.line("stream", len(channels)) for one in step.found if not one.is_note]
         watch = CavingWatch(model, answering_channels(model, channels, same_beam), settings)
         found = watch.feed(answers, duration) + watch.finish(duration)
         return cls(answers, [one.state.share for one in found if one.kind == "share"], lines)

@@ -25,7 +25,6 @@ from cgid.identification.inversion.through_beam import ThroughBeam
 from cgid.identification.model import Model
 from cgid.identification.prediction import PredictionSettings, load_model
 from cgid.identification.prediction.answers import UNKNOWN
-from cgid.identification.prediction.diagnosis import CHANGED, ChannelAnswers, Diagnosis
 from cgid.identification.prediction.stream import identify_blocks
 from cgid.measure.features.extraction import extract_array
 from cgid.measure.features.vibration import VibrationBatch
@@ -51,7 +50,7 @@ SENSORS = {
 #: How long before an impact another one strikes [s].
 GAPS = (10e-3, 30e-3)
 #: Shares by which modes change, and numbers of impacts after which it may be noticed.
-CHANGES, SIZES = (0.0, 0.003, 0.01, 0.03), (30, 100, 300)
+CHANGES = (0.0, 0.003, 0.01, 0.03)
 #: A place that is wrong by more is far off [m].
 FAR = 0.05
 #: Law of `independent_beam` and seam of `anchor` of each contact: large lumps have 10 to 30 cm. They fall on a beam of
@@ -154,7 +153,7 @@ def several(model: Model, n: int) -> Iterator[tuple[str, dict[str, Any]]]:
 
 
 def changes(model: Model, n: int) -> Iterator[str]:
-    """Yield rows of accuracy, unexplained share, and how often the hint of a changed beam comes, by the change.
+    """Yield rows of accuracy and unexplained share by the change of the beam.
 
     Frequencies are off by that share, dampings by ten times as much, each mode by its own draw; three beams each.
     """
@@ -182,17 +181,8 @@ def changes(model: Model, n: int) -> Iterator[str]:
                     likely = model.probabilities(np.column_stack([seen[name] for name in model.features]))
                     hits.append(np.array(model.labels)[likely.argmax(axis=1)] == batch.labels)
             parts = np.split(np.concatenate(left), len(left) // len(batches))
-            noticed = [[is_noticed(random.choice(part, size)) for part in parts for _ in range(500)] for size in SIZES]
-            told = f"{np.mean(np.concatenate(hits)):.3f}, {np.median(parts):.2f} %"
-            cells.append(f"{told} | " + " / ".join(f"{np.mean(one):.3f}" for one in noticed))
+            cells.append(f"{np.mean(np.concatenate(hits)):.3f}, {np.median(parts):.2f} %")
         yield f"| {name} | " + " | ".join(cells) + " |"
-
-
-def is_noticed(unexplained: Any) -> bool:
-    """Return whether the hint comes for impacts that leave these shares of their energy unexplained [%]."""
-    channel = ChannelAnswers()
-    channel.unexplained.extend(unexplained.tolist())
-    return channel.median_unexplained()[0] > CHANGED
 
 
 def off(beam: Beam, share: float, random: np.random.Generator) -> Beam:
@@ -326,7 +316,7 @@ def contacts(model: Model, n: int) -> Iterator[str]:
 
 def row_of(name: str, told: dict[str, Any]) -> str:
     cells = [f"{told[key]:.3f}" for key in TOLD]
-    return f"| {name} | {' | '.join(cells)} | {told.get('foreign', '-')} |"
+    return f"| {name} | {' | '.join(cells)} |"
 
 
 def in_stream(model: Model, n: int, law: str, seam: str) -> dict[str, Any]:
@@ -343,13 +333,7 @@ def in_stream(model: Model, n: int, law: str, seam: str) -> dict[str, Any]:
     told = np.array([answer.label != UNKNOWN for answer in answers])
     likely = np.array([answer.probabilities.get("gangue", 0.5) for answer in answers])
     sure = np.maximum(likely, 1 - likely)
-    figures = answered(*(part[true] for part in ((likely > 0.5) == gangue, told, sure, gangue)))
-    diagnosis = Diagnosis(model)
-    for answer in answers:
-        diagnosis.add((answer,))
-        if diagnosis.misfits:
-            return figures | {"foreign": f"{answer.time:.0f} s"}
-    return figures | {"foreign": "never"}
+    return answered(*(part[true] for part in ((likely > 0.5) == gangue, told, sure, gangue)))
 
 
 def larger(rock: Any, rng: np.random.Generator) -> Any:
@@ -408,8 +392,8 @@ def main() -> None:
     if "sensors" in arguments.cases:
         rows += several(model, arguments.signals)
     if "changed" in arguments.cases:
-        print("| impacts | " + " | ".join(f"{share:.1%} off | hint of 30 / 100 / 300" for share in CHANGES) + " |")
-        print("|" + "---|" * (1 + 2 * len(CHANGES)))
+        print("| impacts | " + " | ".join(f"{share:.1%} off" for share in CHANGES) + " |")
+        print("|" + "---|" * (1 + len(CHANGES)))
         for line in changes(model, arguments.signals):
             print(line, flush=True)
     if "independent" in arguments.cases:
@@ -417,7 +401,7 @@ def main() -> None:
     if rows:
         printed(rows)
     if "contacts" in arguments.cases:
-        print(f"| contact | {' | '.join(TOLD.values())} | told as foreign after |\n|{'---|' * (len(TOLD) + 2)}")
+        print(f"| contact | {' | '.join(TOLD.values())} |\n|{'---|' * (len(TOLD) + 1)}")
         for line in contacts(model, arguments.signals):
             print(line, flush=True)
 

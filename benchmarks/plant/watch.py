@@ -88,9 +88,9 @@ def told_after(
         answer = (scaled if number >= start else own)[place]
         diagnosis.add([replace(answer, time=number / IMPACTS_PER_SECOND)])
         if number % 4 == 3:
-            for change in diagnosis.changes(number / IMPACTS_PER_SECOND):
-                if change.begins and change.condition in (Condition.WRONG_SCALE, Condition.MOSTLY_UNKNOWN):
-                    return number + 1 - start if number >= start else -1
+            diagnosis.changes(number / IMPACTS_PER_SECOND)
+            if diagnosis.conditions(answer.channel) & {Condition.WRONG_SCALE, Condition.MOSTLY_UNKNOWN}:
+                return number + 1 - start if number >= start else -1
     return None
 
 
@@ -117,7 +117,7 @@ def gains(world: World, rng: np.random.Generator) -> None:
             for number in range(n):
                 diagnosis.add([replace(own[k][order[number]], time=number / IMPACTS_PER_SECOND)])
                 if number % 8 == 7:
-                    found += sum(change.begins for change in diagnosis.changes(number / IMPACTS_PER_SECOND))
+                    found += sum(not one.is_over for one in diagnosis.changes(number / IMPACTS_PER_SECOND))
             alarms[name].append(found)
     print("\nFalse alarms at the right gain:\n")
     rows = [(name, len(found), sum(one > 0 for one in found), sum(found)) for name, found in alarms.items()]

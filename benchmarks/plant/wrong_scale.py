@@ -102,7 +102,8 @@ class World:
             for first in range(0, len(part) - size + 1, size):
                 diagnosis = Diagnosis(self.model)
                 diagnosis.add(part[first : first + size])
-                found.setdefault(name, []).append((bool(diagnosis.wrong_scales()), bool(diagnosis.findings())))
+                told = {one.kind for one in diagnosis.findings()}
+                found.setdefault(name, []).append(("scale" in told, bool(told - {"scale"})))
         return found
 
 

@@ -11,21 +11,21 @@ from cgid._lib.terminal import counted
 from cgid.cli.output import finite, print_json, say, warn
 from cgid.cli.table import TableOutput
 from cgid.errors import BadData
+from cgid.identification.prediction.findings import as_option
 from cgid.units import Column
 
 if TYPE_CHECKING:
-    from cgid.cli.hints import Hints
-    from cgid.identification.model.anchor import Basis
+    from cgid.cli.hints import NextSteps
     from cgid.identification.model.model import StoredModel
     from cgid.identification.prediction import Answer, PredictionSettings
-    from cgid.identification.prediction.diagnosis import Change, Hint
+    from cgid.identification.prediction.findings import Finding
     from cgid.identification.prediction.fraction import Share, Switch
     from cgid.identification.prediction.pipeline import Pipeline
     from cgid.identification.prediction.stream import Step
     from cgid.identification.prediction.support import SupportReport, SupportState
 
 #: Version of the lines of --json; it rises if a key goes or has another meaning.
-ANSWERS_VERSION = 5
+ANSWERS_VERSION = 6
 
 
 class AnswerLines:
@@ -49,6 +49,7 @@ class AnswerLines:
         self.has_fractions = live or fractions
         self._last: dict[str, str] = {}  # fraction of each support
         self._turns: dict[str, list[str]] = {}
+        self._noted: set[str] = set()  # kinds of notes that are told once, however many files there are
         self._table, self._datasets = table or TableOutput(), datasets
         self._has_rows = not only_summary or self._table.is_file
 
@@ -98,11 +99,9 @@ class AnswerLines:
         self._last[name] = text
         self._note("share", source, f"{name}: {text}", content, is_told=self.has_fractions)
 
-    def state(self, source: str, name: str, state: SupportState, message: str | None) -> None:
-        """Print that the ground or the decision of a support has changed; without a message only in JSON."""
+    def state(self, source: str, state: SupportState) -> None:
+        """Give the record of a support whose ground or decision has changed to programs; findings say why."""
         self._line("state", source, _record(state))
-        if message is not None:
-            warn(f"{name}: {message}")
 
     def turn(self, source: str, name: str, state: SupportState, turn: Switch, costs: Mapping[str, float]) -> None:
         """Print that continuing costs more than shutting, or less again."""
@@ -131,17 +130,16 @@ class AnswerLines:
         for one in message.splitlines() if not self.as_json else ():
             say(one, err=not self.only_summary)
 
-    def warning(self, source: str, message: str, **more: Any) -> None:
-        """Print a warning about a readable recording, on stderr and in JSON; `more`: what programs get besides."""
-        warn(message)
-        self._line("warning", source, {"message": message, **more})
-
-    def hint(self, source: str, hint: Hint) -> None:
-        """Print why most predictions are unknown and what to do, on stderr and in JSON."""
-        where = f" channel {', '.join(hint.channels)}" if hint.channels else ""
-        content = {name: list(value) if isinstance(value, tuple) else value for name, value in vars(hint).items()}
-        say(f"cgid: hint: {source}{where}: {hint.line}", err=True)
-        self._line("hint", source, content)
+    def finding(self, source: str, finding: Finding, n_channels: int = 1, *, withdrawn: bool = False) -> None:
+        """Print what begins or ends, on stderr and in JSON; `withdrawn`: the decision of a support with it."""
+        self._line("finding", source, finding.content(as_option))
+        line = finding.line(source, n_channels, as_option)
+        if finding.is_note:
+            if not self.as_json and finding.kind not in self._noted:
+                say(line, err=True)
+            self._noted.add(finding.kind)
+        elif line:
+            warn(line + ", so the decision is withdrawn" * withdrawn)
 
     def delay(self, source: str, behind: float, message: str) -> None:
         """Print the delay of the predictions after a live stream [s], on stderr and in JSON."""
@@ -216,36 +214,14 @@ class RecordingTally:
 _MAX_PENDING = 1000
 #: Identified impacts from which a gangue fraction is told in words before the end of a recording.
 _ENOUGH = 10
-#: Maximum number of silent channels that are named one by one.
-_MAX_SILENT_LISTED = 3
-#: A caving cycle without a pause is told after this time [s]: it is some minutes long.
-_LONGEST_CYCLE = 1800.0
-#: What goes on with a channel of a live stream is told again after this time [s].
-_REPEATED_AFTER = 3600.0
-#: Grounds of a support and ends of conditions in words.
-_GROUNDS = {
-    "blind": "blind",
-    "wrong_scale": "of a wrong scale",
-    "mostly_unknown": "mostly unknown",
-    "unproven": "of an unproven model",
-    "stopped": "stopped",
-}
-_OVER = {
-    "wrong_scale": "the levels are those of the training again",
-    "upside_down": "the signal points upwards again",
-    "mostly_unknown": "most impacts are identified again",
-    "beam": "the modes of the model explain the impacts again",
-    "chain": "the forces are those of contacts again",
-}
 
 
 class RecordingRows:
     """Print the predictions of one model for the channels of one recording."""
 
-    # Unless `live`, rows wait for a measurable one, gangue fractions for a second row, and hints for the end. In a live
-    # stream each channel is told what begins and what ends.
+    # Unless `live`, rows wait for a measurable one, and gangue fractions for a second row.
 
-    def __init__(self, pipeline: Pipeline, lines: AnswerLines, *, hints: Hints, keep: bool = False) -> None:
+    def __init__(self, pipeline: Pipeline, lines: AnswerLines, steps: NextSteps, *, keep: bool = False) -> None:
         self._pipeline, self.lines, self._live = pipeline, lines, pipeline.live
         self.source, self.channels = pipeline.source, pipeline.supports
         self.kind = pipeline.model.subject
@@ -253,23 +229,18 @@ class RecordingRows:
         self.answers: list[Answer] = []
         self.shares: list[Share] = []
         self.turns: list[Switch] = []
-        self.hints: list[Hint] = []
-        self.warnings: list[str] = []
+        self.findings: list[Finding] = []
         self._keep, self.settings = keep, pipeline.settings
         self._numbers: Counter[str] = Counter()
-        self._diagnosis = hints
+        self._steps = steps
         self._measured = self._live
-        self._silent: tuple[str, ...] = ()
         self._pending_answers: list[Answer] = []
         self._pending_reports: list[SupportReport] = []
         self._held: dict[str, SupportState] = {}  # fractions of few impacts, told at the end unless one of more follows
         assert pipeline.watch is not None
         self._watch = pipeline.watch
-        self._grounds: dict[str, tuple[str, bool]] = {}  # last ground and whether something was decided
-        self._endless: set[str] = set()  # supports whose caving cycle goes on without a pause
-        self._bases: dict[str, Basis] = {}  # last basis of the gangue fraction of each support
-        self._conditions: dict[tuple[str, str], float] = {}  # what a channel has, and when it was told [s]
-        self._later: list[Change] = []
+        self._silent: list[Finding] = []
+        self._decided: set[str] = set()  # supports of which something is decided
         self.threshold = self._watch.threshold
 
     def feed(self, step: Step) -> None:
@@ -282,120 +253,52 @@ class RecordingRows:
         self._pending_answers += answers
         if self._measured or len(self._pending_answers) > _MAX_PENDING:
             self._print_answers()
-        self._print_changes(step.changes, step.until)
+        self._print_found(step.found, step.reports)
         self._print_reports(step.reports)
-        self._silent += step.silent
-        for warning in (*step.warnings, *step.wrong_beams):
-            self.lines.warning(self.source, warning)
-        for note in step.notes if not self.lines.as_json else ():
-            say(note, err=True)
 
     def stopped(self, seconds: float) -> None:
         """Print that a live stream gives no samples; the next ones take it up again."""
-        self._print_reports(self._watch.stopped(f"no samples have arrived for {seconds:.0f} s"))
+        last = self._pipeline.stopped(f"no samples have arrived for {seconds:.0f} s")
+        self._print_found(last.found, last.reports)
+        self._print_reports(last.reports)
 
     def finish(self, start_time: Any = None) -> None:
-        """Print pending lines at the end of a recording, and its silent channels."""
+        """Print pending lines at the end of a recording, and what is wrong with all of it."""
         last = self._pipeline.finish()
         self.lines.begin(self.source, self._pipeline.model, self.settings)  # the head of an empty table
-        silent = self._silent
-        if silent and not self.tally.total and not self._live:
-            raise BadData(silent[0])
-        for message in silent[:_MAX_SILENT_LISTED]:
-            self.lines.warning(self.source, message)
-        if len(silent) > _MAX_SILENT_LISTED:
-            more = (
-                f"{self.source}: and {counted(len(silent) - _MAX_SILENT_LISTED, 'more channel')} without {self.kind}s"
-            )
-            self.lines.warning(self.source, more)
+        if self._silent:
+            raise BadData(self._steps.of(self._silent[0]).line(self.source, len(self._pipeline.names), as_option))
         if not self._measured and self.tally.total:
             first = self._pending_answers[0] if self._pending_answers else None
             more = f" (and so for all {self.tally.total} {self.kind}s)" if self.tally.total > 1 else ""
             problem = first.problem if first else "nothing in it can be measured"
             raise BadData(f"{self.name(first.channel) if first else self.source}: {problem}{more}")
         self._print_answers()
-        self._print_changes(last.changes, last.until)
+        is_live = self._live
+        if is_live:
+            self._print_found(last.found, last.reports)
         self._print_reports(last.reports)
         for channel, state in self._held.items():
             self.lines.share(self.source, self.name(channel), state)
-        if (stated := self.settings.coal_until) is not None and stated > last.until:
-            self._warn(
-                f"{self.source}: --coal-until must be within the recording of {last.until:.6g} s, got {stated:.6g} s"
-            )
-        if (pause := self.settings.cycle_pause) is not None and last.until > (stated or 0.0) + pause:
-            self._print_endless(last.until, {name: one for name, one in self._watch.cycles().items() if not one})
-        for label, spans in (("coal", self.settings.coal), ("gangue", self.settings.lumps)):
-            if late := sum(one.start > last.until for one in spans):
-                self._warn(
-                    f"{self.source}: labelled {label} must be within the recording of {last.until:.6g} s, "
-                    f"got {counted(late, 'row')} after it"
-                )
-        if self.tally.total > 1 or self._live:
+        if self.tally.total > 1 or is_live:
             self.lines.summary(self.source, self.tally, last.until, start_time)
-        if not self._live:
-            hints = self._diagnosis.hints()
-            self._print_hints(hints)
-            factors = self._diagnosis.wrong_scales()
-            told = {name for hint in hints for name in hint.channels or self.channels} | factors.keys()
-            self._print_scales(factors, "")
-            self._print_foreign(self._diagnosis.misfits.keys() - told)
-            for change in self._later:  # of a part of the recording alone
-                if change.channel not in told:
-                    self._print_scales({change.channel: change.factor}, f"from {change.time:.6g} s on ")
+        if not is_live:
+            self._print_found(last.found, last.reports)
 
-    def _print_changes(self, changes: Sequence[Change], time: float) -> None:
-        """Print what has begun or ended with the channels of a live stream, and once an hour what goes on."""
-        from cgid.identification.prediction.diagnosis import Condition
-
-        if not self._live:
-            self._later += [one for one in changes if one.condition == Condition.WRONG_SCALE and one.begins]
-            return
-        hinted = set[str]()
-        for condition in Condition:
-            found = [one for one in changes if one.condition == condition]
-            began = {one.channel: one for one in found if one.begins}
-            for name in self.channels:
-                if time >= self._conditions.get((name, condition), time) + _REPEATED_AFTER:
-                    began[name] = self._diagnosis.change(name, condition, time)
-            self._conditions |= dict.fromkeys(((name, condition) for name in began), time)
-            if condition == Condition.WRONG_SCALE:
-                self._print_scales({name: one.factor for name, one in began.items()}, "")
-            elif condition == Condition.FOREIGN:
-                self._print_foreign(began)
-            else:
-                hinted |= began.keys()
-            for name in (one.channel for one in found if not one.begins):
-                self._conditions.pop((name, condition), None)
-                message = f"{self.name(name)}: {_OVER[condition]}"
-                self._warn(message, channel=name, condition=str(condition), active=False)
-        if hinted:
-            self._print_hints(self._diagnosis.hints(hinted))
-
-    def _print_scales(self, factors: Mapping[str, float], when: str) -> None:
-        """Print which channels have levels that are not those of the training."""
-        for name, factor in factors.items():
-            text = self._diagnosis.level_warning(factor)
-            self._warn(
-                f"{self.name(name)}: {when}{text}", channel=name, condition="wrong_scale", active=True, factor=factor
-            )
-
-    def _print_foreign(self, names: Iterable[str]) -> None:
-        """Print what of channels is not like recordings of the training, and what would help."""
-        misfits = self._diagnosis.misfits
-        for name in sorted(names):
-            text, misfit = self._diagnosis.misfit_warning(misfits[name]), misfits[name]
-            parts = [str(one.part) for one in (misfit, *misfit.others)]
-            more = {"part": parts[0], "parts": parts}
-            self._warn(f"{self.name(name)}: {text}", channel=name, condition="foreign", active=True, **more)
-
-    def _warn(self, message: str, **more: Any) -> None:
-        self.warnings += [message] * self._keep
-        self.lines.warning(self.source, message, **more)
-
-    def _print_hints(self, hints: Iterable[Hint]) -> None:
-        for hint in hints:
-            self.hints += [hint] * self._keep
-            self.lines.hint(self.source, hint)
+    def _print_found(self, found: Sequence[Finding], reports: Sequence[SupportReport]) -> None:
+        """Print what begins and ends, each with the decision that it withdraws."""
+        if not (self._live or self.settings.needs_shares or self.tally.total > 1):
+            found = [one for one in found if not one.is_of_fraction]  # a recording of one impact has no fraction
+        if not self.tally.total and not self._live:  # where no channel gives anything, that is an error
+            self._silent += [one for one in found if one.is_silent]
+            found = [one for one in found if not one.is_silent]
+        lost = {one.state.share.channel for one in reports if one.state.decision == "none"} & self._decided
+        for one in map(self._steps.of, found):
+            own = {name for name in lost if one.concerns(name)} if one.channels and not one.is_over else set()
+            lost -= own
+            self.lines.finding(self.source, one, len(self._pipeline.names), withdrawn=bool(own))
+            if self._keep:
+                self.findings.append(one)
 
     @property
     def states(self) -> list[SupportState]:
@@ -426,7 +329,6 @@ class RecordingRows:
         for one in self._pending_reports:
             state, share = one.state, one.state.share
             name = self.name(share.channel)
-            self._print_basis(name, share)
             if one.kind == "share":
                 self.shares += [share] * self._keep
                 if self._is_held(share):
@@ -438,14 +340,10 @@ class RecordingRows:
                 self.turns += [one.switch] * self._keep
                 self.lines.turn(self.source, name, state, one.switch, self.settings.shares.costs)
             else:
-                message = self._state_message(state)
-                self.warnings += [f"{name}: {message}"] * (self._keep and message is not None)
-                self.lines.state(self.source, name, state, message)
-            begun = self._watch.cycles().get(share.channel, share.time) if self.settings.cycle_pause else share.time
-            if share.time - begun > _LONGEST_CYCLE:
-                self._print_endless(share.time, {share.channel: begun})
-            if one.kind != "share":
-                self._grounds[share.channel] = state.ground, state.decision != "none"
+                self.lines.state(self.source, state)
+            self._decided.discard(share.channel)
+            if state.decision != "none":
+                self._decided.add(share.channel)
         self._pending_reports = []
 
     def _is_held(self, share: Share) -> bool:
@@ -454,65 +352,3 @@ class RecordingRows:
             return False
         is_brief = not self.lines.as_json and (share.n_impacts < _ENOUGH or not self.lines.has_fractions)
         return self.lines.only_summary or is_brief
-
-    def _print_endless(self, time: float, begun: Mapping[str, float]) -> None:
-        """Print which supports had no pause since their caving cycles have begun [s], once for each."""
-        for name in begun.keys() - self._endless:
-            self._endless.add(name)
-            self._warn(
-                f"{self.name(name)}: no pause of {self.settings.cycle_pause:.6g} s came from {begun[name]:.6g} to "
-                f"{time:.6g} s, so this is one caving cycle with one coal; give a shorter cycle_pause, or let "
-                "cgid monitor begin cycles with --set cycle_by=stdin",
-                channel=name,
-            )
-
-    def _print_basis(self, name: str, share: Share) -> None:
-        """Print why the gangue fraction of a support is not that of its own seam, when that begins."""
-        from cgid.identification.model.anchor import MIN_ANCHOR, MIN_LUMPS, Basis
-
-        if share.basis == self._bases.get(share.channel) or not (share.n_impacts or share.basis == Basis.TOO_FEW):
-            return
-        begins = share.basis in (Basis.ANY_SEAM, Basis.TRAINED)
-        if begins and (share.n_impacts < _ENOUGH or share.time < self.settings.shares.window):
-            return  # nobody can say what fell at the beginning of so short a recording
-        self._bases[share.channel] = share.basis
-        stated = self.settings.coal_until
-        coal = "the labelled coal" if stated is None else f"the coal of {stated:.6g} s"
-        so = "so the interval of the gangue fraction is for any seam"
-        alone = "so the gangue fraction rests on the coal alone"
-        message = {
-            Basis.TOO_FEW: f"{coal} must give at least {MIN_ANCHOR} identified impacts, it gave fewer, {so}; state a "
-            "longer time",
-            Basis.FOREIGN: f"the impacts until {share.time:.6g} s are hardly a mixture with {coal}, {so}; check that "
-            "it was coal alone, of this channel and cycle",
-            Basis.FEW_LUMPS: f"the labelled gangue must give at least {MIN_LUMPS} identified impacts, it gave fewer, "
-            f"{alone}; label more lumps",
-            Basis.WRONG_LUMPS: f"the labelled gangue is hardly gangue beside {coal}, {alone}; check both labels",
-            Basis.TRAINED: "the model learned from single blows; where rocks bounce, its gangue fraction and interval "
-            "are wrong, and so are decisions: train it on a scene with a [stream]"
-            if self._pipeline.model.is_of_blows
-            else None,
-        }.get(share.basis)
-        if message is not None:
-            self._warn(f"{name}: {message}", channel=share.channel, basis=str(share.basis))
-        elif share.basis == Basis.ANY_SEAM and not self.lines.as_json and len(self._bases) == 1:
-            say(
-                f"{self.source}: the interval of the gangue fraction is for any seam; it is a third narrower if you "
-                "can say how long coal alone fell at the beginning (--coal-until 30s), or that the seam is that of the "
-                "training (--set trained_seam=true)",
-                err=True,
-            )
-
-    def _state_message(self, state: SupportState) -> str | None:
-        """Return in words that a ground is lost or won, or that a decision is withdrawn; None for a first decision."""
-        ground, decided = self._grounds.get(state.share.channel, ("seen", False))
-        if (ground, state.ground) == ("seen", "unproven"):  # said of the model, once for all supports
-            return None
-        withdrawn = ", so the decision is withdrawn" if decided else ""
-        if state.ground != ground and state.ground != "seen":
-            return f"{_GROUNDS[state.ground]} since {state.since:.6g} s ({state.reason}){withdrawn}"
-        if state.ground != ground:
-            return f"seen again at {state.time:.6g} s"
-        if decided and state.decision == "none":
-            return f"too few identified impacts until {state.time:.6g} s{withdrawn}"
-        return None

@@ -1,4 +1,4 @@
-"""Options of the model and of what it decides, its settings, and warnings about it."""
+"""Options of the model and of what it decides, and its settings."""
 
 from __future__ import annotations
 
@@ -115,51 +115,11 @@ class Models:
         return f"default model of {model.quantity}"
 
 
-def warn_of_model(
-    source: str,
-    name: str,
-    sampling_rate: float,
-    model: StoredModel,
-    settings: PredictionSettings,
-    channels: Sequence[str] = (),
-) -> None:
-    """Warn if a model was not trained for the sampling rate [Hz] of a signal, or needs its channels."""
-    if beams := untold_beams(model, channels, settings.same_beam):
-        warn(
-            f"{source}: the model was trained with channels of one beam together; give {shlex.join(beams)}, or the "
-            "channels that this recording has on one beam"
-        )
-    if model.beam is not None and not model.beam.beam.region.any():
-        warn(
-            f"{source}: the model is of modes of one place: only impacts there are identified; for impacts anywhere "
-            "tap a grid of places (cgid tap --taps places.csv --sensor X,Y), and train on that scene"
-        )
-    if model.is_of_few:
-        warn(
-            f"{source}: the model knows few recordings of each label; its probabilities are valid for recordings like "
-            "those; expect lower accuracy on another day"
-        )
-    warn_of_chance(model, f"{source}: ", settings.shares.gangue)
-    if not model.covers(sampling_rate):
-        warn(f"{name}: sampled at {sampling_rate:g} Hz, the model was trained at {model.rates_text}")
-
-
-def untold_beams(model: StoredModel, channels: Sequence[str], given: Sequence[Any]) -> list[str]:
-    """Return the options that name the channels of a beam, as in the training, where several channels lack them."""
-    if given or not model.same_beam or len(channels) < 2:
-        return []
-    is_known = all(set(beam.split("+")) <= set(channels) for beam in model.same_beam)
-    n = min(len(model.same_beam[0].split("+")), len(channels))
-    beams = model.same_beam if is_known else ("+".join(str(number) for number in range(1, n + 1)),)
-    return beam_words(beams)
-
-
 def warn_of_chance(model: StoredModel, source: str = "", gangue: Sequence[str] = ("gangue",)) -> None:
     """Warn if a model is not shown to be better than chance."""
+    from cgid.identification.prediction.findings import Finding
     from cgid.identification.prediction.fraction import unproven
 
     if reason := unproven(model, gangue):
-        warn(
-            f"{source}the model is not shown to be better than chance, so neither SHUT nor OPEN follows from it: "
-            f"{reason}; label impacts of more recordings"
-        )
+        finding = Finding(kind="unproven", fields={"reason": reason})
+        warn(f"{source}{finding.what()}; {finding.help()}")

@@ -12,6 +12,7 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from threading import Condition, Thread
+from types import TracebackType
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -19,10 +20,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid.cli.answer_rows import AnswerLines, RecordingRows
-from cgid.cli.answering import Models, model_option, settings_of, settings_with_coal, warn_of_model
+from cgid.cli.answering import Models, model_option, settings_of, settings_with_coal
 from cgid.cli.help import Command
 from cgid.cli.options import PATH, json_option
-from cgid.cli.output import say, warn
+from cgid.cli.output import lines_taken, say, warn
 from cgid.cli.reading import CHAIN, ReadingOptions, beam_words, given_options, reading_options_for
 from cgid.cli.table import TableOutput
 from cgid.cli.watching import coal_option, plant_options
@@ -37,10 +38,10 @@ if TYPE_CHECKING:
 MAX_WAITING = 128 << 20
 #: Maximum amount of data taken at once [bytes], because processing takes many times more memory.
 MAX_READ = 8 << 20
-#: Blocks are joined up to this duration [s], because short ones are inefficient,
-MIN_INTERVAL = 0.05
-#: for at most this time [s].
+#: Short blocks are joined for at most this time [s].
 _TIMEOUT = 0.1
+#: Maximum number of lines that wait for the reader of stdout, and after which time it has none [s].
+MAX_LINES, UNREAD = 10_000, 5.0
 
 
 class UnbufferedInput:
@@ -128,8 +129,10 @@ class Inbox:
     def _next(self) -> NDArray[Any] | None:
         """Return the waiting blocks as one, None at the end."""
         self._wait()
+        from cgid.recordings.live import SHORTEST
+
         with self._changed:
-            self._changed.wait_for(lambda: self._ended or self._n_waiting >= MIN_INTERVAL * self._rate, _TIMEOUT)
+            self._changed.wait_for(lambda: self._ended or self._n_waiting >= SHORTEST * self._rate, _TIMEOUT)
             blocks, size = [], 0
             while self._waiting and size < MAX_READ:
                 blocks.append(self._waiting.popleft())
@@ -152,6 +155,79 @@ class Inbox:
             if self.on_pause is not None and not is_told and self.waited >= self.on_pause[0]:
                 is_told = True
                 self.on_pause[1](self.waited)
+
+
+class Outbox(AbstractContextManager[None]):
+    """Write lines to a descriptor in a separate thread, so that a reader who is away holds up nothing else.
+
+    As long as somebody reads, `put` waits for a place; else the oldest line makes room. What is lost is told once, and
+    when it goes on.
+    """
+
+    def __init__(self, descriptor: int, say: Callable[[str], object], max_waiting: int = MAX_LINES) -> None:
+        self._descriptor, self._say, self._most = descriptor, say, max_waiting
+        self._changed = Condition()
+        self._waiting: deque[bytes] = deque()
+        self._thread = Thread(target=self._write, daemon=True)
+        self._written_at, self._is_writing, self._ended = time.monotonic(), False, False
+        self._fault, self._n_lost = "", 0
+
+    def __enter__(self) -> None:
+        self._thread.start()
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+        with self._changed:
+            self._ended, self._written_at = True, time.monotonic()  # a last time to read
+            self._changed.notify_all()
+        while self._thread.is_alive() and self._is_read:
+            self._thread.join(_TIMEOUT)
+        n_lost = self._n_lost + len(self._waiting) + self._is_writing
+        if n_lost:
+            self._say(f"stdout: {n_lost} of its lines are lost")
+
+    @property
+    def _is_read(self) -> bool:
+        return not self._is_writing or time.monotonic() - self._written_at < UNREAD
+
+    def put(self, line: str) -> None:
+        """Queue a line."""
+        with self._changed:
+            while len(self._waiting) >= self._most and self._is_read:
+                self._changed.wait(_TIMEOUT)
+            if len(self._waiting) >= self._most:
+                self._waiting.popleft()
+                self._n_lost += 1
+            self._waiting.append(f"{line}\n".encode(errors="backslashreplace"))
+            self._changed.notify_all()
+        if not self._is_read:
+            self._tell(f"nobody has read it for {UNREAD:g} s; {self._most} lines wait at most, all other outputs go on")
+
+    def _tell(self, fault: str) -> None:
+        """Say what is wrong, once; empty: that nothing is any more."""
+        if fault != self._fault:
+            self._fault = fault
+            self._say(f"stdout: {fault or f'its lines are written again, {self._n_lost} are lost'}")
+
+    def _write(self) -> None:
+        while True:
+            with self._changed:
+                self._changed.wait_for(lambda: self._waiting or self._ended)
+                if not self._waiting:
+                    return
+                line, self._is_writing = self._waiting.popleft(), True
+                self._written_at = time.monotonic()
+            fault = ""
+            try:
+                while line:
+                    line = line[os.write(self._descriptor, line) :]
+            except OSError as error:
+                fault = f"{error.strerror}, so its lines are lost; all other outputs go on"
+                self._n_lost += 1
+            with self._changed:
+                self._is_writing = False
+                self._changed.notify_all()
+            if fault or self._fault:
+                self._tell(fault)
 
 
 #: Maximum delay of predictions that keep up [s].
@@ -209,7 +285,7 @@ def monitor(
     stated = Chain.of(**reading.chain)
     _require_cycles(cycle_by, stream, settings, outputs)
     table_of_coal = None if labelled is None else read_manifest(labelled)
-    with _plant_outputs(outputs) as listener, _opened(stream) as file:
+    with _plant_outputs(outputs) as listener, _opened(stream) as file, _outbox(is_needed=listener is not None):
         source = "stdin" if stream == "-" else stream
         live = live_stream(
             file,
@@ -239,6 +315,22 @@ def _require_cycles(by: str | None, stream: str, settings: PredictionSettings, o
         raise InvalidValue(f"cycle_by must be stdin or mqtt, got {by}")
 
 
+@contextmanager
+def _outbox(*, is_needed: bool) -> Iterator[None]:
+    """Let stdout hold up no other output, if there is one."""
+    try:
+        descriptor = sys.stdout.fileno()
+    except (OSError, ValueError):  # of a program that runs this command in itself
+        is_needed = False
+    if not is_needed:
+        yield
+        return
+    sys.stdout.flush()
+    outbox = Outbox(descriptor, warn)
+    with outbox, lines_taken(outbox.put):
+        yield
+
+
 def _plant_outputs(given: dict[str, str]) -> AbstractContextManager[PlantOutputs | None]:
     """Return the outputs that were requested; without any, nothing of them is imported."""
     if not given:
@@ -258,11 +350,12 @@ def _follow(
     labelled: Manifest | None = None,
 ) -> None:
     """Print the predictions for a stream until it ends or is interrupted."""
-    from cgid.cli.hints import Hints
+    from cgid.cli.hints import NextSteps
+    from cgid.identification.prediction.findings import Finding
     from cgid.identification.prediction.pipeline import Pipeline
 
     def warned(text: str) -> None:
-        lines.warning(live.source, f"{live.source}: {text}")
+        lines.finding(live.source, Finding(kind="reading", fields={"text": text}))
 
     model = models.of(live.channels[0].quantity)
     names = [channel.name for channel in live.channels]
@@ -272,11 +365,9 @@ def _follow(
     # A stream is over when the next command runs: that is for a recording of it.
     file = live.source if live.is_wav and Path(live.source).is_file() else "RECORDING"
     beams = beam_words(map("+".join, settings.same_beam))
-    hints = Hints(model, live.sampling_rate, file, given_options()[0], beams, channels=names, live=True)
-    pipeline = Pipeline(
-        model, live.channels, live.sampling_rate, settings, live.source, warned, live=True, diagnosis=hints
-    )
-    rows = RecordingRows(pipeline, lines, hints=hints)
+    pipeline = Pipeline(model, live.channels, live.sampling_rate, settings, live.source, live=True)
+    steps = NextSteps(pipeline.diagnosis, live.sampling_rate, file, given_options()[0], beams, channels=names)
+    rows = RecordingRows(pipeline, lines, steps)
     inbox.on_pause = settings.blinded_after, rows.stopped
     if outputs is not None:
         outputs.begin(
@@ -289,7 +380,6 @@ def _follow(
             blind_after=settings.blinded_after,
             waited=lambda: inbox.waited,
         )
-    warn_of_model(live.source, live.source, live.sampling_rate, model, settings, names)
 
     def begun(name: str) -> None:
         assert pipeline.watch is not None

@@ -36,6 +36,8 @@ flags: dict[str, str] = {}
 _bars: list[Any] = []
 #: The text that stands on the terminal until the next line.
 _passing: list[str] = []
+#: Who takes the lines of stdout instead, the last one.
+_takers: list[Callable[[str], object]] = []
 
 
 def open_missing() -> None:
@@ -82,13 +84,26 @@ def say(text: str, *, err: bool = False) -> None:
     if _bars and (err or sys.stdout.isatty()):
         _bars[-1].clear()  # the next step draws it again, below this line
     try:
-        click.echo(printable(text), err=err)
+        if _takers and not err:
+            _takers[-1](printable(text))
+        else:
+            click.echo(printable(text), err=err)
     except BrokenPipeError:
         raise
     except OSError:
         if not err:
             raise
         drop(sys.stderr)
+
+
+@contextmanager
+def lines_taken(take: Callable[[str], object]) -> Iterator[None]:
+    """Give the lines of stdout to a function within this context."""
+    _takers.append(take)
+    try:
+        yield
+    finally:
+        _takers.remove(take)
 
 
 def show_compilation() -> None:

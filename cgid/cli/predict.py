@@ -15,7 +15,7 @@ import click
 from cgid import shipped
 from cgid._lib.terminal import counted
 from cgid.cli.answer_rows import AnswerLines, RecordingRows
-from cgid.cli.answering import Models, model_option, settings_of, settings_with_coal, warn_of_model
+from cgid.cli.answering import Models, model_option, settings_of, settings_with_coal
 from cgid.cli.help import Command
 from cgid.cli.options import OUTPUT, PATH, json_option
 from cgid.cli.output import FileErrors, progress_bar, say
@@ -27,6 +27,7 @@ from cgid.errors import BadData, CgidError, InvalidValue
 if TYPE_CHECKING:
     from cgid.identification.model.model import StoredModel
     from cgid.identification.prediction import Answer, PredictionSettings
+    from cgid.identification.prediction.findings import Finding
     from cgid.identification.training.manifest import Manifest
     from cgid.measure.overview import Overview
     from cgid.plots.report import Report
@@ -59,9 +60,8 @@ def _report(
         states=rows.states,
         whole=rows.whole(overview.duration),
         threshold=rows.threshold,
-        warnings=(*recording.warnings, *rows.warnings),
+        findings=[*map(_of_reading, recording.messages), *rows.findings],
         unit_of_decision=rows.kind,
-        hints=rows.hints,
     )
 
 
@@ -92,19 +92,23 @@ class _Prediction:
                 except CgidError as error:
                     errors.append(error)
         finally:
-            for warning in recording.warnings:
-                self.lines.warning(recording.source, warning)
+            self._read(recording)
         if len(errors) == len(groups):
             raise errors[0]
         # Channels of another quantity must not hide those with predictions.
         for unanswered in errors:
-            self.lines.warning(recording.source, str(unanswered))
+            self.lines.finding(recording.source, _of_reading(str(unanswered).removeprefix(f"{recording.source}: ")))
+
+    def _read(self, recording: RecordingFile) -> None:
+        """Print what the reader of a recording says."""
+        for text in recording.messages:
+            self.lines.finding(recording.source, _of_reading(text))
 
     def _channels(
         self, recording: RecordingFile, model: StoredModel, numbers: list[int], same_beam: tuple[tuple[str, ...], ...]
     ) -> None:
         """Print the predictions for the channels of a recording that use this model."""
-        from cgid.cli.hints import Hints
+        from cgid.cli.hints import NextSteps
         from cgid.identification.prediction.pipeline import Pipeline
 
         source, rate = recording.source, recording.sampling_rate
@@ -124,8 +128,9 @@ class _Prediction:
             )
         # The next command cannot read a pipe again.
         file = "RECORDING" if source == "stdin" else source
-        hints = Hints(model, rate, file, *given_options(), channels=[channel.name for channel in recording.channels])
-        pipeline = Pipeline(model, channels, rate, settings, source, recording.note, diagnosis=hints)
+        pipeline = Pipeline(model, channels, rate, settings, source)
+        every = [channel.name for channel in recording.channels]
+        steps = NextSteps(pipeline.diagnosis, rate, file, *given_options(), channels=every)
         blocks: Iterable[Any] = recording.blocks(gaps=True)
         if len(channels) < len(recording.channels):
             blocks = (block[numbers] for block in blocks)
@@ -136,8 +141,7 @@ class _Prediction:
 
             channels = channels[:MAX_CHANNELS]
             pictures = OverviewStream(rate, len(channels))
-        rows = RecordingRows(pipeline, self.lines, hints=hints, keep=pictures is not None)
-        warn_of_model(source, rows.name(rows.channels[0]), rate, model, settings, names)
+        rows = RecordingRows(pipeline, self.lines, steps, keep=pictures is not None)
         with progress_bar(recording.n_samples, "samples", "predicting") as progress:
             seen = 0
             for step in pipeline.steps(blocks, marked=None if pictures is None else pictures.watching):
@@ -152,20 +156,24 @@ class _Prediction:
 
     def dataset(self, path: str) -> None:
         """Print the prediction for every signal of a dataset, and the accuracy."""
-        from cgid.cli.hints import Hints
+        from cgid.cli.hints import NextSteps
         from cgid.identification.prediction.batches import identify_batches
+        from cgid.identification.prediction.diagnosis import Diagnosis
+        from cgid.identification.prediction.telling import of_model
         from cgid.store import Dataset
 
         dataset = Dataset(path)
         model = self.models.of(dataset.quantity)
         tally, number = _Tally(model.labels), count()
-        hints = Hints(model, dataset.sampling_rate, path, *given_options(), labelled=True)
+        diagnosis = Diagnosis(model, dataset.sampling_rate, labelled=True, watched=False)
+        steps = NextSteps(diagnosis, dataset.sampling_rate, path, *given_options(), labelled=True)
         with progress_bar(len(dataset), "signals", "predicting") as progress:
             for batch, answers in identify_batches(dataset.batches(), model, self.settings, path):
                 if not tally.specimens:
-                    warn_of_model(path, path, dataset.sampling_rate, model, self.settings)
+                    for one in of_model(model, dataset.sampling_rate, self.settings):
+                        self.lines.finding(path, one)
                     self.lines.begin(path, model, self.settings)
-                hints.add(answers)
+                diagnosis.add(answers)
                 truths = zip(answers, batch.labels.tolist(), batch.specimen.tolist(), strict=True)
                 for answer, truth, specimen in truths:
                     self.lines.answer(path, answer, index=next(number), truth=truth)
@@ -173,25 +181,31 @@ class _Prediction:
                 progress(len(batch))
         if tally.measured or tally.foreign:
             say(f"{path}: {tally.summary(len(dataset))}", err=True)
-        for hint in hints.hints():
-            self.lines.hint(path, hint)
-        for factor in hints.wrong_scales().values():
-            self.lines.warning(path, f"{path}: {hints.level_warning(factor)}")
+        for one in diagnosis.findings():
+            self.lines.finding(path, steps.of(one))
 
     def dataset_signal(self, path: str, index: int, signal: Signal) -> None:
         """Print the prediction for one signal of a dataset."""
         from cgid.identification.prediction import identify, suited
         from cgid.identification.prediction.batches import require_one_signal
+        from cgid.identification.prediction.telling import of_model
 
         require_one_signal(self.settings, path)
         model = self.models.of(signal.quantity)
         fitting = suited(signal, model, self.settings.mass)
-        warn_of_model(fitting.name, fitting.name, fitting.sampling_rate, model, self.settings)
+        for one in of_model(model, fitting.sampling_rate, self.settings):
+            self.lines.finding(fitting.name, one)
         (answer,) = identify(fitting, model, self.settings)
         if not answer.probabilities:
             raise BadData(f"{fitting.name}: {answer.problem}")
         self.lines.begin(path, model, self.settings)
         self.lines.answer(path, answer, index=index)
+
+
+def _of_reading(text: str) -> Finding:
+    from cgid.identification.prediction.findings import Finding
+
+    return Finding(kind="reading", fields={"text": text})
 
 
 @dataclass(eq=False, repr=False)

@@ -13,7 +13,7 @@ import warnings
 from collections.abc import Callable, Mapping
 from contextlib import closing
 from dataclasses import dataclass, fields, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -208,11 +208,24 @@ def simulated(pool: Pool, model: StoredModel, n_seams: int, rng: np.random.Gener
     return Seams(pulses=np.log(measured[:, :3]), logits=logits, first=first)
 
 
-def _drawn(n_seams: int, rng: np.random.Generator) -> dict[str, Floats]:
-    """Return rocks of seams of the prior, (n_seams * (_COAL + _GANGUE),) each, and the errors of gain (n_seams, 3).
+class SeamNumbers(NamedTuple):
+    """Numbers of simulated seams; of each pair the first is of coal, the second of gangue, (n_seams,) each."""
+
+    moduli: tuple[Floats, Floats]  # medians of Young's moduli [Pa]
+    spreads: tuple[Floats, Floats]  # standard deviations of their logarithms
+    restitutions: tuple[Floats, Floats]  # means
+    densities: tuple[Floats, Floats]  # means [kg/m^3]
+    largest: tuple[Floats, Floats]  # radii [m]
+    ratios: tuple[Floats, Floats]  # largest over smallest radius
+    lowest_fall: Floats  # [m]
+    highest_fall: Floats
+
+
+def seam_numbers(n_seams: int, rng: np.random.Generator) -> SeamNumbers:
+    """Return seams that are drawn from the prior.
 
     Moduli, densities and sizes are published ranges of coal, mudstone, shale, sandstone and limestone (`datasets`);
-    their spreads within a seam, restitutions, falls and errors of gain are assumed.
+    their spreads within a seam, restitutions and falls are assumed.
     """
 
     def uniform(low: float, high: float) -> Floats:
@@ -223,24 +236,32 @@ def _drawn(n_seams: int, rng: np.random.Generator) -> dict[str, Floats]:
 
     coal = log_uniform(1.3e9, 5.5e9)
     gangue = np.exp(rng.uniform(np.log(np.maximum(4e9, 1.4 * coal)), np.log(32e9)))
-    moduli = coal, gangue
     spreads = uniform(0.25, 0.45), uniform(0.35, 0.65)
     bounce = uniform(0.24, 0.45)
     restitutions = bounce, bounce + uniform(0.05, 0.27)
     densities = uniform(1280, 1500), uniform(2200, 2750)
     largest, ratio = log_uniform(0.028, 0.165), log_uniform(2.5, 9.0)
     other = rng.random(n_seams) < 0.5
-    sizes = np.ones(n_seams), np.where(other, log_uniform(0.6, 1.7), 1.0)
+    size = np.where(other, log_uniform(0.6, 1.7), 1.0)
     ratios = ratio, np.where(other, log_uniform(2.5, 9.0), ratio)
     low = log_uniform(0.15, 1.2)
     high = low + uniform(0.4, 3.1)
+    return SeamNumbers((coal, gangue), spreads, restitutions, densities, (largest, size * largest), ratios, low, high)
+
+
+def _drawn(n_seams: int, rng: np.random.Generator) -> dict[str, Floats]:
+    """Return rocks of seams of the prior, (n_seams * (_COAL + _GANGUE),) each, and the errors of gain (n_seams, 3).
+
+    Errors of gain are assumed.
+    """
+    moduli, spreads, restitutions, densities, largest, ratios, low, high = seam_numbers(n_seams, rng)
     gain = np.where(rng.random((n_seams, 1)) < 0.5, rng.normal(0, (0.10, 0.05, 0.06), (n_seams, 3)), 0.0)
     parts: dict[str, list[Floats]] = {}
     for k, n in enumerate((_COAL, _GANGUE)):
         shape = n_seams, n
         young = moduli[k][:, None] * np.exp(spreads[k][:, None] * rng.standard_normal(shape))
         poisson = rng.uniform((0.26, 0.20)[k], (0.34, 0.32)[k], shape)
-        radius = (sizes[k] * largest)[:, None] * ratios[k][:, None] ** -rng.random(shape)
+        radius = largest[k][:, None] * ratios[k][:, None] ** -rng.random(shape)
         e = restitutions[k][:, None] + (0.08, 0.10)[k] * rng.standard_normal(shape)
         density = densities[k][:, None] * (1 + 0.05 * rng.standard_normal(shape))
         fall = low[:, None] + (high - low)[:, None] * rng.random(shape)

@@ -28,7 +28,6 @@ from cgid.identification.model.confusion import Confusion, StreamAnswers, logit
 from cgid.identification.model.model import StoredModel, stored
 from cgid.identification.training.rows import BEAM_FEATURES, BEAM_GUARDS, Rows, through
 from cgid.identification.training.training import MIN_LIMITS, Training, train_on_specimens
-from cgid.learning.world import of_streams, with_world
 from cgid.measure.features.extraction import extract_array
 from cgid.measure.modal.beam import Beam
 from cgid.scene.file.schema import Scene, parse_scene
@@ -220,7 +219,7 @@ def train_on_streams(
     )
     further = variations(scene, n_further, seed + 1)
     others = rows_of_streams(further, seed + 1, names, beam, progress=progress, workers=workers)
-    model = with_world(finished(stored(training.model), others), of_streams([*streams, *others]), seed)
+    model = finished(stored(training.model), others)
     return replace(training, model=model)
 
 

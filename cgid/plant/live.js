@@ -36,20 +36,20 @@ function alarmText(data, now, waited) {
   return parts.join(", ");
 }
 function decisionOf(one, isVoid) {
-  const shown = !isVoid && one.ground === "seen" && (one.decision === "draw" || one.decision === "shut");
+  const shown = !isVoid && one.ground === "seen" && ["unsure", "draw", "shut"].includes(one.decision);
   return shown ? one.decision : "none";
 }
 function stateText(one, isVoid) {
   const decision = decisionOf(one, isVoid);
-  if (decision === "none") return !isVoid && one.ground === "seen" ? "NO DECISION YET" : "NO DECISION";
-  return decision === "draw" ? "GO ON" : "SHUT";
+  if (decision === "none") return !isVoid && one.ground === "seen" ? "NO EVIDENCE" : "NO DECISION";
+  return { unsure: "NOT YET SURE", draw: "GO ON", shut: "SHUT" }[decision];
 }
 function groundText(one, old, isVoid) {  // `old` is the age of the data [s]
   const age = moment => durationText(Math.max(one.time_s - moment + old, 0));
-  const words = { seen: "seen", blind: "BLIND", wrong_scale: "WRONG SCALE", mostly_unknown: "MOSTLY UNKNOWN", unproven: "MODEL UNPROVEN", stopped: "STREAM STOPPED" };
+  const words = { seen: "seen", blind: "BLIND", fault: "FAULTY", wrong_scale: "WRONG SCALE", mostly_unknown: "MOSTLY UNKNOWN", unproven: "MODEL UNPROVEN", stopped: "STREAM STOPPED" };
   const known = isVoid ? `last known: ${words[one.ground]}` : `${words[one.ground]} for ${age(one.ground_since_s)}`;
   const parts = [known + (one.reason ? `: ${one.reason}` : "")];
-  if (one.foreign) parts.push(`${one.foreign} unlike the training`);
+  parts.push(...(one.findings || []));
   if (one.last_sound_s !== null) parts.push(`last valid sample ${age(one.last_sound_s)} ago`);
   if (one.last_identified_s !== null) parts.push(`last identified impact ${age(one.last_identified_s)} ago`);
   return parts.join(" · ");

@@ -20,9 +20,12 @@ from cgid.plant.state import PlantState, Record, Support, age
 VERSION = 2
 #: Registers of the head and of each support; maximum number of supports.
 HEAD, WIDTH, MAX_SUPPORTS = 16, 16, 256
-_SIZE = HEAD + WIDTH * MAX_SUPPORTS
+#: Behind those of the supports: the numbers of what stands of each, so many at most.
+FINDINGS = HEAD + WIDTH * MAX_SUPPORTS
+EACH = 4
+_SIZE = FINDINGS + EACH * MAX_SUPPORTS
 _NOT_KNOWN = 0xFFFF
-_DECISIONS = {Decision.NONE: 0, Decision.DRAW: 1, Decision.SHUT: 2}
+_DECISIONS = {Decision.NONE: 0, Decision.DRAW: 1, Decision.SHUT: 2, Decision.UNSURE: 3}
 _GROUNDS = {
     Ground.SEEN: 1,
     Ground.BLIND: 2,
@@ -30,6 +33,7 @@ _GROUNDS = {
     Ground.MOSTLY_UNKNOWN: 4,
     Ground.STOPPED: 5,
     Ground.UNPROVEN: 6,
+    Ground.FAULT: 7,
 }
 #: A client without requests for this time is disconnected [s].
 TIMEOUT = 60.0
@@ -78,7 +82,7 @@ def answered(request: bytes, plant: PlantState) -> bytes:
 
 
 def registers(plant: PlantState, supports: list[tuple[Support, Record]]) -> list[int]:
-    """Return all registers: the head, then those of each support in the order of the channels."""
+    """Return all registers: the head, those of each support in the order of the channels, and what stands of each."""
     head = [VERSION, plant.beats & 0xFFFF, _tenths(plant.age), _tenths(plant.behind), len(supports), int(plant.ended)]
     values = head + [0] * (HEAD - len(head))
     for support, record in supports[:MAX_SUPPORTS]:
@@ -98,6 +102,10 @@ def registers(plant: PlantState, supports: list[tuple[Support, Record]]) -> list
             _tenths(age(record, record["last_sound_s"])),
         ]
         values += of_support + [0] * (WIDTH - len(of_support))
+    values += [0] * (FINDINGS - len(values))
+    for support, _ in supports[:MAX_SUPPORTS]:
+        numbers = [one["number"] for one in support.findings.values()][:EACH]
+        values += numbers + [0] * (EACH - len(numbers))
     return values
 
 

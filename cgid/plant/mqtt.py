@@ -168,6 +168,8 @@ class Mqtt(Output):
             self._publish(self._topic(kind, channel), json.dumps(record), ours=True)
         if kind in RECORDS:
             self._publish_record(self._plant.record(record["channel"]))
+        elif kind == "finding":
+            self._publish_records()
 
     def _publish_records(self) -> None:
         """Publish the records of all channels, and the time of day."""

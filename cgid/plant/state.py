@@ -45,6 +45,8 @@ class Support:
     shares: deque[list[float | None]] = field(default_factory=lambda: deque(maxlen=_SHARES))
     marks: deque[list[Any]] = field(default_factory=lambda: deque(maxlen=_SHARES))
     answers: deque[list[Any]] = field(default_factory=lambda: deque(maxlen=_ANSWERS))
+    #: What stands, its lines by kind, in order of time.
+    findings: dict[str, dict[str, Any]] = field(default_factory=dict)
 
     @classmethod
     def of(cls, channel: str) -> Support:
@@ -67,6 +69,13 @@ class Support:
         elif kind != "state":
             self.turns[kind] += 1
             self.marks.append([record["time_s"], kind])
+
+    def find(self, record: dict[str, Any]) -> None:
+        """Take a line of a finding of this support: it begins, or it is over."""
+        if record["end_s"] is None:
+            self.findings[record["finding"]] = record
+        else:
+            self.findings.pop(record["finding"], None)
 
     @property
     def turned(self) -> float | None:
@@ -133,6 +142,11 @@ class PlantState:
 
     def take(self, record: dict[str, Any]) -> None:
         """Update from one line of JSON."""
+        if record["kind"] == "finding" and not record["note"]:
+            with self._lock:
+                for name, support in self.supports.items():
+                    if not record["channels"] or not {name, *name.split("+")}.isdisjoint(record["channels"]):
+                        support.find(record)
         if record["kind"] in ("impact", "window", *RECORDS):
             channel = record["channel"]
             with self._lock:
@@ -169,12 +183,15 @@ class PlantState:
     def records(self) -> list[Record]:
         """Return the record of each support at this moment."""
         with self._lock:
-            return [self._now(support.record) for support in self.supports.values()]
+            return [self._with_findings(support) for support in self.supports.values()]
 
     def record(self, channel: str) -> Record:
         """Return the record of a support at this moment."""
         with self._lock:
-            return self._now(self.supports[channel].record)
+            return self._with_findings(self.supports[channel])
+
+    def _with_findings(self, support: Support) -> Record:
+        return self._now(support.record) | {"findings": list(support.findings)}
 
     def _now(self, record: Record) -> Record:
         """Return a record at this moment of the stream, by the clock: a decision never outlives its ground."""
@@ -200,6 +217,7 @@ class PlantState:
                     "turns": list(one.marks),
                     "shares": list(one.shares),
                     "answers": list(one.answers),
+                    "findings": [told["message"] for told in one.findings.values()],
                 }
                 for one, record in all_
             ]

@@ -158,6 +158,11 @@ def _families(supports: list[tuple[Support, Record]], gauge: Any, counter: Any) 
             for kind in kinds:
                 metric.add_metric([record["channel"], str(kind)], float(record[name] == kind))
         yield metric
+    metric = gauge("cgid_finding", "1 for what stands of a support", labels=["channel", "finding"])
+    for support, record in supports:
+        for found in support.findings:
+            metric.add_metric([record["channel"], found], 1.0)
+    yield metric
     for name, text, label, counts in (
         ("answers", "Predictions since the start", "label", "labels"),
         ("turns", "Switches of the decision since the start", "turn", "turns"),

@@ -7,7 +7,7 @@ import hashlib
 import math
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 from datetime import datetime
 from html import escape
 from importlib import resources
@@ -23,7 +23,7 @@ from cgid._lib.terminal import counted, printable
 from cgid._lib.validation import UNKNOWN
 from cgid.identification.model.model import StoredModel
 from cgid.identification.prediction.answers import Answer
-from cgid.identification.prediction.diagnosis import Hint, InWords
+from cgid.identification.prediction.findings import Finding, InWords, as_option
 from cgid.identification.prediction.fraction import MIN_IMPACTS, Share, Switch, unproven
 from cgid.identification.prediction.support import SupportState
 from cgid.measure.overview import Overview
@@ -49,9 +49,8 @@ class Report:
     states: Sequence[SupportState] = ()  # the last record of each support
     whole: Sequence[Share] = ()  # gangue share of each support over the whole recording
     threshold: float | None = None  # share of gangue above which further caving costs more than it brings
-    warnings: Sequence[str] = field(default_factory=tuple)  # what is damaged or doubtful
     unit_of_decision: str = "impact"  # subject of an answer, or "window"
-    hints: Sequence[Hint] = ()  # why most answers of channels are unknown, if they are
+    findings: Sequence[Finding] = ()  # what is wrong, in order of time
 
     @property
     def labels(self) -> list[str]:
@@ -69,8 +68,7 @@ class Report:
         for state in self.states if self.threshold is not None else ():
             where = f", channel {state.share.channel}" if len(self.states) > 1 else ""
             ground = "" if state.ground == "seen" else str(state.ground).replace("_", " ")
-            foreign = f"{state.foreign} unlike the training" if state.foreign else ""
-            why = ", ".join(part for part in (ground, foreign, where.removeprefix(", ")) if part)
+            why = ", ".join(part for part in (ground, where.removeprefix(", ")) if part)
             yield str(state.decision), "decision at the end" + (f" ({why})" if why else "")
 
     @property
@@ -160,11 +158,7 @@ def _section(report: Report, *, named: bool) -> Iterator[str]:
     if named:  # else the title of the page is its name
         yield f"<h2>{_text(Path(report.source).name)}</h2>"
     yield from _verdict(report)
-    yield from _next_steps(report)
-    if report.warnings:
-        yield '<div class="warnings"><strong>Warnings</strong><ul>'
-        yield from (f"<li>{_text(warning)}</li>" for warning in report.warnings)
-        yield "</ul></div>"
+    yield from _findings(report)
     yield '<ul class="tiles">'
     yield from (f"<li><strong>{_text(figure)}</strong> {_text(what)}</li>" for figure, what in report.tiles())
     yield "</ul>"
@@ -195,13 +189,15 @@ def _verdict(report: Report) -> Iterator[str]:
         yield f'<p class="verdict"><strong>{_text(text)}</strong>{_text(unknown + when)}</p>'
 
 
-def _next_steps(report: Report) -> Iterator[str]:
-    """Yield the boxes that explain why most predictions are unknown."""
-    for hint in report.hints:
-        where = f" (channel {', '.join(hint.channels)})" if hint.channels else ""
-        yield f'<div class="hint"><strong>Next steps</strong><p>{_text(hint.reason + where)}.</p>'
-        yield f"<p>To go on, {_text(hint.advice)}.</p>"
-        for number, way in enumerate(filter(None, (hint.commands, hint.instead))):
+def _findings(report: Report) -> Iterator[str]:
+    """Yield what is wrong, those with next steps in boxes of their own."""
+    for one in sorted(report.findings, key=lambda one: one.begin if one.begin > 0 else 0.0):
+        line = replace(one, commands=()).line("", len(report.channels), as_option).removeprefix(":").strip()
+        if not line or one.is_note:
+            continue
+        box = "hint" if one.commands else "warnings"
+        yield f'<div class="{box}"><strong>{_text(one.kind.replace("_", " "))}</strong><p>{_text(line)}.</p>'
+        for number, way in enumerate(filter(None, (one.commands, one.instead))):
             steps = (_text(step) if isinstance(step, InWords) else f"<code>{_text(step)}</code>" for step in way)
             yield "<p>Or:</p>" * number + "<ol>" + "".join(f"<li>{step}</li>" for step in steps) + "</ol>"
         yield "</div>"

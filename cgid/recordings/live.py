@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, BinaryIO
+from typing import TYPE_CHECKING, Any, BinaryIO, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +22,8 @@ from cgid.recordings.sound import ENDLESS, Coding, read_wave_head
 if TYPE_CHECKING:
     from cgid.recordings.site import Site
 
+#: Blocks are joined up to this duration [s], because short ones are inefficient.
+SHORTEST = 0.05
 #: Most numbers to read from the stream at once.
 _MAX_NUMBERS = 1 << 16
 #: Number of bytes that tell a text from numbers of more than one byte each.
@@ -135,7 +137,8 @@ def live_stream(
                 raise InvalidValue(
                     f"{source}: {name} must agree with the stream, {says}; leave out --{name.replace('_', '-')}"
                 )
-        contents = _contents(head.n_channels, head.coding, "FS", head.sampling_rate)
+        is_integer = head.coding.kind != "f"
+        contents = contents_of(head.n_channels, "FS", is_integer=is_integer, rate=head.sampling_rate)
         size = head.data_size if 0 < head.data_size < ENDLESS else None
         contents.warnings.extend(head.warnings)
         about: dict[str, Any] = {"coding": head.coding, "size": size, "is_wav": True}
@@ -151,35 +154,60 @@ def live_stream(
             if missing:
                 raise MissingOption(f"{source}: a raw stream does not state {what}; give it with {option}")
         assert coding is not None and n_channels is not None
-        contents = _contents(n_channels, coding, None if coding.kind == "f" else "FS")
+        is_integer = coding.kind != "f"
+        contents = contents_of(n_channels, "FS" if is_integer else None, is_integer=is_integer)
         about = {"coding": coding, "head": start}
-    beams: tuple[tuple[str, ...], ...] = ()
-    if site is not None:
-        contents, chain = site.applied(contents, chain or Chain(), source)
-        beams = site.beams(contents, source)
-    links = (chain or Chain()).links(contents, range(contents.n_channels), unit, source)
+    channels, factors, beams = described(contents, unit, chain or Chain(), site, source)
     return LiveStream(
         file=file,
         sampling_rate=require_rate(contents.rate(given, source)),
-        channels=[Channel(name=contents.label(k), unit=link.unit, origin=link.origin) for k, link in enumerate(links)],
+        channels=channels,
         beams=beams,
-        factors=[link.factor for link in links],
+        factors=factors,
         source=source,
         warnings=contents.warnings,
         **about,
     )
 
 
-def _contents(n_channels: int, coding: Coding, fallback_unit: str | None, rate: float | None = None) -> Blocks:
+class Described(NamedTuple):
+    """The channels of a stream, the factor of each from numbers to its unit, and those of each beam with several."""
+
+    channels: list[Channel]
+    factors: list[float]
+    beams: tuple[tuple[str, ...], ...]
+
+
+def described(contents: Blocks, unit: str | None, chain: Chain, site: Site | None, source: str) -> Described:
+    """Return the channels of a stream by what it, its user and a site state."""
+    beams: tuple[tuple[str, ...], ...] = ()
+    if site is not None:
+        contents, chain = site.applied(contents, chain, source)
+        beams = site.beams(contents, source)
+    links = chain.links(contents, range(contents.n_channels), unit, source)
+    names = [contents.label(k) for k in range(len(links))]
+    channels = [Channel(name=name, unit=one.unit, origin=one.origin) for name, one in zip(names, links, strict=True)]
+    return Described(channels, [link.factor for link in links], beams)
+
+
+def contents_of(
+    n_channels: int,
+    fallback_unit: str | None,
+    *,
+    is_integer: bool = False,
+    rate: float | None = None,
+    names: list[str] | None = None,
+) -> Blocks:
     """Return what a stream states of its channels."""
     return Blocks(
         n_channels=n_channels,
         read=lambda length, channels: iter(()),
         sampling_rate=rate,
         rate_from="WAV header",
+        names=names or (),
         fallback_unit=fallback_unit,
         full_scales=[1.0] * n_channels,
-        integers=[coding.kind != "f"] * n_channels,
+        integers=[is_integer] * n_channels,
     )
 
 

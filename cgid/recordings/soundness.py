@@ -1,7 +1,8 @@
 """Whether the sensor of each channel is alive: when it last gave a sound sample, and why none since.
 
-A sensor is dead where its samples are missing, constant, or far below the channel's own earlier noise. Samples are
-judged in stretches that count from the first one, so the result does not depend on the blocks.
+A sensor is dead where its samples are missing, constant, or far below the channel's own earlier noise; it may be deaf
+where they are far above it. Samples are judged in stretches that count from the first one, so the result does not
+depend on the blocks.
 """
 
 from __future__ import annotations
@@ -20,13 +21,10 @@ from cgid.errors import BadData
 
 #: Duration of a stretch [s], and how many of its samples show its noise.
 _STRETCH, _N_SAMPLES = 0.1, 256
-#: Noise is far below that of the quietest earlier stretch at this fraction of it: 30 dB.
+#: Noise is far below that of the quietest earlier stretch at this fraction of it, 30 dB, and far above it by as much.
 FAR_BELOW = 10**-1.5
 #: The quietest stretch is sought in so many periods of so many sound stretches: ten minutes.
 _PERIODS, _PERIOD = 10, 600
-#: A signal is upside down where in the last stretches, so many times so many, it falls this many times as far below its
-#: middle as it rises above it, and clear of the noise.
-_TURNED_PERIODS, _TURNED_PERIOD, _UPSIDE_DOWN, _CLEAR = 6, 100, 3.0, 10.0
 
 
 class Lack(IntEnum):
@@ -39,12 +37,12 @@ class Lack(IntEnum):
 
 
 class _Stretch(NamedTuple):
-    """The end of a stretch [s]; by channel what it lacks, its middle value, and whether it points downwards."""
+    """The end of a stretch [s]; by channel what it lacks, its middle value, and whether it is loud."""
 
     end: float
     lack: NDArray[np.int8]
     middle: Floats
-    turned: NDArray[np.bool_]
+    loud: NDArray[np.bool_]
 
 
 class SensorWatch:
@@ -63,10 +61,10 @@ class SensorWatch:
         # Of each channel: the noise of its quietest sound stretch in each period; dead stretches change nothing.
         self._floors = np.full((n_channels, _PERIODS), np.inf)
         self._n_sound = np.zeros(n_channels, np.int64)
-        # How far each channel falls and rises in each of the last periods.
-        self._swings = np.zeros((2, n_channels, _TURNED_PERIODS))
         self.last_sound = np.full(n_channels, np.nan)
-        self.turned = np.zeros(n_channels, bool)
+        self.last_usual = np.zeros(n_channels)  # when the noise was last not far above that of the quietest stretch [s]
+        #: Stretches of each channel that were dead, and of all; of `stretch` [s] each.
+        self.n_dead, self.n_all, self.stretch = np.zeros(n_channels, np.int64), 0, self._length / sampling_rate
         self.lack = np.zeros(n_channels, np.int8)
         self.middle = np.zeros(n_channels)
 
@@ -111,32 +109,30 @@ class SensorWatch:
         lack = np.where(faint, Lack.NOISE, Lack.NOTHING).astype(np.int8)
         lack[~(low < high)] = Lack.CHANGE
         lack[np.isnan(low)] = Lack.SAMPLES
-        sound = np.flatnonzero(lack == Lack.NOTHING)
-        self._alive = end if sound.size else self._alive
+        is_sound, loud = lack == Lack.NOTHING, noise * FAR_BELOW > floor
+        self._alive = end if is_sound.any() else self._alive
+        sound = np.flatnonzero(is_sound & ~loud)
         period = self._n_sound[sound] // _PERIOD % _PERIODS
         begins = self._n_sound[sound] % _PERIOD == 0
         before = np.where(begins, np.inf, self._floors[sound, period])
         self._floors[sound, period] = np.minimum(before, noise[sound])
         self._n_sound[sound] += 1
-        slot, first = divmod(round(self._n_taken / self._length) - 1, _TURNED_PERIOD)
-        slot %= _TURNED_PERIODS
-        swings = np.fmax([middle - low, high - middle], 0.0)  # 0 where samples are missing
-        self._swings[:, :, slot] = np.maximum(swings, self._swings[:, :, slot]) if first else swings
-        falls, rises = self._swings.max(axis=2)
-        turned = (falls > _UPSIDE_DOWN * rises) & (falls > _CLEAR * np.where(np.isfinite(floor), floor, np.inf))
-        return _Stretch(end, lack, middle, turned)
+        return _Stretch(end, lack, middle, loud)
 
     def advance(self, time: float) -> None:
         """Take into account all stretches up to a time [s]."""
         while self._waiting and self._waiting[0].end <= time:
             stretch = self._waiting.popleft()
-            self.lack, self.middle, self.turned = stretch.lack, stretch.middle, stretch.turned
+            self.lack, self.middle = stretch.lack, stretch.middle
             self.last_sound[stretch.lack == Lack.NOTHING] = stretch.end
+            self.last_usual[~stretch.loud] = stretch.end
+            self.n_dead += stretch.lack != Lack.NOTHING
+            self.n_all += 1
 
     def why_blind(self, rows: Sequence[int], channels: Sequence[str]) -> str:
         """Return in words what the latest stretch of some channels lacks."""
         reasons = {
-            Lack.NOTHING: "has just given a sample again",
+            Lack.NOTHING: "was dead for most of the last seconds",
             Lack.SAMPLES: "gives no samples",
             Lack.CHANGE: "is constant at {:.4g}",
             Lack.NOISE: "is far below its earlier noise",

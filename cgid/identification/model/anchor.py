@@ -236,6 +236,8 @@ class Anchor:
     ) -> None:
         self._spans, self._least = [(0.0, coal_until)] if coal_until else list(spans), least
         self._pause, self._last, self._next = cycle_pause, np.inf, np.inf
+        #: Begin and last impact [s] of the first cycle that ended while its coal was still coming.
+        self.short: tuple[float, float] | None = None
         self._begin(0.0)
 
     def _begin(self, time: float) -> None:
@@ -251,13 +253,24 @@ class Anchor:
 
     def _begin_if_due(self, time: float) -> None:
         if time >= self._next:
+            self._end()
             self._begin(self._next)
             self._next = np.inf
+
+    def _end(self) -> None:
+        if self.short is None and self._impacts and all(self._last < self.cycle + end for _, end in self._spans):
+            self.short = self.cycle, self._last
+
+    def lose(self, time: float) -> None:
+        """Take the time until `time` [s] as heard by nobody: no sample is no pause."""
+        if self._last < np.inf:
+            self._last = max(self._last, time)
 
     def add(self, time: float, probability: float, pulse: tuple[float, ...] | None) -> None:
         """Add an impact at a time [s], in order; the probability of gangue is nan if it is unknown."""
         self._begin_if_due(time)
         if self._pause is not None and time - self._last > self._pause:
+            self._end()
             self._begin(time)
         self._last = time
         if self.has(time):

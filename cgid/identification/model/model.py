@@ -22,6 +22,7 @@ from cgid.errors import BadData, InvalidValue
 from cgid.identification.model.anchor import SeamNetworks
 from cgid.identification.model.conformal import Conformal
 from cgid.identification.model.confusion import Confusion
+from cgid.identification.model.explanations import Explanations
 from cgid.identification.model.families import (
     BY_NAME,
     MIN_DIVISOR,
@@ -53,7 +54,6 @@ from cgid.identification.model.model_file import (
     stored_fields,
     with_floats,
 )
-from cgid.identification.model.world import World, trait_names
 from cgid.measure.features.extraction import FEATURES, UnknownFeature, base_of, extract, in_units, kind_of, powers_of
 from cgid.measure.features.table import Kind
 from cgid.measure.modal.beam import Beam
@@ -270,7 +270,8 @@ class StoredModel(Model):
         check_training(self)
         self.neighbourhood.check()
         # They check their arrays.
-        _ = self._classifier, self.conformal, self.contrast, self.beam, self.confusion, self.seams, self.world
+        _ = self._classifier, self.conformal, self.contrast, self.beam, self.confusion, self.seams
+        _ = self.explanations, self.changes
         _ = self._level_weights
 
     def __eq__(self, other: object) -> bool:
@@ -518,15 +519,14 @@ class StoredModel(Model):
         return SeamNetworks.from_arrays(self.arrays)
 
     @cached_property
-    def world(self) -> World | None:
-        """What recordings like those of the training look like; None without simulated recordings."""
-        return World.from_arrays(self.arrays)
+    def explanations(self) -> Explanations | None:
+        """What explains recordings that are not as in the training; None without simulated faults."""
+        return Explanations.from_arrays(self.arrays, Explanations.PREFIXES[0])
 
     @cached_property
-    def compared(self) -> list[int]:
-        """Columns of inputs and guards, beside each other, that `world` compares; none without it."""
-        columns = [*self.inputs, *self.guards]
-        return [] if self.world is None else [columns.index(name) for name in trait_names(self.measured)]
+    def changes(self) -> Explanations | None:
+        """What explains that a channel is not as before; None without simulated faults."""
+        return Explanations.from_arrays(self.arrays, Explanations.PREFIXES[1])
 
     @cached_property
     def _level_weights(self) -> tuple[Floats, float] | None:

@@ -23,6 +23,7 @@ from cgid._lib import validation
 from cgid.errors import BadData, InvalidValue
 from cgid.identification.model.anchor import SeamNetworks, pulse_names
 from cgid.identification.model.confusion import Confusion
+from cgid.identification.model.explanations import Explanations, needed
 from cgid.identification.model.families import (
     BY_NAME,
     MIN_DIVISOR,
@@ -33,7 +34,6 @@ from cgid.identification.model.families import (
     Standardiser,
     require_family,
 )
-from cgid.identification.model.world import World, trait_names
 from cgid.measure.features.extraction import any_through_beam, require_known
 from cgid.measure.modal.beam import Beam
 from cgid.units import quantity_of
@@ -45,6 +45,8 @@ if TYPE_CHECKING:
 UNEXPLAINED = "median_beam_unexplained"
 #: Of the training record of models of windows: correlation of windows in a vote.
 VOTE_CORRELATION = "vote_correlation"
+#: Prefix of arrays of models that earlier versions trained on streams.
+_NO_LONGER_USED = "world."
 #: Of the training record of models of labelled recordings: the levels of recordings, and the names of its numbers.
 LEVEL_RANGE, LEVELS = "level_range", ("deviation", "low", "high", "between", "within")
 
@@ -56,9 +58,9 @@ FINEST_HOP = 0.01
 # -- the archive ------------------------------------------------------------------------------------------
 
 #: Maximum number of arrays of a model, and longest directory of its archive [bytes].
-MAX_ENTRIES, _MAX_DIRECTORY_SIZE = 64, 64 * 128
+MAX_ENTRIES, _MAX_DIRECTORY_SIZE = 96, 96 * 128
 _MAX_AXES = 3
-_TYPES = ("<f8", "<i4", "<i8", "|b1", "|u1")
+_TYPES = ("<f8", "<f4", "<i4", "<i8", "|b1", "|u1")
 #: Errors of zipfile and numpy on damaged archives.
 _DAMAGE = (
     zipfile.BadZipFile, struct.error, ValueError, LookupError, OSError, EOFError, RuntimeError, ArithmeticError,
@@ -97,7 +99,7 @@ def _array(stored: bytes, name: str) -> NDArray[Any]:
     # With Python's integers the product cannot overflow.
     size = math.prod(map(int, shape)) * dtype.itemsize
     if dtype.str not in _TYPES or size != len(stored) - stream.tell() or 0 in shape or len(shape) > _MAX_AXES:
-        raise BadData(f"array {name} must contain numbers (float64, int32, int64 or bool), as many as declared")
+        raise BadData(f"array {name} must contain plain numbers (float64, float32, int32, int64, bool) as declared")
     array: NDArray[Any] = np.frombuffer(stored, dtype, offset=stream.tell())  # read-only
     if dtype.kind == "b" and (array.view(np.uint8) > 1).any():
         raise BadData(f"array {name} must contain truth values, bytes 0 and 1")
@@ -351,14 +353,15 @@ def _check_arrays(model: StoredModel) -> None:
     family = Fitted if model.estimator is not None else BY_NAME[model.family]
     known |= {f"family.{name}" for name in family.AXES} | {f"beam.{name}" for name in Beam.ARRAYS}
     known |= {Contrast.PREFIX + name for name in (*Standardiser.NAMES, *Network.AXES, *Linear.AXES, "limit")}
-    known |= {part.PREFIX + name for part in (Confusion, SeamNetworks, World) for name in part.ARRAYS}
+    known |= {part.PREFIX + name for part in (Confusion, SeamNetworks) for name in part.ARRAYS}
+    known |= {prefix + name for prefix in Explanations.PREFIXES for name in Explanations.ARRAYS}
     for name, array in arrays.items():
-        if name not in known:
+        if name not in known and not name.startswith(_NO_LONGER_USED):
             raise BadData(f"array {name!r} must be left out, a model of family {model.family} has no such array")
         kinds = "b" if name.endswith(".logarithmic") else "fi"
         plain = array.dtype.kind in kinds and array.size > 0
         # Without np.abs, which would copy a large array. False for nan.
-        if not plain or not (array.min() >= -_MAX_NUMBER and array.max() <= _MAX_NUMBER):
+        if not plain or not (float(array.min()) >= -_MAX_NUMBER and float(array.max()) <= _MAX_NUMBER):
             raise BadData(f"array {name} must contain finite numbers, got {array.dtype}")
     if n_classes != 2 and any(name.startswith(Confusion.PREFIX) for name in arrays):
         raise BadData(f"arrays of a share must be left out, they are for two labels, got {n_classes}")
@@ -366,8 +369,8 @@ def _check_arrays(model: StoredModel) -> None:
         n_classes != 2 or "gangue" not in model.labels or not pulse_names(model.features)
     ):
         raise BadData("arrays of seams must be left out, they are for pulses of gangue and one other label")
-    if any(name.startswith(World.PREFIX) for name in arrays) and not trait_names(model.measured):
-        raise BadData("arrays of a world must be left out, they are for pulses and what these leave unexplained")
+    if any(name.startswith(Explanations.PREFIXES) for name in arrays) and not needed(model):
+        raise BadData("arrays of explanations must be left out, they are for pulses, shapes and what these leave")
     Standardiser.from_arrays(arrays, STANDARDISER)  # checks its scale and floor
     if any_through_beam(model.measured) != any(name.startswith("beam.") for name in arrays):
         raise BadData("a model must have the arrays of a beam if and only if features need it")

@@ -3,6 +3,8 @@ from cgid.identification.prediction.answers import identify as identify
 from cgid.identification.prediction.answers import identify_frames as identify_frames
 from cgid.identification.prediction.answers import suited as suited
 from cgid.identification.prediction.fraction import Share as Share
+from cgid.identification.prediction.monitor import Monitor as Monitor
+from cgid.identification.prediction.monitor import News as News
 from cgid.identification.prediction.pipeline import identify_recording as identify_recording
 from cgid.identification.prediction.prediction import load_model as load_model
 from cgid.identification.prediction.prediction import predict as predict

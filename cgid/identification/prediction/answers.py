@@ -15,10 +15,10 @@ from cgid._lib.spelling import asked
 from cgid._lib.validation import UNKNOWN, Floats
 from cgid.errors import BadData, InvalidValue, MissingOption
 from cgid.identification.detection.detector import find_impacts
-from cgid.identification.detection.events import Event, frames_alike
+from cgid.identification.detection.events import Event, Framing, frames_alike
 from cgid.identification.model.anchor import pulse_names
+from cgid.identification.model.explanations import sampled
 from cgid.identification.model.model import Model, StoredModel, stored
-from cgid.identification.prediction.diagnosis import Cause, causes_of, with_frames
 from cgid.identification.prediction.settings import PredictionSettings
 from cgid.measure.features.extraction import as_rows, measured, require_measurable
 from cgid.measure.frames import DETECTION_LIMIT, MINIMUM_FRAME, Problem, ProblemKind, frames_of
@@ -65,8 +65,6 @@ class Answer:
         Whether samples stand at the limit of the recorder.
     cut : bool
         Whether the recording begins or ends within the impact.
-    cause : Cause or None
-        The cause if it is outside the training range; None if inside or not measured.
     unexplained : float
         Fraction of its energy not explained by the model's beam [%]; nan without a beam or a measurement.
     misshapen : float
@@ -76,9 +74,11 @@ class Answer:
     pulse : tuple of float or None
         Peak force, width [s] and restitution of the contact, if these are features of the model; None without a
         measurement.
-    traits : tuple of float or None
-        What is compared with recordings like those of the training, `cgid.identification.model.world.TRAITS`; None if
-        the model knows none, or without a measurement.
+    values : tuple of float or None
+        Inputs and guards of the model as measured; None without a measurement.
+    sampled : ndarray or None
+        What its samples show beside them, `cgid.identification.model.explanations.sampled`; None unless it was
+        found in a recording of one sensor.
     """
 
     channel: str = field(default="1", metadata={"column": Column("channel")})
@@ -94,12 +94,12 @@ class Answer:
     prediction_set: tuple[str, ...] | None = field(default=None, metadata={"column": Column("prediction_set")})
     in_training_range: bool = False
     problem_kind: ProblemKind | None = None
-    cause: Cause | None = None
     unexplained: float = math.nan
     misshapen: float = math.nan
     level: float = math.nan
     pulse: tuple[float, ...] | None = None
-    traits: tuple[float, ...] | None = None
+    values: tuple[float, ...] | None = None
+    sampled: NDArray[np.float32] | None = field(default=None, compare=False)
 
     def __repr__(self) -> str:
         numbers = [f"p({label}) {value:.3f}" for label, value in self.probabilities.items()]
@@ -278,6 +278,7 @@ def measured_events(
             "a complete recording of them, or use a model of one sensor"
         )
     answers: dict[int, Answer] = {}
+    shown: dict[int, NDArray[np.float32]] = {}
     values = np.full((len(events), len(model.measured)), np.nan)
     for rows, frames in frames_alike(events):
         event = events[rows[0]]
@@ -293,11 +294,17 @@ def measured_events(
             channel=np.array([events[k].since * len(channels) + events[k].channel for k in rows]),
         )
         answers |= zip(rows, part, strict=True)
+        if frames.ndim == 2:
+            framing = Framing.of(model.kind, event.sampling_rate)
+            spectrum = model.beam is not None
+            seen = sampled(frames, event.sampling_rate, framing.quiet - framing.lead, spectrum=spectrum)
+            shown |= zip(rows, seen, strict=True)
     values[[bool(event.problem) for event in events]] = np.nan
-    return [_placed(answers[number], event, channels) for number, event in enumerate(events)], values
+    placed = (_placed(answers[k], event, channels, shown.get(k)) for k, event in enumerate(events))
+    return list(placed), values
 
 
-def _placed(answer: Answer, event: Event, channels: Sequence[str]) -> Answer:
+def _placed(answer: Answer, event: Event, channels: Sequence[str], shown: NDArray[np.float32] | None) -> Answer:
     return replace(
         unmeasured(event.problem) if event.problem else answer,
         time=event.time,
@@ -306,6 +313,7 @@ def _placed(answer: Answer, event: Event, channels: Sequence[str]) -> Answer:
         overlapping=event.overlapping or answer.overlapping,
         clipped=event.clipped,
         cut=event.cut,
+        sampled=shown,
     )
 
 
@@ -396,7 +404,7 @@ def _identified(
     if beam is not None and model.extras:
         rows = zip(identified, extras.tolist(), sound, strict=True)
         identified = [_with_extras(answer, *more) if is_sound else answer for answer, more, is_sound in rows]
-    return with_frames(identified, frames, sampling_rate, model, pre_trigger), values
+    return identified, values
 
 
 def _with_extras(answer: Answer, misshapen: float, overlap: float) -> Answer:
@@ -419,13 +427,10 @@ def answers_from(
         return
     novelties = model.novelty(inputs, guards)
     probabilities = vote(model.probabilities(inputs), novelties <= 1)
-    outliers = np.flatnonzero(novelties > 1)
-    causes = causes_of(model, inputs[outliers], guards[outliers]) if outliers.size else []
-    cause_of = dict(zip(outliers.tolist(), causes, strict=True))
     column = guards.T[model.guards.index("beam_unexplained")] if "beam_unexplained" in model.guards else None
     levels = model.levels(inputs)
     pulses = inputs[:, [model.features.index(name) for name in pulse_names(model.features)]].tolist()
-    traits = np.hstack([inputs, guards])[:, model.compared].tolist()
+    values = np.hstack([inputs, guards]).tolist()
     untrained = "" if model.covers(sampling_rate) else f"not trained at {sampling_rate:g} Hz"
     for row, (label, labels) in enumerate(zip(*settings.labels(model, probabilities), strict=True)):
         novelty = float(novelties[row])
@@ -438,11 +443,10 @@ def answers_from(
             in_training_range=not (outside or untrained),
             problem=outside or settings.doubt(labels) or untrained,
             prediction_set=labels,
-            cause=cause_of.get(row),
             unexplained=float("nan") if column is None else float(column[row]),
             level=float(levels[row]),
             pulse=tuple(pulses[row]) or None,
-            traits=tuple(traits[row]) or None,
+            values=tuple(values[row]),
         )
 
 

@@ -20,11 +20,13 @@ dumped. Per rock, continuing costs
 
 more than shutting. Its sign changes at q = 1 / (1 + dilution_cost), the threshold. Each second of going on above it
 loses `cost_late` for each unit of fraction above it, and each second shut below it `cost_early` for each unit below.
-SHUT is issued when the expected loss of going on is the greater one, OPEN when that of staying shut is after a SHUT;
-after a switch nothing changes for a least time (`hold`). By default a second too early costs more: all the coal that
-would have followed is lost with it, while a second too late is lost alone. Nothing is decided until at least five
-impacts of a window, and half of them, are identified; after two minutes without such a window the decision is
-withdrawn.
+SHUT is issued when the expected loss of going on is the greater one. Going on, and OPEN after a SHUT, need the opposite
+and an interval that no longer holds the limit: until then going on is not yet sure. After a switch nothing changes for
+a least time (`hold`). By default a second too early costs more: all the coal that would have followed is lost with it,
+while a second too late is lost alone. Nothing is decided until at least five impacts of a window, and half of them, are
+identified; in the first 25 s, when a look every second finds by chance what no later one confirms, sixty. Going on ends
+with the last impact of its window; SHUT is withdrawn after two minutes without enough of them, since nothing falls
+through a window that is shut.
 """
 
 from __future__ import annotations
@@ -59,8 +61,11 @@ __all__ = ["Share"]
 
 #: Coverage of the interval of the fraction.
 LEVEL = 0.95
-#: A decision is withdrawn after this time without a window of enough identified impacts [s].
+#: SHUT is withdrawn after this time without a window of enough identified impacts [s].
 LAPSE = 120.0
+#: So long after the first impact [s], a window must hold so many identified ones: without this, 4 of 20 streams of the
+#: benchmark of seams were shut by chance, most of them in their first seconds.
+FIRST, OF_FIRST = 25.0, 60
 #: Minimum number of identified impacts of a window for the networks of seams, whose windows have 5 rocks and more.
 MIN_WINDOW = 3
 #: The end of a window in which impacts are expected as before: this part of it, at most so long [s].
@@ -272,9 +277,9 @@ class ShareWindow:
         known = [at for at, probability, _ in self._impacts if at <= time and np.isfinite(probability)]
         end = min(_END * self.length, _LONGEST_END)
         n_latest = sum(at > time - end for at in known)
-        if len(known) < 2 or time < 2 * end:
+        if n_latest == len(known) or time < 2 * end or known[-1] == known[0]:
             return n_latest == len(known)
-        expected = (len(known) - 1) / max(known[-1] - known[0], end) * end  # by the rate while they came
+        expected = (len(known) - 1) / (known[-1] - known[0]) * end  # by the rate while they came
         return bool(n_latest >= expected - _STOPPED * np.sqrt(expected))
 
     def _basis(self, time: float) -> Basis:
@@ -438,7 +443,10 @@ class ShutDecision:
         self._least = MIN_IMPACTS * (2 if prior else 1)
         #: Whether to shut; None where nothing is decided.
         self.shut: bool | None = None
+        #: Whether going on is sure: the costs speak for it, and the interval does not hold the limit.
+        self.is_sure = False
         self._since = self._supported = -np.inf
+        self._begun = np.inf  # since when windows have impacts [s]
         self._said_shut = False
 
     def cost(self, share: Share) -> float:
@@ -455,14 +463,19 @@ class ShutDecision:
 
         The first decision to draw is no switch, since nothing was shut.
         """
-        if share.n_impacts < max(self._least, share.n_unknown):
-            if share.time > self._supported + LAPSE:
+        self.note(share)
+        least = OF_FIRST if share.time < self._begun + FIRST and self.shut is None else self._least
+        if share.n_impacts < max(least, share.n_unknown):
+            self.is_sure = False
+            if share.time > self._supported + LAPSE or not (self.shut or share.n_impacts):
                 self.withdraw()
             return None
         self._supported = share.time
         cost = self.cost(share)
-        shut = cost > 0
-        if shut == self.shut or share.time < self._since + self.hold or not share.is_current:
+        shut, self.is_sure = cost > 0, cost <= 0 and share.high < self.threshold
+        # Of what was shut, costs alone would open at fractions above the limit.
+        is_same = shut == self.shut or (self.shut and not self.is_sure)
+        if is_same or share.time < self._since + self.hold or not share.is_current:
             return None
         self.shut = shut
         if not shut and not self._said_shut:
@@ -471,13 +484,13 @@ class ShutDecision:
         evidence = share.above if shut else 1.0 - share.above
         return Switch(time=share.time, shut=shut, cost=cost, evidence=evidence, share=share)
 
-    def release(self) -> None:
-        """End the hold, because what the last switch rested on is no evidence."""
-        self._since = -np.inf
+    def note(self, share: Share) -> None:
+        """Note since when impacts come; also of a window on which nothing may be decided."""
+        self._begun = min(self._begun, share.time) if share.n_impacts else np.inf
 
     def withdraw(self) -> None:
         """Decide nothing, because the ground of the decision is gone."""
-        self.shut, self._since = None, -np.inf
+        self.shut, self.is_sure, self._since = None, False, -np.inf
 
 
 class HeldOut(NamedTuple):

@@ -7,7 +7,6 @@ The command line and Python only print or collect the steps.
 from __future__ import annotations
 
 import math
-import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from itertools import chain
@@ -18,11 +17,13 @@ from numpy.typing import NDArray
 
 from cgid.identification.model.model import Model, StoredModel, stored
 from cgid.identification.prediction.answers import Answer
-from cgid.identification.prediction.diagnosis import Diagnosis, misfit_text, scale_warning, sizes_outside
-from cgid.identification.prediction.same_beam import SameBeamWarning, rows_of
+from cgid.identification.prediction.diagnosis import Diagnosis
+from cgid.identification.prediction.findings import Finding
+from cgid.identification.prediction.same_beam import rows_of
 from cgid.identification.prediction.settings import PredictionSettings
 from cgid.identification.prediction.stream import STRATEGIES, Step, answering_channels, factors_for, identify_blocks
-from cgid.identification.prediction.support import CavingWatch, Ground
+from cgid.identification.prediction.support import CavingWatch, SupportReport
+from cgid.identification.prediction.telling import Telling, of_model, warn
 from cgid.recordings import Channel, RecordingFile, open_recording
 from cgid.recordings.chain import scaled
 from cgid.recordings.gaps import Gaps
@@ -44,12 +45,10 @@ class Pipeline:
     settings : PredictionSettings
     source : str
         Name of the recording in messages.
-    say : callable
-        Gets each line on missing samples, without the source.
+    say : callable, optional
+        Gets each line on missing samples, without the source; it is a finding, too.
     live : bool
         Whether the samples arrive now: gaps are told when they begin, and each channel is judged by its latest impacts.
-    diagnosis : Diagnosis, optional
-        Gets the predictions; by default one of its own.
     watched : bool
         Whether fractions, grounds and decisions are followed.
     """
@@ -61,10 +60,9 @@ class Pipeline:
         sampling_rate: float,
         settings: PredictionSettings,
         source: str,
-        say: Callable[[str], object],
+        say: Callable[[str], object] | None = None,
         *,
         live: bool = False,
-        diagnosis: Diagnosis | None = None,
         watched: bool = True,
     ) -> None:
         self.model, self.settings, self.source, self.sampling_rate = model, settings, source, sampling_rate
@@ -72,12 +70,22 @@ class Pipeline:
         self._factors = factors_for(model, channels, settings, source)
         joint = model.together > 1 and not settings.same_beam
         give_up = math.inf if settings.give_up is None else settings.give_up
-        self._gaps = Gaps(channels, sampling_rate, say, give_up=give_up, joint=joint, at_once=live)
+        #: All that is found, told in order of time.
+        self.findings = Telling(model, settings)
+        self._found: list[Finding] = []  # not yet told
+        self._of_parts: list[Finding] = []
+
+        def missing(text: str) -> None:
+            self._found.append(Finding(kind="missing", fields={"text": text}))
+            if say is not None:
+                say(text)
+
+        self._gaps = Gaps(channels, sampling_rate, missing, give_up=give_up, joint=joint, at_once=live)
         needs_sensors = watched or math.isfinite(give_up)
         self._sensors = SensorWatch(len(channels), sampling_rate, give_up) if needs_sensors else None
         #: Names of the channels of the predictions; channels that are used together have one name.
         self.supports = answering_channels(model, self.names, settings.same_beam)
-        self.diagnosis = Diagnosis(model, live=live) if diagnosis is None else diagnosis
+        self.diagnosis = Diagnosis(model, sampling_rate, watched=watched)
         self.watch: CavingWatch | None = None
         if watched:
             self.watch = CavingWatch(
@@ -88,7 +96,7 @@ class Pipeline:
                 sensors=self._sensors,
                 channels=self.names,
                 rows=rows_of(model, self.names, settings.same_beam),
-                diagnosis=self.diagnosis if live else None,
+                diagnosis=self.diagnosis,
             )
 
     @property
@@ -116,21 +124,51 @@ class Pipeline:
             blocks = self._sensors.watching(blocks)
         if measured is not None:
             blocks = measured(blocks)
+        decides = self.watch is not None
+        if known := of_model(self.model, self.sampling_rate, self.settings, self.names, decides=decides):
+            yield Step([], 0.0, found=self.findings.tell(known))
         for step in identify_blocks(blocks, self.sampling_rate, self.model, self.names, self.settings, self.source):
-            if not self.live:
-                self.diagnosis.add(step.answers, step.upside_down)
-            if self.watch is not None:
-                reports = self.watch.feed(step.answers, step.until, step.heard)
-                step = replace(step, reports=reports, changes=self.watch.take_changes())
-            yield step
+            self._found += step.found
+            if self.watch is None:
+                self.diagnosis.add(step.answers)
+            else:
+                step = replace(step, reports=self.watch.feed(step.answers, step.until, step.heard))
+                self._of_watch(self.watch, step.reports)
+            yield replace(step, found=self._told()) if self._found else step
+
+    def _of_watch(self, watch: CavingWatch, reports: Sequence[SupportReport]) -> None:
+        """Take what a watch has found; of a file, parts of channels are told at its end."""
+        (self._found if self.live else self._of_parts).extend(watch.take_changes())
+        self._found += self.findings.of_reports(reports, watch)
+
+    def _told(self) -> list[Finding]:
+        found, self._found = self._found, []
+        return self.findings.tell(found)
 
     def finish(self) -> Step:
-        """Return the last step, of a recording that ends here, and say what is missing in it."""
+        """Return the last step, of a recording that ends here, and say what is missing and wrong in it."""
         self._gaps.finish()
-        if self.watch is None:
-            return Step([], self.duration)
-        reports = self.watch.finish(self.duration)
-        return Step([], self.duration, reports=reports, changes=self.watch.take_changes())
+        reports: list[SupportReport] = []
+        if self.watch is not None:
+            reports = self.watch.finish(self.duration)
+            self._of_watch(self.watch, reports)
+            self._found += self.findings.at_end(self.duration, self.watch)
+        if not self.live:
+            self._found += self._of_whole() if self._of_parts else self.diagnosis.findings()
+        return Step([], self.duration, reports=reports, found=self._told() if self._found else ())
+
+    def _of_whole(self) -> list[Finding]:
+        """Return what is wrong with a file as a whole, and with parts of channels of which nothing else is told."""
+        whole = self.diagnosis.findings()
+        known = {name for one in (*whole, *self.findings.all) if one.moves for name in one.channels}
+        return whole + [one for one in self._of_parts if known.isdisjoint(one.channels)]
+
+    def stopped(self, reason: str) -> Step:
+        """Return what is known of a stream whose samples have stopped; the next ones take it up again."""
+        reports = [] if self.watch is None else self.watch.stopped(reason)
+        if self.watch is not None:
+            self._of_watch(self.watch, reports)
+        return Step([], self.duration, reports=reports, found=self._told())
 
     def require(self) -> None:
         """Raise `BadData` if the recording was given up, or had no sample that a sensor can give."""
@@ -159,7 +197,7 @@ def identify_recording(
     Warns
     -----
     UserWarning
-        As `cgid.predict`, except that missing samples are in `recording.warnings`.
+        As `cgid.predict`; missing samples are in `recording.warnings`, too.
 
     Raises
     ------
@@ -178,27 +216,8 @@ def identify_recording(
 
 def answers_with_warnings(pipeline: Pipeline, blocks: Iterable[NDArray[Any]]) -> Iterator[Answer]:
     """Yield the answers of blocks in order of time; what is wrong with the channels is a `UserWarning`."""
-
-    def warned(text: str, category: type[Warning] = UserWarning) -> None:
-        warnings.warn(text, category, stacklevel=4)
-
-    source = pipeline.source
     for step in chain(pipeline.steps(blocks), map(Pipeline.finish, [pipeline])):
         yield from step.answers
-        for text in (*step.silent, *step.warnings):
-            warned(text)
-        for text in step.wrong_beams:
-            warned(text, SameBeamWarning)
-        for report in step.reports:
-            if report.kind == "state" and report.state.ground == Ground.BLIND:
-                warned(f"{source}: blind since {report.state.since:.6g} s: {report.state.reason}")
+        if step.found:
+            warn(step.found, pipeline.source, len(pipeline.names), stacklevel=4)
     pipeline.require()
-    diagnosis = pipeline.diagnosis
-    texts = {
-        name: scale_warning(factor, pipeline.model)
-        for name, factor in (diagnosis.wrong_scales() | sizes_outside(diagnosis)).items()
-    }
-    foreign = {name: misfit_text(misfit, pipeline.model) for name, misfit in diagnosis.misfits.items()}
-    for name, text in (foreign | texts).items():
-        where = f"channel {name}: " if len(diagnosis.channels) > 1 else ""
-        warned(f"{source}: {where}{text}")

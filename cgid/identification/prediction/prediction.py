@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import cache
@@ -17,8 +16,10 @@ from cgid.errors import BadData, InvalidValue, MissingOption
 from cgid.identification.model.model import Model, StoredModel, stored
 from cgid.identification.prediction.answers import Answer, answer_columns
 from cgid.identification.prediction.batches import identify_batches
+from cgid.identification.prediction.findings import Finding
 from cgid.identification.prediction.pipeline import Pipeline, answers_with_warnings
 from cgid.identification.prediction.settings import BeamGroups, PredictionSettings
+from cgid.identification.prediction.telling import warn
 from cgid.recordings import is_dataset, open_recording
 from cgid.recordings.chain import Chain, Statement
 from cgid.recordings.recording import Blocks, Channel, require_one_rate
@@ -157,14 +158,15 @@ def predict(  # noqa: PLR0913 - one argument a setting, so that editors complete
         `channel`, `time_s`, `label`, one `p_LABEL` for each label of the model, `novelty` (above 1 the label is
         "unknown"), `overlapping`, `clipped`, `cut_off`, `problem`. Windows also have `end_s`, and a coverage adds
         `prediction_set`. Without impacts it has no rows. A batch or dataset has one row for each signal, with its
-        `index` instead of a channel, and its label, if known, as `truth`. `attrs["units"]` has the unit of each column.
+        `index` instead of a channel, and its label, if known, as `truth`. `attrs["units"]` has the unit of each column,
+        and `attrs["findings"]` what was found of the recording, in order of time, with the keys of a line of kind
+        `finding` (docs/reference/lines.md).
 
     Warns
     -----
-    UserWarning
-        A channel has no impact, for the reason given, gives no valid samples for five seconds, or has a wrong scale;
-        samples that no sensor can give are left out; channels hear the same rocks and are not declared as `same_beam`,
-        or one of such channels is left out.
+    FindingWarning
+        Each finding that is no note: what is wrong with the recording, a channel or a sensor, once; its record is
+        `finding`. The logger "cgid" gets the same lines, and the notes.
 
     Raises
     ------
@@ -219,21 +221,17 @@ def predict(  # noqa: PLR0913 - one argument a setting, so that editors complete
         chain: dict[str, Any] = {"sensitivity": sensitivity, "gain": gain, "full_scale": full_scale}
         recording = open_recording(samples, sampling_rate=sampling_rate, unit=unit, site=place, **chain)
         signals, beams = recording.signals(), recording.beams
-        for text in signals[0].warnings:
-            warnings.warn(text, stacklevel=2)
+        read = [Finding(kind="reading", fields={"text": one}) for one in recording.messages]
     else:
         rate = place.get("rate") if sampling_rate is None and site else sampling_rate
         signals, beams = _measured(samples, rate, unit, Chain.of(sensitivity, gain, full_scale), place)
+        read = []
     if "same_beam" not in settings:
         applied = replace(applied, same_beam=beams)
     first = signals[0]
     loaded = read_model(default_model(first.quantity, applied) if model is None else model)
     applied.check(loaded)
     channels = [Channel(name=signal.channel, unit=signal.unit) for signal in signals]
-
-    def warned(text: str) -> None:
-        warnings.warn(f"{first.source}: {text}", stacklevel=2)
-
     duration = len(first.samples) / first.sampling_rate
     pipeline = Pipeline(
         loaded,
@@ -241,11 +239,15 @@ def predict(  # noqa: PLR0913 - one argument a setting, so that editors complete
         first.sampling_rate,
         applied,
         first.source,
-        warned,
         watched=duration >= applied.blinded_after,  # for a shorter recording no channel is blind
     )
+    if read:
+        warn(pipeline.findings.tell(read), first.source, len(channels), stacklevel=3)
     answers = list(answers_with_warnings(pipeline, [np.stack([signal.samples for signal in signals])]))
-    return _table(answers, loaded, applied)
+    table = _table(answers, loaded, applied)
+    found = pipeline.findings.in_order if pipeline.findings.all else []
+    table.attrs["findings"] = [one.content() for one in found if not one.is_of_fraction]
+    return table
 
 
 def _measured(

@@ -7,7 +7,6 @@ ln restitution, and the same model answers for the result. Elsewhere the answer 
 
 from __future__ import annotations
 
-import shlex
 from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -21,6 +20,7 @@ from cgid.identification.detection.events import Event
 from cgid.identification.model.families import softmax
 from cgid.identification.model.model import StoredModel
 from cgid.identification.prediction.answers import Answer, answers_from, measured_events
+from cgid.identification.prediction.findings import Finding
 from cgid.identification.prediction.settings import PredictionSettings
 from cgid.measure.features.extraction import FEATURES
 from cgid.measure.features.vibration import BEAM_PULSE
@@ -46,10 +46,6 @@ _REASONS = {
     "unlike": "it does not fit the model as the others do; check its place and the order of the group",
     "disagrees": "it disagrees with the others by more than four deviations; check its place, gain and unit",
 }
-
-
-class SameBeamWarning(UserWarning):
-    """Channels hear the same rocks and are not declared as of one beam, or the reverse."""
 
 
 class Timed(Protocol):
@@ -258,11 +254,9 @@ class SameBeam:
         channels: Sequence[str],
         settings: PredictionSettings,
         sampling_rate: float,
-        source: str,
         recorded: float,
     ) -> None:
         self._model, self._channels, self._settings, self._rate = model, tuple(channels), settings, sampling_rate
-        self._source = source
         groups = rows_of(model, channels, settings.same_beam)
         self._rows = {row: rows for rows in groups for row in rows}
         self._rocks: RockAssigner[ChannelMeasurement] = RockAssigner(groups, sampling_rate)
@@ -275,12 +269,12 @@ class SameBeam:
         self._sensor = {row: rows.index(row) % len(looks) for row, rows in self._rows.items()}
         self._columns = pulse_columns(model.measured)
 
-    def identified(self, events: Sequence[Event], known_until: float) -> tuple[list[Answer], float, list[str]]:
-        """Return the answers for rocks of which all impacts are known, the sample up to which that is so, and warnings.
+    def identified(self, events: Sequence[Event], known_until: float) -> tuple[list[Answer], float, list[Finding]]:
+        """Return the answers for rocks of which all impacts are known, the sample up to which that is so, and findings.
 
         `known_until` is the sample before which all impacts have been given, infinite at the end.
         """
-        lines = list(self._together.feed(events, self._channels))
+        found = list(self._together.feed(events, self._channels, ended=known_until == np.inf))
         rocks = self._rocks.feed(self._parts(events), known_until)
         used = [self._used(self._rows[rock[0].channel], rock) for rock in rocks]
         several = self._answered([parts for parts in used if len(parts) > 1])
@@ -294,8 +288,8 @@ class SameBeam:
                 answer = min((part.answer for part in parts or rock), key=_distance)
             answers.append(replace(answer, time=time, channel=name))
             if len(rows) > 1:
-                lines += self._standing[rows].see(self._outcomes(rows, rock, parts), name, self._channels, time)
-        return answers, min(known_until, self._rocks.begin), [f"{self._source}: {line}" for line in lines]
+                found += self._standing[rows].see(self._outcomes(rows, rock, parts), name, self._channels, time)
+        return answers, min(known_until, self._rocks.begin), found
 
     def _outcomes(
         self, rows: tuple[int, ...], rock: list[ChannelMeasurement], used: list[ChannelMeasurement]
@@ -363,12 +357,10 @@ class SameBeam:
             answer = replace(
                 answer,
                 # The cause that the samples show is that of the clearest channel.
-                cause=answer.cause and (best.cause or answer.cause),
                 end=max(one.end for one in own),
                 overlapping=any(one.overlapping for one in own),
                 clipped=any(one.clipped for one in own),
                 cut=any(one.cut for one in own),
-                traits=None,  # recordings of several channels were not simulated
                 misshapen=best.misshapen,
             )
             yield answer, parts
@@ -396,8 +388,8 @@ class _Standing:
         self._left_out: set[int] = set()
         self._is_strange = False
 
-    def see(self, outcomes: dict[int, str], name: str, channels: Sequence[str], time: float) -> Iterator[str]:
-        """Add a rock, with the reason why each channel does not count or "", and yield a line for each change."""
+    def see(self, outcomes: dict[int, str], name: str, channels: Sequence[str], time: float) -> Iterator[Finding]:
+        """Add a rock, with the reason why each channel does not count or "", and yield what begins and ends."""
         # Where no channel fits, none is worse than the others.
         is_strange = set(outcomes.values()) == {"unlike"}
         self._strange.append(is_strange)
@@ -406,22 +398,21 @@ class _Standing:
             return
         for row in outcomes:
             reasons = [one[row] for one in self._outcomes]
+            left_out = Finding(kind="left_out", channels=(channels[row],))
             if row not in self._left_out and reasons.count("") <= _FEW:
                 self._left_out.add(row)
-                reason = _REASONS[max(_REASONS, key=reasons.count)]
-                yield f"channel {channels[row]} of {name} is left out at {time:.6g} s: {reason}"
+                fields = {"beam": name, "reason": _REASONS[max(_REASONS, key=reasons.count)]}
+                yield replace(left_out, begin=time, fields=fields)
             elif row in self._left_out and reasons.count("") >= _MANY:
                 self._left_out.discard(row)
-                yield f"channel {channels[row]} of {name} counts again at {time:.6g} s"
+                yield replace(left_out, end=time)
+        swapped = Finding(kind="swapped", channels=tuple(channels[row] for row in outcomes))
         if self._has_order and not self._is_strange and sum(self._strange) >= _MANY:
             self._is_strange = True
-            yield (
-                f"no channel of {name} fits its sensor of the model at {time:.6g} s; are they swapped? A group has the "
-                "order of the sensors in the training of the model"
-            )
+            yield replace(swapped, begin=time)
         elif self._is_strange and sum(self._strange) <= _FEW:
             self._is_strange = False
-            yield f"the channels of {name} fit their sensors again at {time:.6g} s"
+            yield replace(swapped, end=time)
 
 
 class Together:
@@ -432,6 +423,9 @@ class Together:
         self._group = {row: tuple(rows) for rows in groups for row in rows}
         self._told: set[tuple[int, int]] = set()
         self._suspected: dict[int, frozenset[int]] = {}
+        # Groups to be told once the rock is over that made them, so that many channels are told at once.
+        self._pending: dict[frozenset[int], dict[str, Any]] = {}
+        self._latest = 0
         self._begin()
 
     def _begin(self) -> None:
@@ -441,9 +435,11 @@ class Together:
         # Recent impacts: onset, channel, and the channels that share it.
         self._recent: deque[tuple[int, int, set[int]]] = deque()
 
-    def feed(self, events: Iterable[Timed], channels: Sequence[str]) -> Iterator[str]:
-        """Add impacts in order of time, and yield a line for each pair that is declared wrongly, once."""
+    def feed(self, events: Iterable[Timed], channels: Sequence[str], *, ended: bool) -> Iterator[Finding]:
+        """Add impacts in order of time, and yield which channels are declared wrongly, once each."""
         for event in events:
+            if self._pending and event.onset - self._latest > self._reach:
+                yield from self._told_of(channels)
             if self._counts.get(event.channel, 0) >= _COUNTED:
                 self._begin()
             self._first = event.onset if self._first is None else self._first
@@ -461,17 +457,25 @@ class Together:
             for other in own.union(self._group[event.channel]) - {event.channel}:
                 pair = min(other, event.channel), max(other, event.channel)
                 if pair not in self._told and min(self._counts.get(row, 0) for row in pair) >= _ENOUGH:
-                    yield from self._tested(pair, event.onset - self._first, channels)
+                    yield from self._tested(pair, event.onset, channels)
 
-    def _tested(self, pair: tuple[int, int], elapsed: int, channels: Sequence[str]) -> Iterator[str]:
+        if ended:
+            yield from self._told_of(channels)
+
+    def _told_of(self, channels: Sequence[str]) -> Iterator[Finding]:
+        for rows, fields in self._pending.items():
+            names = tuple(channels[row] for row in sorted(rows))
+            yield Finding(kind="same_beam", channels=names, fields=fields | {"beam": "+".join(names)})
+        self._pending.clear()
+
+    def _tested(self, pair: tuple[int, int], now: int, channels: Sequence[str]) -> Iterator[Finding]:
         fewer, more = sorted(self._counts[row] for row in pair)
-        shared = self._shared.get(pair, 0)
-        first, second = (channels[row] for row in pair)
-        among = f"{shared} of {fewer} impacts within {1e3 * CROSSING:g} ms of each other"
+        shared, elapsed = self._shared.get(pair, 0), now - (self._first or 0)
+        fields = {"shared": shared, "fewer": fewer, "within": 1e3 * CROSSING}
         if pair[1] in self._group[pair[0]]:
             if shared < _OTHER * fewer:
                 self._told.add(pair)
-                yield f"channels {first} and {second} hear other rocks, {among}; are they on one beam? Leave one out"
+                yield Finding(kind="other_rocks", channels=tuple(channels[row] for row in pair), fields=fields)
             return
         chance = -np.expm1(-2 * self._reach * more / max(elapsed, 1))
         surely = chance * fewer + _SURELY * np.sqrt(fewer * chance * (1 - chance))
@@ -482,5 +486,6 @@ class Together:
                 return
             both = known[0] | known[1]
             self._suspected |= dict.fromkeys(both, both)
-            option = shlex.quote("+".join(channels[row] for row in sorted(both)))
-            yield f"channels {first} and {second} hear the same rocks, {among}; give --same-beam {option}"
+            for part in known:
+                self._pending.pop(part, None)
+            self._pending[both], self._latest = fields, now

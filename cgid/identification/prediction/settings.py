@@ -35,6 +35,8 @@ MIN_SHARE_TIME = 0.05
 COST_LATE, COST_EARLY = 1.0, 6.0
 #: A support is blind after this time without valid samples [s].
 BLIND_TIME = 5.0
+#: A longer hold keeps a decision for ever, and a longer `blind_after` switches the watch of a sensor off [s].
+LONGEST = 3600.0
 #: The rules of settings that are numbers, unless None.
 RULES = {
     "coverage": Rule(),
@@ -44,10 +46,10 @@ RULES = {
     "dilution_cost": Rule(0, without="lowest"),
     "cost_late": Rule(0),
     "cost_early": Rule(0),
-    "hold": Rule(0, unit="s"),
+    "hold": Rule(0, LONGEST, unit="s"),
     "coal_until": Rule(0, without="lowest", unit="s"),
     "cycle_pause": Rule(0, without="lowest", unit="s"),
-    "blind_after": Rule(0.5, unit="s"),
+    "blind_after": Rule(0.5, LONGEST, unit="s"),
     "give_up": Rule(0, without="lowest", unit="s"),
 }
 

@@ -18,11 +18,13 @@ from numpy.typing import NDArray
 
 from cgid._lib.validation import Floats
 from cgid.errors import BadData, CgidError, InvalidValue
+from cgid.identification.detection.detector import INVERT_HINT
 from cgid.identification.detection.ear import Ear
 from cgid.identification.detection.events import Event
 from cgid.identification.detection.windows import measure_windows, windows_of
 from cgid.identification.model.model import StoredModel
 from cgid.identification.prediction.answers import Answer, answers_from, factor_to, measured_events, unmeasured
+from cgid.identification.prediction.findings import Finding
 from cgid.identification.prediction.same_beam import SameBeam, Together, pooled, rows_of
 from cgid.identification.prediction.settings import PredictionSettings
 from cgid.identification.prediction.vote import RunningVote
@@ -32,7 +34,6 @@ from cgid.recordings.soundness import FAR_BELOW
 from cgid.signals import channel_name
 
 if TYPE_CHECKING:
-    from cgid.identification.prediction.diagnosis import Change
     from cgid.identification.prediction.support import SupportReport
     from cgid.recordings.recording import Channel
 
@@ -48,21 +49,6 @@ _QUIET_SHARES, _QUIET_RATIO = (0.01, 0.2), 4.0
 #: A channel is quiet again after so many stretches that are. Of so many stretches, one with noise far below that of
 #: another is of a lost sensor and tells nothing.
 _N_QUIET, _N_BEFORE = 3, 60
-_NEVER_QUIET = (
-    "there is no quiet moment in 10 s, so many impacts are missed and the gangue fraction is that of the others; move "
-    "the sensor to a quieter point, or train a model of windows (cgid train MANIFEST --by window)"
-)
-_QUIET_AGAIN = "there are quiet moments again"
-_UNSTEADY = (
-    "tones of a machine begin, end or move too fast to be taken out in full, or the beam rings long beside them, so "
-    "the gangue fraction may be wrong while they do; move the sensor away from the machine, or keep tones with "
-    "--set lines=false"
-)
-_HEARD_AT = "{:.7g} Hz is heard at {:.7g} Hz, as the recorder of the model's beam gives it"
-_TONES = (
-    "tones of a machine are taken out, the strongest at {:.0f} Hz; --set lines=false keeps them, as where no machine "
-    "runs and the beam rings long"
-)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -71,14 +57,9 @@ class Step:
 
     answers: list[Answer]  # in order of time
     until: float  # all predictions before this time have arrived [s]
-    silent: tuple[str, ...] = ()  # at the end, one reason for each channel without predictions
-    warnings: tuple[str, ...] = ()  # at the end, or where a channel begins or ceases to be never quiet
-    wrong_beams: tuple[str, ...] = ()  # channels of one beam that are not declared so, and the reverse
-    notes: tuple[str, ...] = ()  # what was done, and is no fault
+    found: Sequence[Finding] = ()  # what begins and what ends, in order of time
     heard: Mapping[str, float] = field(default_factory=dict)  # channel -> until when a machine's tones were left in [s]
-    upside_down: tuple[str, ...] | None = None  # at the end, the channels whose pulses seem to point downwards
     reports: Sequence[SupportReport] = ()  # of the supports, up to this time
-    changes: Sequence[Change] = ()  # of the channels
 
 
 def factors_for(
@@ -147,8 +128,8 @@ def _impacts(
     waiting: list[Event] = []
     silent, warned = set(range(len(channels))), set[int]()
 
-    def named(row: int) -> str:
-        return source if list(channels) == ["1"] else f"{source} channel {channels[row]}"
+    def of(row: int, kind: str, **more: Any) -> Finding:
+        return Finding(kind=kind, channels=(channels[row],), **more)
 
     with _named(source):
         groups = rows_of(model, channels, settings.same_beam)
@@ -165,53 +146,49 @@ def _impacts(
             beam=through,
         )
         require_measurable(model.measured, ear.rate, ear.n_samples, model.beam)
-        same_beam = SameBeam(model, channels, settings, ear.rate, source, sampling_rate) if settings.same_beam else None
+        same_beam = SameBeam(model, channels, settings, ear.rate, sampling_rate) if settings.same_beam else None
         together = Together(ear.rate, ((row,) for row in range(len(channels)))) if len(channels) > 1 else None
         quiet = _Quiet(ear.rate, len(channels)) if kind == "vibration" else None
         lines, n_heard = ear.lines, 0
         if ear.rate != sampling_rate:
-            yield Step([], 0.0, notes=(f"{source}: {_HEARD_AT.format(sampling_rate, ear.rate)}",))
+            rates = {"rate": sampling_rate, "heard": ear.rate}
+            yield Step([], 0.0, found=[Finding(kind="resampled", fields=rates)])
         for events, until, block in map(ear.feed, chain(blocks, [None])):
             ended, n_heard = until == np.inf, n_heard + block.shape[1]
             silent -= set(range(len(channels))) if joint and events else {event.channel for event in events}
             waiting += (replace(event, channel=0) for event in events) if joint else events
             loud = warned if quiet is None else quiet.loud(block) - silent
-            heard = [f"{named(row)}: {_NEVER_QUIET}" for row in sorted(loud - warned)]
-            heard += [f"{named(row)}: {_QUIET_AGAIN}" for row in sorted(warned - loud)]
-            notes, deaf = dict[int, float](), dict[int, float]()
+            found = [of(row, "loud") for row in sorted(loud - warned)]
+            found += [of(row, "loud", end=n_heard / ear.rate) for row in sorted(warned - loud)]
+            deaf = dict[int, float]()
             if lines is not None:
-                heard += [f"{named(row)}: {_UNSTEADY}" for row in lines.told()]
-                notes, deaf = lines.tones(), lines.heard()
+                found += [of(row, "unsteady") for row in lines.told()]
+                found += [of(row, "tones", fields={"tone": tone}) for row, tone in lines.tones().items()]
+                deaf = lines.heard()
             warned = loud
-            if not (ended or heard or notes or deaf or not waiting or len(waiting) >= settings.batch):
+            if not (ended or found or deaf or not waiting or len(waiting) >= settings.batch):
                 continue
-            said: Sequence[str] = ()
-            wrong_beams: Sequence[str] = ()
             if same_beam is None:
                 answers, _ = measured_events(waiting, model, settings, names, beam)
-                wrong_beams = () if together is None else tuple(together.feed(waiting, channels))
+                found += () if together is None else together.feed(waiting, channels, ended=ended)
             else:
                 answers, begin, said = same_beam.identified(waiting, until)
-                until = min(until, begin)
+                found, until = found + said, min(until, begin)
+            if ended:
+                for row in sorted(silent):
+                    text = ear.why_silent(row, model.unit)
+                    turned = ear.is_upside_down(row)  # why it is silent
+                    fields = {"silent": text.removesuffix(INVERT_HINT)} if turned else {"text": text}
+                    found.append(of(row, "upside_down" if turned else "silent", fields=fields))
             yield Step(
                 answers,
                 min(until, n_heard) / ear.rate,
-                silent=tuple(f"{named(row)}: {ear.why_silent(row, model.unit)}" for row in sorted(silent) if ended),
-                warnings=(*heard, *said),
-                wrong_beams=tuple(f"{source}: {text}" for text in wrong_beams),
-                notes=tuple(f"{named(row)}: {_TONES.format(tone)}" for row, tone in notes.items()),
+                found=found,
                 heard={
                     name: max(deaf[row] for row in deaf.keys() & set(rows))
                     for name, rows in zip(names, groups, strict=True)
                     if deaf.keys() & set(rows)
                 },
-                upside_down=tuple(
-                    name
-                    for name, rows in zip(names, groups, strict=True)
-                    if any(ear.is_upside_down(row) for row in rows)
-                )
-                if ended
-                else None,
             )
             waiting.clear()
 
@@ -293,7 +270,12 @@ def _windows(
             yield Step(
                 [],
                 0.0,
-                (f"{source}: a recording must contain a window of {model.window_time:g} s, it is shorter",),
+                [
+                    Finding(
+                        kind="silent",
+                        fields={"text": f"a recording must contain a window of {model.window_time:g} s, it is shorter"},
+                    )
+                ],
             )
 
 

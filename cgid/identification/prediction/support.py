@@ -14,6 +14,7 @@ from enum import StrEnum
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cgid._lib import validation
 from cgid._lib.validation import UNKNOWN
@@ -21,7 +22,8 @@ from cgid.errors import InvalidValue
 from cgid.identification.model.anchor import MIN_LUMPS, Anchor, Basis
 from cgid.identification.model.model import StoredModel
 from cgid.identification.prediction.answers import Answer
-from cgid.identification.prediction.diagnosis import OF_ANCHOR, Change, Condition, Diagnosis, fits_coal
+from cgid.identification.prediction.diagnosis import OF_ANCHOR, Condition, Diagnosis, fits_coal
+from cgid.identification.prediction.findings import Finding
 from cgid.identification.prediction.fraction import (
     NoConfusion,
     Share,
@@ -41,9 +43,10 @@ __all__ = ["CavingWatch", "Decision", "Ground", "SupportState"]
 
 
 class Decision(StrEnum):
-    """What is decided for the window of a support; none until enough of its impacts are identified."""
+    """What is decided for the window of a support."""
 
-    NONE = "none"
+    NONE = "none"  # no evidence: too few of its latest impacts are identified, or none came in a window
+    UNSURE = "unsure"  # the costs speak for going on, and the interval still holds the limit
     DRAW = "draw"
     SHUT = "shut"
 
@@ -52,7 +55,8 @@ class Ground(StrEnum):
     """What a decision rests on: only a support that is seen has one."""
 
     SEEN = "seen"
-    BLIND = "blind"  # samples are missing, constant, or far below the channel's own earlier noise
+    BLIND = "blind"  # its sensor is dead for most of the time, or loud, and no impact comes
+    FAULT = "fault"  # a finding that can move answers stands
     WRONG_SCALE = "wrong_scale"  # the levels are not those of the training, or of a mixture with the stated coal
     MOSTLY_UNKNOWN = "mostly_unknown"  # most impacts of the last minutes are unknown
     UNPROVEN = "unproven"  # the model is not shown to be better than chance
@@ -65,6 +69,8 @@ _LONGEST_STEP = 1.0
 STEPS = 10
 #: What came so long before the tones of a machine went is no evidence [s]: impacts of its tones look like gangue.
 _BEFORE_HEARD = 5.0
+#: Findings that have a ground of their own.
+_OF_OTHER_GROUNDS = ("scale", "mostly_unknown")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -87,9 +93,6 @@ class SupportState:
         Time of the last sound sample in the stream; nan before the first.
     last_identified : float [s]
         Time of the last identified impact in the stream; nan before the first.
-    foreign : str
-        What of the recording is not as in recordings of the training, a `cgid.identification.model.world.Part`; else
-        empty. Its decision stays.
     """
 
     time: float
@@ -100,7 +103,6 @@ class SupportState:
     reason: str = ""
     last_sound: float = float("nan")
     last_identified: float = float("nan")
-    foreign: str = ""
 
     def content(self) -> dict[str, Any]:
         """Return the record for JSON; the line adds the wall clock."""
@@ -119,7 +121,6 @@ class SupportState:
             "unknown": share.n_unknown,
             "last_sound_s": self.last_sound,
             "last_identified_s": self.last_identified,
-            "foreign": self.foreign,
         }
 
 
@@ -171,7 +172,7 @@ class CavingWatch:
         # Grounds and stated coal are looked at in between, as often as in a live stream.
         self._every = max(math.ceil(shares.step / min(shares.window / STEPS, _LONGEST_STEP) - 1e-9), 1)
         self._step = shares.step / self._every
-        self.diagnosis = Diagnosis(model, live=True) if diagnosis is None else diagnosis
+        self.diagnosis = Diagnosis(model) if diagnosis is None else diagnosis
         #: Fraction above which continuing costs more than shutting; None for a model without gangue or another label.
         self.threshold: float | None = None
         rules: list[ShutDecision | None] = [None] * len(supports)
@@ -241,7 +242,7 @@ class CavingWatch:
         self._heard: list[tuple[float, str]] = []  # when machines were heard [s]
         self._steps = 0
         self._is_new = False  # whether predictions have come since the last gangue fraction
-        self._changes: list[Change] = []
+        self._changes: list[Finding] = []
 
     def feed(
         self, answers: Iterable[Answer], until: float, heard: Mapping[str, float] | None = None
@@ -291,7 +292,12 @@ class CavingWatch:
         anchors = {name: one.window.anchor for name, one in self._supports.items()}
         return {name: anchor.cycle for name, anchor in anchors.items() if anchor is not None}
 
-    def take_changes(self) -> list[Change]:
+    def short_cycles(self) -> dict[str, tuple[float, float]]:
+        """Return begin and end [s] of the first caving cycle of each support that was shorter than its coal."""
+        anchors = {name: one.window.anchor for name, one in self._supports.items()}
+        return {name: one.short for name, one in anchors.items() if one is not None and one.short is not None}
+
+    def take_changes(self) -> list[Finding]:
         """Return what has begun or ended with the predictions of the channels since the last call."""
         changes, self._changes = self._changes, []
         return changes
@@ -325,46 +331,51 @@ class CavingWatch:
             if not any(start < answer.time <= end for start, end in support.forgotten):
                 support.window.add(answer.time, self._probability(answer), answer.pulse)
                 support.add_level(answer)
+            support.last_impact = answer.time
             if answer.label != UNKNOWN:
                 support.last_identified = answer.time
         if self._sensors is not None:
             self._sensors.advance(end)
-            if self.diagnosis.model.kind == "pulse":
-                turned = (name for name, one in self._supports.items() if self._sensors.turned[one.rows].any())
-                self.diagnosis.add((), turned)
         self._changes += self.diagnosis.changes(end)
         self._is_new = self._is_new and in_between
-        foreign = self.diagnosis.misfits
         for name, support in self._supports.items():
             ground, since, reason = self._ground(name, support, end)
-            support.foreign = str(foreign[name].part) if name in foreign else ""
             is_told = not in_between or ground != (Ground.SEEN if support.state is None else support.state.ground)
             anchor = support.window.anchor
             if not is_told and anchor is not None and not anchor.is_foreign:
                 support.window.at(end)  # which finds out
                 is_told = anchor.is_foreign
             if is_told:
-                is_known = end >= self._deaf_until
+                is_known = end >= self._deaf_until and not self.diagnosis.is_doubtful(name)
                 yield from support.at(support.window.at(end), ground, since, reason, is_known=is_known)
 
     def _ground(self, name: str, support: _Support, end: float) -> tuple[Ground, float, str]:
         """Return the ground of a support, its start if it is new [s], and the reason."""
         if self._sensors is not None:
-            # A prediction needs sound samples, too, in stretches that are not whole.
+            support.hear(self._sensors, end)
             support.last_sound = float(np.fmax.reduce(self._sensors.last_sound[support.rows], initial=np.nan))
-            seen = np.fmax(np.nan_to_num(support.last_sound), np.nan_to_num(support.last_identified))
-            if end - seen >= self._blind_after:
-                return Ground.BLIND, float(seen), self._sensors.why_blind(support.rows, self._channels)
+            usual = max(self._sensors.last_usual[support.rows].max(), support.last_impact)
+            dead = support.n_dead * self._sensors.stretch
+            support.n_dead = min(support.n_dead, math.ceil(self._blind_after / self._sensors.stretch))
+            if dead >= self._blind_after - 1e-9 or (support.is_blind and dead > 0):
+                support.is_blind = True
+                return Ground.BLIND, end - dead, self._sensors.why_blind(support.rows, self._channels)
+            support.is_blind = False
+            if end - usual >= self._blind_after:
+                return Ground.BLIND, float(usual), "its noise is far above its own, and no impact comes"
         conditions, anchor = self.diagnosis.conditions(name), support.window.anchor
         if self._seams is not None and anchor is not None and anchor.basis(end) in (Basis.PENDING, Basis.ANCHOR):
             # A seam may be harder than the training, and its gangue harder still.
             is_known = Condition.MOSTLY_UNKNOWN not in conditions
             if is_known and not fits_coal(list(support.levels), anchor.levels, self.diagnosis.model):
                 return Ground.WRONG_SCALE, end, "the levels of its impacts do not fit the coal of this cycle"
-        elif Condition.WRONG_SCALE in conditions:
+        elif Condition.WRONG_SCALE in conditions and not (self._seams and self.diagnosis.is_as_a_seam(name)):
             return Ground.WRONG_SCALE, end, "the levels of its impacts are not those of the training"
         if Condition.MOSTLY_UNKNOWN in conditions:
             return Ground.MOSTLY_UNKNOWN, end, "most of its latest impacts are unknown"
+        others = [one for one in self.diagnosis.standing(name) if one.kind not in _OF_OTHER_GROUNDS]
+        if others:
+            return Ground.FAULT, end, f"the finding {others[0].kind} stands"
         if self._unproven:
             return Ground.UNPROVEN, end, f"the model is not shown to be better than chance: {self._unproven}"
         return Ground.SEEN, end, ""
@@ -386,10 +397,23 @@ class _Support:
     state: SupportState | None = None
     last_sound: float = float("nan")
     last_identified: float = float("nan")
+    last_impact: float = float("inf")  # without one nobody knows what its noise is with impacts
+    n_dead: int = 0  # dead stretches less sound ones, from the last time when there were as many, until it is blind
+    is_blind: bool = False
+    looked: tuple[NDArray[np.int64] | int, int] = (0, 0)  # dead stretches of each row, and all, at the last look
     is_silent: bool = False
-    foreign: str = ""
     levels: deque[float] = field(default_factory=lambda: deque(maxlen=OF_ANCHOR))
     forgotten: list[tuple[float, float]] = field(default_factory=list)  # impacts after a time and up to another [s]
+
+    def hear(self, sensors: SensorWatch, end: float) -> None:
+        """Count the stretches since the last look, of which all sensors were dead; a dead sensor is no pause."""
+        (dead, every), self.looked = self.looked, (sensors.n_dead[self.rows], sensors.n_all)
+        n_dead, n_all = int((self.looked[0] - dead).min()), sensors.n_all - every
+        if n_dead == n_all and end - n_all * sensors.stretch < self.last_identified <= end - sensors.stretch:
+            n_dead = 0  # stretches that are not whole are none of a dead sensor if impacts are identified in them
+        self.n_dead = max(self.n_dead + 2 * n_dead - n_all, 0)
+        if n_dead and self.window.anchor is not None:
+            self.window.anchor.lose(end)
 
     def add_level(self, answer: Answer) -> None:
         """Keep the level of an impact that was added to the window, if it has one."""
@@ -398,15 +422,20 @@ class _Support:
             if self.window.anchor is not None and self.window.anchor.has(answer.time):
                 self.window.anchor.levels.append(answer.level)
 
+    @property
+    def decision(self) -> Decision:
+        """What its rule has decided."""
+        if self.rule is None or self.rule.shut is None:
+            return Decision.NONE
+        return Decision.SHUT if self.rule.shut else Decision.DRAW if self.rule.is_sure else Decision.UNSURE
+
     def forget(self, start: float, end: float) -> None:
         """Forget what came after `start` and up to `end` [s]: it is no evidence."""
         self.forgotten.append((start, end))
         self.window.forget(start, end)
-        if self.rule is not None:
-            self.rule.release()
 
     def at(self, share: Share, ground: Ground, since: float, reason: str, *, is_known: bool) -> Iterator[SupportReport]:
-        """Yield the reports of the window that ends now; without `is_known` nothing is decided yet."""
+        """Yield the reports of the window that ends now; unless `is_known` nothing is decided anew."""
         before, switch = self.state, None
         if before is not None and before.ground != Ground.SEEN and ground == Ground.SEEN:
             # What came on another ground is no evidence.
@@ -414,21 +443,20 @@ class _Support:
         if self.rule is not None and ground == Ground.SEEN:
             if share.basis == Basis.PENDING:  # coal falls: what was decided is of the cycle before
                 self.rule.withdraw()
+                self.rule.note(share)
             elif is_known:
                 switch = self.rule.watch(share)
         elif self.rule is not None:
             self.rule.withdraw()
-        shut = None if self.rule is None else self.rule.shut
         state = SupportState(
             time=share.time,
             share=share,
-            decision=Decision.NONE if shut is None else Decision.SHUT if shut else Decision.DRAW,
+            decision=self.decision,
             ground=ground,
             since=before.since if before is not None and before.ground == ground else since,
             reason=reason,
             last_sound=self.last_sound,
             last_identified=self.last_identified,
-            foreign=self.foreign,
         )
         if before is None and ground in (Ground.SEEN, Ground.UNPROVEN):
             state = replace(state, since=0.0)
@@ -438,7 +466,12 @@ class _Support:
             yield SupportReport("share", state)
         if switch is not None:
             yield SupportReport("shut" if switch.shut else "open", state, switch)
-        elif (state.decision, ground) != (
-            (Decision.NONE, Ground.SEEN) if before is None else (before.decision, before.ground)
+        elif (_rough(state.decision), ground) != (
+            (Decision.NONE, Ground.SEEN) if before is None else (_rough(before.decision), before.ground)
         ):
             yield SupportReport("state", state)
+
+
+def _rough(decision: Decision) -> Decision:
+    """Return a decision without how sure it is, which changes with every window and is told with its fraction."""
+    return Decision.DRAW if decision == Decision.UNSURE else decision

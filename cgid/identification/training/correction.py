@@ -22,10 +22,10 @@ from scipy.optimize import minimize
 from cgid._lib import validation
 from cgid._lib.validation import Floats
 from cgid.errors import BadData, InvalidValue
+from cgid.identification.model.explanations import Explanations
 from cgid.identification.model.families import Contrast, Standardiser, softmax
 from cgid.identification.model.model import StoredModel
 from cgid.identification.model.model_file import STANDARDISER
-from cgid.identification.model.world import World
 from cgid.identification.training.grouped import warnings_of_few
 from cgid.identification.training.metrics import clustered_interval, evaluate, evaluate_drawn
 from cgid.identification.training.rows import Rows
@@ -350,11 +350,11 @@ def _gained(model: StoredModel, gain: float) -> tuple[Floats, Floats]:
 
 
 def shifted(model: StoredModel, shift: Shift) -> StoredModel:
-    """Return the model with a shift folded into its arrays, without prediction sets and the world of its training.
+    """Return the model with a shift folded into its arrays, without prediction sets and explanations.
 
     Neither is that of the site.
     """
-    lost = "conformal.", World.PREFIX
+    lost = ("conformal.", *Explanations.PREFIXES)
     arrays = {name: array for name, array in model.arrays.items() if not name.startswith(lost)}
     gained = _gained(model, shift.gain)
     arrays |= _after(Standardiser.from_arrays(arrays, STANDARDISER), *gained).arrays(STANDARDISER)

@@ -15,7 +15,7 @@ from cgid.errors import BadData
 from cgid.identification.detection.ear import Ear
 from cgid.identification.detection.events import Event
 from cgid.identification.model.model import Model
-from cgid.identification.prediction.same_beam import SameBeamWarning
+from cgid.identification.prediction.findings import SameBeamWarning
 from cgid.identification.training.recordings import measurable, unit_of
 from cgid.identification.training.rows import SAME_IMPACT
 from cgid.measure.features.extraction import kind_for

@@ -1,0 +1,317 @@
+"""A live stream in Python: its blocks in, and what is new of it out, as `cgid monitor` prints it."""
+
+from __future__ import annotations
+
+import weakref
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from threading import Condition, RLock, Thread
+from types import TracebackType
+from typing import Any, NoReturn, Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from cgid._lib import validation
+from cgid._lib.validation import require_rate
+from cgid.errors import BadData, InvalidValue, MissingOption
+from cgid.identification.model.model import Model
+from cgid.identification.prediction.answers import Answer
+from cgid.identification.prediction.findings import Finding
+from cgid.identification.prediction.pipeline import Pipeline
+from cgid.identification.prediction.prediction import default_model, read_model
+from cgid.identification.prediction.settings import PredictionSettings
+from cgid.identification.prediction.stream import Step
+from cgid.identification.prediction.support import STEPS, SupportReport, SupportState
+from cgid.recordings.chain import Chain, Statement, scaled
+from cgid.recordings.live import SHORTEST, contents_of, described
+from cgid.recordings.site import NOWHERE, Site
+from cgid.recordings.variables import full_scale_of
+
+__all__ = ["Monitor", "News"]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class News:
+    """What is new of a stream.
+
+    Attributes
+    ----------
+    answers : list of Answer
+        The impacts or windows that were identified, in order of time.
+    reports : list of SupportReport
+        The records of supports: each `kind` is "share" (a regular one), "state" (its ground or decision has changed),
+        "shut" or "open"; each `state` is a `SupportState`.
+    findings : list of Finding
+        What begins and what ends.
+    until : float [s]
+        All before this time has been told.
+    """
+
+    answers: list[Answer]
+    reports: list[SupportReport]
+    findings: list[Finding]
+    until: float
+
+    @property
+    def states(self) -> list[SupportState]:
+        """The records of its reports, in order of time."""
+        return [report.state for report in self.reports]
+
+
+class Monitor:
+    """Identify the impacts of a live stream block by block, and decide when to shut, as `cgid monitor` does.
+
+    What is told of the same samples does not depend on the lengths of the blocks. Methods may be called in any thread;
+    one call runs at a time. `feed` takes as long as its samples need, some hundredth of their duration for a channel: a
+    callback that must return at once puts its blocks into a `queue.Queue`, from which another thread feeds.
+
+    Parameters
+    ----------
+    sampling_rate : float, optional [Hz]
+        Required, unless the site states it; so are `channels` and `unit`.
+    channels : int or sequence of str, optional
+        Number or names of the channels.
+    unit : str, optional
+        One of `cgid.units.UNITS`, such as "m/s^2", "g", "N" or "V".
+    model : Model, str or Path, optional
+        A model, or an argument of `cgid.load_model`; by default the shipped one for this quantity.
+    site : Site, str or Path, optional
+        A site, or its file, which states what the other arguments do not.
+    sensitivity, gain, full_scale : optional
+        Conversion of volts, coulombs or integers, as in `cgid.open_recording`. With a `full_scale`, blocks of 8 or 16
+        bit integers are parts of it.
+    source : str
+        Name of the stream in messages.
+    **settings
+        Fields of `cgid.identification.prediction.PredictionSettings`, such as ``coal_until=30.0``.
+
+    Raises
+    ------
+    InvalidValue, MissingOption, BadData, NoInput
+        As `cgid.predict`.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> time = np.arange(20_000) / 200e3
+    >>> blow = 8e3 * np.sin(np.pi * np.clip((time - 40e-3) / 0.4e-3, 0, 1)) ** 1.5
+    >>> samples = blow + np.random.default_rng(0).normal(0, 50, time.size)
+    >>> with Monitor(200e3, 1, "N") as watch:
+    ...     found = [one for block in samples.reshape(-1, 500) for one in watch.feed(block).answers]
+    ...     found += watch.finish().answers
+    >>> len(found), round(found[0].time, 4)
+    (1, 0.04)
+    """
+
+    def __init__(
+        self,
+        sampling_rate: float | None = None,
+        channels: int | Sequence[str] | None = None,
+        unit: str | None = None,
+        *,
+        model: Model | str | Path | None = None,
+        site: Site | str | Path | None = None,
+        sensitivity: Statement | None = None,
+        gain: Statement | None = None,
+        full_scale: Statement | None = None,
+        source: str = "stream",
+        **settings: Any,
+    ) -> None:
+        for name in settings:
+            validation.choice("setting", name, tuple(PredictionSettings.__dataclass_fields__))
+        place = NOWHERE if site is None else Site.of(site)
+        rate = place.get("rate") if sampling_rate is None else sampling_rate
+        given = place.get("channels") if channels is None else channels
+        for name, value in (("sampling_rate", rate), ("channels", given)):
+            if value is None:
+                raise MissingOption(f"{name} must be given, a stream of arrays does not state it; give {name}")
+        names = None if isinstance(given, int) else [str(one) for one in given]
+        count = validation.count("channels", given) if names is None else len(names)
+        contents = contents_of(count, "FS" if full_scale is not None else None, names=names)
+        described_as = described(contents, unit, Chain.of(sensitivity, gain, full_scale), place, source)
+        self._channels, self._factors, beams = described_as
+        applied = PredictionSettings(**{"batch": 1, "same_beam": beams, **place.settings, **settings})
+        applied = replace(applied, share_step=applied.share_step or applied.shares.window / STEPS)
+        model = place.get("model") if model is None else model
+        loaded = read_model(default_model(self._channels[0].quantity, applied) if model is None else model)
+        applied.check(loaded)
+        self.sampling_rate: float = require_rate(rate)
+        self.source = source
+        self._pipeline = Pipeline(loaded, self._channels, self.sampling_rate, applied, source, live=True)
+        self._waiting: list[NDArray[Any]] = []
+        self._until = 0.0
+        self._has_integers, self._is_over, self._lock = full_scale is not None, False, RLock()
+        self._pump = _Pump(self._pipeline.steps)
+        weakref.finalize(self, self._pump.close)
+
+    @property
+    def supports(self) -> tuple[str, ...]:
+        """Names of the channels of answers; those that are used together have one."""
+        return self._pipeline.supports
+
+    @property
+    def duration(self) -> float:
+        """Duration of the samples that were fed [s]."""
+        n_waiting = sum(block.shape[1] for block in self._waiting)
+        return float((self._pipeline.n_seen + n_waiting) / self.sampling_rate)
+
+    @property
+    def states(self) -> list[SupportState]:
+        """The latest record of each support."""
+        with self._lock:
+            return [] if self._pipeline.watch is None else self._pipeline.watch.states()
+
+    def feed(self, block: ArrayLike) -> News:
+        """Take the next samples, (n_samples,) or (n_samples, n_channels), and return what is new.
+
+        They are copied. Raises `BadData` for samples of another shape, `InvalidValue` after `finish`.
+        """
+        with self._lock:
+            if self._is_over:
+                self._refuse()
+            self._waiting.append(self._taken(block))
+            if sum(one.shape[1] for one in self._waiting) < SHORTEST * self.sampling_rate:
+                return News(answers=[], reports=[], findings=[], until=self._until)
+            return self._news(self._pump.feed(self._joined()))
+
+    def finish(self) -> News:
+        """Return what is new at the end of the stream.
+
+        Raises `BadData` if it had no sample that a sensor can give.
+        """
+        with self._lock:
+            if self._is_over:
+                self._refuse()
+            self._is_over = True
+            steps = self._pump.feed(self._joined()) if self._waiting else []
+            steps += self._pump.finish()
+            news = self._news([*steps, self._pipeline.finish()])
+            self._pipeline.require()
+            return news
+
+    def stopped(self, seconds: float) -> News:
+        """Return what is new where no samples have come for some time [s]: nothing is decided until they come."""
+        with self._lock:
+            return self._news([self._pipeline.stopped(f"no samples have arrived for {seconds:.0f} s")])
+
+    def begin_cycle(self, support: str = "") -> None:
+        """Begin a caving cycle now, with coal of its own: of a support, or of all."""
+        with self._lock:
+            if self._pipeline.watch is not None:
+                self._pipeline.watch.begin_cycle(self.duration, support)
+
+    def close(self) -> None:
+        """End without the last news; the context does so, too."""
+        with self._lock:
+            self._is_over = True
+            self._pump.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+        self.close()
+
+    def _refuse(self) -> NoReturn:
+        raise InvalidValue(f"{self.source}: a monitor must be fed before its end, it has ended; make another one")
+
+    def _taken(self, block: ArrayLike) -> NDArray[Any]:
+        samples = validation.plain("block", block)
+        samples = samples[:, None] if samples.ndim == 1 else samples
+        if samples.ndim != 2 or samples.shape[1] != len(self._channels):
+            raise BadData(
+                f"{self.source}: a block must be (n_samples, {len(self._channels)}), got shape {np.shape(block)}"
+            )
+        if samples.dtype.kind == "f":
+            return np.array(samples.T, order="C")
+        largest = full_scale_of(samples.dtype) if self._has_integers else None
+        if largest is None:
+            raise BadData(
+                f"{self.source}: a block must be of floats, or with full_scale of 8 or 16 bit integers, got "
+                f"{samples.dtype}"
+            )
+        return np.ascontiguousarray(samples.T / largest)
+
+    def _joined(self) -> NDArray[Any]:
+        waiting, self._waiting = self._waiting, []
+        joined = waiting[0] if len(waiting) == 1 else np.concatenate(waiting, axis=1)
+        (block,) = scaled([joined], self._factors)
+        return block
+
+    def _news(self, steps: list[Step]) -> News:
+        self._until = max([self._until, *(step.until for step in steps)])
+        return News(
+            answers=[one for step in steps for one in step.answers],
+            reports=[one for step in steps for one in step.reports],
+            findings=[one for step in steps for one in step.found],
+            until=self._until,
+        )
+
+
+class _Pump:
+    """Run steps of blocks in a thread of their own, which waits wherever they ask for the next block."""
+
+    def __init__(self, steps: Callable[[Iterator[NDArray[Any]]], Iterator[Step]]) -> None:
+        self._changed = Condition()
+        self._block: NDArray[Any] | None = None
+        self._steps: list[Step] = []
+        self._is_hungry, self._is_ending, self._is_done = False, False, False
+        self._fault: BaseException | None = None
+        Thread(target=self._run, args=(steps,), daemon=True).start()
+
+    def feed(self, block: NDArray[Any]) -> list[Step]:
+        """Return the steps of a block."""
+        with self._changed:
+            self._changed.wait_for(self._is_waiting)
+            self._block = block
+        return self._taken()
+
+    def finish(self) -> list[Step]:
+        """Return the steps of the end."""
+        self.close()
+        with self._changed:
+            self._changed.wait_for(lambda: self._is_done)
+        return self._taken()
+
+    def close(self) -> None:
+        """Let the thread end."""
+        with self._changed:
+            self._is_ending = True
+            self._changed.notify_all()
+
+    def _is_waiting(self) -> bool:
+        return self._is_done or (self._is_hungry and self._block is None)
+
+    def _taken(self) -> list[Step]:
+        with self._changed:
+            self._changed.notify_all()
+            self._changed.wait_for(self._is_waiting)
+            steps, self._steps = self._steps, []
+            fault, self._fault = self._fault, None
+        if fault is not None:
+            raise fault
+        return steps
+
+    def _blocks(self) -> Iterator[NDArray[Any]]:
+        while True:
+            with self._changed:
+                self._is_hungry = True
+                self._changed.notify_all()
+                self._changed.wait_for(lambda: self._block is not None or self._is_ending)
+                block, self._block, self._is_hungry = self._block, None, False
+            if block is None:
+                return
+            yield block
+
+    def _run(self, steps: Callable[[Iterator[NDArray[Any]]], Iterator[Step]]) -> None:
+        try:
+            for step in steps(self._blocks()):
+                self._steps.append(step)
+        except BaseException as error:  # raised again where the block was fed
+            self._fault = error
+        finally:
+            with self._changed:
+                self._is_done = True
+                self._changed.notify_all()

@@ -1,0 +1,229 @@
+"""What explains a channel that is not as in the training: faults by name, no false alarms, no flapping."""
+
+import json
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from scipy.signal import butter, lfilter, sosfilt
+
+from cgid import shipped
+from cgid.errors import BadData
+from cgid.identification.model.explanations import BANDS, BINS, Explanations, Impacts, detrended, sampled
+from cgid.identification.model.model import StoredModel
+from cgid.identification.prediction.answers import Answer
+from cgid.identification.prediction.explanation import ChannelWatch, Evidence, Fault, Past, explain
+from cgid.learning.faults import answers_of
+from cgid.scene import load_scene, synthesise
+from cgid.scene.synthesis.stream import record
+
+#: Seeds that trained nothing.
+SEED = 7407
+
+
+@cache
+def model_of(kind: str) -> StoredModel:
+    name = shipped.DEFAULT_MODEL if kind == "force" else shipped.ACCELERATION_MODEL
+    return StoredModel.load(shipped.path_of("models", name))
+
+
+@cache
+def samples_of(kind: str, seed: int = SEED) -> tuple[np.ndarray, float]:
+    if kind == "beam":
+        signal, _ = record(load_scene(shipped.scene_path("caving")), seed, 0)
+        return signal.samples.ravel()[: round(25 * signal.sampling_rate)].astype(float), signal.sampling_rate
+    batch = next(iter(synthesise("reference", 60, seed=seed)))
+    frames, rng = np.asarray(batch.signals, float), np.random.default_rng(seed)
+    noise = frames[:, : frames.shape[1] // 20].std()
+    gaps = noise * rng.standard_normal((len(frames), round(0.01 * batch.sampling_rate)))
+    return np.hstack([gaps, frames]).ravel(), batch.sampling_rate
+
+
+@cache
+def answers(kind: str, fault: str) -> tuple[Answer, ...]:
+    samples, rate = samples_of(kind)
+    noise = np.random.default_rng(1).standard_normal(samples.size)
+    w, z = 2 * np.pi * 6000.0 / rate, 0.03
+    r = np.exp(-z * w)
+    spoilt = {
+        "none": samples,
+        "x40": 40 * samples,
+        "/20": samples / 20,
+        "upside_down": -samples,
+        "clipped": np.clip(samples, -np.quantile(np.abs(samples), 0.993), np.quantile(np.abs(samples), 0.993)),
+        "noise": samples + noise * (20.0 if kind == "beam" else 0.04 * np.abs(samples).max()),
+        "ringing": lfilter([1 - 2 * r * np.cos(w) + r * r], [1, -2 * r * np.cos(w), r * r], samples),
+        "low_pass": sosfilt(butter(4, 3000 if kind == "beam" else 1500, fs=rate, output="sos"), samples),
+    }
+    stated = {"rate x1.25": 1.25, "rate x5": 5.0, "rate /3": 1 / 3}.get(fault, 1.0)
+    return tuple(answers_of(spoilt.get(fault, samples), rate * stated, model_of(kind)))
+
+
+def explained(kind: str, fault: str) -> object:
+    return explain(Evidence(answers=answers(kind, fault)), model_of(kind))
+
+
+@pytest.mark.parametrize(
+    ("kind", "spoilt", "fault", "factor"),
+    [
+        ("force", "x40", Fault.SCALE, 40.0),
+        ("force", "/20", Fault.SCALE, 0.05),
+        ("force", "rate x5", Fault.RATE, 5.0),
+        ("force", "rate /3", Fault.RATE, 1 / 3),
+        *(("force", one, Fault(one), None) for one in ("upside_down", "clipped", "noise", "ringing", "low_pass")),
+        ("beam", "rate x1.25", Fault.RATE, 1.25),
+        *(("beam", one, Fault(one), None) for one in ("upside_down", "clipped", "noise", "ringing", "low_pass")),
+    ],
+)
+def test_a_fault_is_told_by_its_name(kind: str, spoilt: str, fault: Fault, factor: float | None) -> None:
+    found = explained(kind, spoilt)
+    assert found.faults[:1] == (fault,)
+    assert found.odds > 0
+    assert not found.of_past
+    if factor is not None:
+        assert found.factor == pytest.approx(factor, rel=0.02 if kind == "beam" else 0.5)
+
+
+@pytest.mark.parametrize("kind", ["force", "beam"])
+def test_a_sound_recording_has_no_fault(kind: str) -> None:
+    found = explained(kind, "none")
+    assert found.faults == ()
+    assert found.odds < 0
+    assert found.n_impacts == min(len(answers(kind, "none")), BINS[-1])
+
+
+@pytest.mark.parametrize("n", [0, 1, 2, 3])
+def test_few_impacts_are_no_fault(n: int) -> None:
+    found = explain(Evidence(answers=answers("force", "none")[:n]), model_of("force"))
+    assert found.faults == ()
+    assert found.n_impacts == n
+
+
+def test_a_model_without_explanations_tells_nothing() -> None:
+    model = model_of("force")
+    plain = {name: a for name, a in model.arrays.items() if not name.startswith(Explanations.PREFIXES)}
+    model = replace(model, arrays=plain)
+    found = explain(Evidence(answers=answers("force", "x40")), model)
+    assert found.faults == ()
+    assert np.isnan(found.odds)
+    assert Past.of(Evidence(answers=answers("force", "none")), model) is None
+
+
+@pytest.mark.parametrize("prefix", Explanations.PREFIXES)
+@pytest.mark.parametrize(
+    ("name", "spoil", "rule"),
+    [
+        ("mean", None, "missing"),
+        ("limits", lambda a: a[:-1], "shape"),
+        ("whitening", lambda a: 0 * a, "at least"),
+        ("scale", lambda a: -a, "at least"),
+        ("centre", lambda a: a[:-1], "shape"),
+    ],
+)
+def test_arrays_are_checked(prefix: str, name: str, spoil: object, rule: str) -> None:
+    model = model_of("force")
+    arrays = dict(model.arrays)
+    array = arrays.pop(prefix + name)
+    if spoil is not None:
+        arrays[prefix + name] = spoil(array)
+    with pytest.raises(BadData, match=rf"{prefix}.*{rule}"):
+        replace(model, arrays=arrays)
+
+
+def test_samples_show_ends_noise_and_spectrum() -> None:
+    rate, n = 25600.0, 4096
+    t = np.arange(n) / rate
+    frame = np.where(t > 0.01, np.sin(2 * np.pi * 1000 * t), 0.0)
+    frame[300:310] = 2.0
+    shown = sampled(frame[None] + 5.0, rate, 200, spectrum=True)[0]
+    assert shown[:3] == pytest.approx([7.0, frame.min() + 5, 5.0])
+    assert shown[3] == pytest.approx(0, abs=1e-6)
+    assert shown[4] == 10
+    assert BANDS[np.nanargmax(shown[7:])] == pytest.approx(1000, rel=0.02)
+
+
+def test_a_shifted_spectrum_gives_the_rate() -> None:
+    """The factor of a rate follows from the modes alone, to the 2 % between bands."""
+    found = Impacts.of(answers("beam", "none"), model_of("beam"))
+    fast = Impacts.of(answers("beam", "rate x1.25"), model_of("beam"))
+    own, other = detrended(found.spectra), detrended(fast.spectra)
+    shift = round(np.log(1.25) / np.log(1.02))
+    alike = [np.corrcoef(own[20:120], other[20 + k : 120 + k])[0, 1] for k in (0, shift)]
+    assert alike[1] > 0.8 > alike[0]
+
+
+def stream(*parts: tuple[str, int, int]) -> list[Answer]:
+    """Return successive impacts of recordings of a beam, by fault, as one stream."""
+    found: list[Answer] = []
+    for fault, first, last in parts:
+        chosen = answers("beam", fault)[first:last]
+        begin = found[-1].time + 0.1 if found else 0.0
+        found += [replace(one, time=begin + one.time - chosen[0].time) for one in chosen]
+    return found
+
+
+def test_a_fault_of_a_stream_begins_and_ends_once() -> None:
+    watch, told = ChannelWatch(model_of("beam")), []
+    for answer in stream(("none", 0, 160), ("upside_down", 0, 160), ("none", 160, 330)):
+        before = watch.explained.faults
+        watch.add(answer)
+        if watch.explained.faults != before:
+            told.append(watch.explained.faults)
+    assert [bool(faults) for faults in told] == [True, False]
+    assert told[0] == (Fault.UPSIDE_DOWN,)
+    assert not watch.is_sure
+
+
+def test_a_fault_is_sure_by_impacts_of_its_own() -> None:
+    watch = ChannelWatch(model_of("beam"))
+    sure = []
+    for answer in stream(("none", 0, 120), ("upside_down", 0, 200)):
+        watch.add(answer)
+        sure.append(bool(watch.is_sure))
+    assert watch.explained.of_past
+    assert watch.is_sure
+    first = sure.index(True)
+    assert 120 + 20 < first <= 120 + 120
+    assert all(sure[first:])
+
+
+def test_the_past_outlives_a_restart() -> None:
+    model = model_of("beam")
+    past = Past.of(Evidence(answers=answers("beam", "none")[:100]), model)
+    assert past is not None
+    again = Past.from_json(json.loads(json.dumps(past.to_json())), model)
+    found = [explain(Evidence(answers=answers("beam", "low_pass")), model, one) for one in (past, again)]
+    assert found[0].faults == found[1].faults != ()
+    assert found[0].of_past
+
+
+def test_a_person_may_say_that_a_rig_is_so() -> None:
+    model, as_it_is = model_of("beam"), answers("beam", "low_pass")
+    assert Past.of(Evidence(answers=as_it_is[:100]), model) is None
+    watch = ChannelWatch(model)
+    watch.renew()
+    for answer in as_it_is:
+        watch.add(answer)
+    assert watch.past is not None
+    assert watch.past.by_word
+    assert watch.explained.faults == ()
+
+
+@pytest.mark.parametrize(
+    "content",
+    [None, [], {}, {"numbers": []}, {"numbers": ["a"] * 300}, {"numbers": None, "by_word": True}, 5, "null"],
+)
+def test_a_past_that_does_not_fit_is_refused(content: object) -> None:
+    with pytest.raises(BadData, match="numbers"):
+        Past.from_json(content, model_of("beam"))
+
+
+def test_a_past_with_other_numbers_is_refused() -> None:
+    model = model_of("beam")
+    past = Past.of(Evidence(answers=answers("beam", "none")[:100]), model)
+    assert past is not None
+    content = past.to_json()
+    for wrong in (float("nan"), float("inf"), 1e30, "1", True):
+        with pytest.raises(BadData, match="finite"):
+            Past.from_json({**content, "numbers": [wrong, *content["numbers"][1:]]}, model)
