@@ -33,9 +33,8 @@ _CONTRAST_NOW, _CONTRAST, _N_MEAN = 300.0, 32.0, 3
 _LOWEST, _WIDTH = 20.0, 4.0
 #: A line is a tone where in so many successive frames (2.25 s) its power is steady, as all but one have this share of
 #: the mean at least, and so is the change of its advance of phase from frame to frame, by the length of its mean
-#: direction: in streams without tones at most .81 where modes have .2 % of damping or more, beside as steady a power,
-#: .94 with .1 % (in two of twelve minutes with 16 to 30 rocks a second, more); with tones .99. After so many frames
-#: without any (a minute), no machine runs.
+#: direction; with tones it is .99. Without tones, streams of 40 s of forty equally loud modes have one in 0 of 24 with
+#: .5 % of damping or more, 8 of 12 with .2 %, 12 of 12 with .1 %. After a minute of frames without any, none runs.
 _N_STEADY, _STEADY, _COHERENT, _N_SILENT = 8, 0.7, 0.96, 240
 #: Where a machine runs, whether it still does is looked at after so many frames (a second).
 _AGAIN = 4
@@ -245,9 +244,7 @@ class Lines:
         if n_limited > _LIMITED * self.length:
             one.forget()
             return None
-        left = samples.astype(np.float64)
-        left -= centre
-        left *= self._window
+        left = (samples.astype(np.float64) - centre) * self._window
         lines: Floats | None = None
         spectrum: NDArray[np.complex128] = np.zeros(self._hop + 1, np.complex128)
         for number in range(_ROUNDS):

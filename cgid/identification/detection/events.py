@@ -310,9 +310,5 @@ def _is_clipped(samples: Floats, baseline: float) -> bool:
     """Return whether an impact (n,) stays at an extreme for three samples."""
     extremes = float(samples.max()), float(samples.min())
     min_deviation = _CLIPPED_SHARE * max(abs(extreme - baseline) for extreme in extremes)
-    for extreme in extremes:
-        at = samples == extreme
-        high = abs(extreme - baseline) >= min_deviation and np.count_nonzero(at) > 2
-        if high and bool(np.any(at[2:] & at[1:-1] & at[:-2])):
-            return True
-    return False
+    at = [samples == extreme for extreme in extremes if abs(extreme - baseline) >= min_deviation]
+    return any(np.count_nonzero(one) > 2 and bool(np.any(one[2:] & one[1:-1] & one[:-2])) for one in at)

@@ -231,10 +231,8 @@ class VibrationOnsets:
         n_hops = samples.size // self.hop
         if n_hops < 2:
             return -1
-        moved = samples[: n_hops * self.hop] - self._offset[onset.channel]
-        moved *= self._scale[onset.channel]
-        np.maximum(np.minimum(moved, _LARGEST, out=moved), -_LARGEST, out=moved)
-        halves = moved.reshape(n_hops, self.hop) @ self._atoms
+        moved = (samples[: n_hops * self.hop] - self._offset[onset.channel]) * self._scale[onset.channel]
+        halves = np.clip(moved, -_LARGEST, _LARGEST).reshape(n_hops, self.hop) @ self._atoms
         windows = halves[:-1, : 2 * self.n_bands] + halves[1:, 2 * self.n_bands :]
         windows *= windows
         energies = windows[:, : self.n_bands] + windows[:, self.n_bands :]

@@ -108,7 +108,7 @@ class NearTables:
         self.tables, self.weight, self.levels, self._kept = tables, weight, levels, kept
         n_locations, n_shapes = len(tables.at), tables.table.n_shapes
         self._known = np.zeros(n_locations, bool)
-        self._power: Floats | None = None
+        self._power: Floats = np.empty((n_locations, n_shapes))
         self._rotation = np.empty((n_locations, n_shapes, n_shapes), np.float32)
         self._share = np.empty((n_locations, levels.size, n_shapes + 1), np.float32)
 
@@ -118,12 +118,10 @@ class NearTables:
         if new.size:
             make, root = self.tables.table.powers, np.sqrt(self.weight)
             if self._kept is None:
-                power, self._rotation[new] = make(at[new], root)
-            else:
-                if self._power is None:
-                    self._power, self._rotation = self._kept(lambda: make(at, root))
-                power = self._power[new]
-            self._share[new] = _shares(power, self.levels)
+                self._power[new], self._rotation[new] = make(at[new], root)
+            elif not self._known.any():
+                self._power, self._rotation = self._kept(lambda: make(at, root))
+            self._share[new] = _shares(self._power[new], self.levels)
             self._known[new] = True
         out = np.empty((*locations.shape, self.levels.size), np.float32)
         squares = np.ones((_AT_ONCE, locations.shape[1], self._share.shape[2], 1), np.float32)

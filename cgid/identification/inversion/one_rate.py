@@ -115,9 +115,8 @@ class OneRate:
             clipped = np.zeros_like(samples, bool)
         for row in np.flatnonzero(clipped.any(axis=1)).tolist():
             apart = samples[row] - np.median(samples[row])
-            loud = clipped[row] & (
-                np.abs(apart) > _LOUD * np.median(np.abs(apart))
-            )  # of noise, the largest may be alike
+            # Of noise, the largest may be alike.
+            loud = clipped[row] & (np.abs(apart) > _LOUD * np.median(np.abs(apart)))
             for value in np.unique(samples[row, loud]).tolist():
                 is_limit = loud & (samples[row] == value)
                 (np.minimum if apart[is_limit][0] > 0 else np.maximum)(out[row], value, out=out[row])
