@@ -8,7 +8,7 @@ import re
 from collections import deque
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import pairwise
+from itertools import chain, pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -19,7 +19,16 @@ from cgid._lib.terminal import counted
 from cgid._lib.validation import STATED_RATE, rates_agree
 from cgid.errors import BadData
 from cgid.recordings.gaps import counts
-from cgid.recordings.recording import MAX_CHANNELS, Asked, Blocks, Remark, require_one_rate, with_gaps
+from cgid.recordings.recording import (
+    LABELS,
+    MAX_CHANNELS,
+    Asked,
+    Blocks,
+    Remark,
+    require_one_rate,
+    stretches,
+    with_gaps,
+)
 from cgid.recordings.text_layout import (
     MIXED,
     SNIFFED,
@@ -59,8 +68,6 @@ _COMMA = re.compile(r"^[^#%/\n]*,", re.MULTILINE)
 #: A line of a head that states a scale, such as "tscale,0.001".
 _SCALED = re.compile(r"\s*[a-z]?scale\s*[,;:=]\s*[\d.]", re.IGNORECASE)
 _DAY = 86_400.0
-#: Names of a column of labels.
-_LABELS = ("label", "labels", "class", "material", "标签")
 #: A column with fewer numbers than this part of the first rows is a slow channel.
 _SLOW = 0.5
 
@@ -415,7 +422,7 @@ def _without_words(header: Header, layout: Layout, source: str, warnings: list[s
     warnings += [Remark(f"column {named} contains words and is left out")] if layout.words else []
     stamp = None if layout.stamp is None else picked.index(layout.stamp)
     narrow = replace(layout, n_columns=len(picked), picked=picked if layout.words else (), stamp=stamp)
-    label = [at for at in layout.words if columns[at].name.lower() in _LABELS]
+    label = [at for at in layout.words if columns[at].name.lower() in LABELS]
     has_names = bool(header.columns or layout.units)
     header = replace(header, columns=tuple(columns[at] for at in picked) if has_names else ())
     return header, replace(narrow, label=label[0] if label else None)
@@ -600,14 +607,8 @@ def assembled(header: Header, body: Body, warnings: list[str], asked: Asked, tim
                     yield at + first, samples[:, first : first + length]
 
     def labels() -> Iterator[tuple[int, int, str]]:
-        begin, end, label = 0, 0, ""
-        for places, _, piece in placed(()):
-            for place, word in zip(places.tolist(), body.words(piece), strict=False):
-                if word != label:
-                    yield from [(begin, end, label)] if label else []
-                    begin, label = place, word
-                end = place + 1
-        yield from [(begin, end, label)] if label else []
+        pieces = (zip(places.tolist(), body.words(piece), strict=False) for places, _, piece in placed(()))
+        return stretches(chain.from_iterable(pieces))
 
     about["labels"] = None if body.layout.label is None else labels
     if beginning.is_last and finite[[*times, *samples_columns]].all():
