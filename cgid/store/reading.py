@@ -160,8 +160,11 @@ class Dataset:
         return np.dtype(self.header.dtype)
 
     def __getitem__(self, index: Any) -> Any:
-        """Return one signal, of a negative index from the end; of a slice the samples of signals, as an array."""
+        """Return one signal, of a negative index from the end; of a slice or list samples of signals, as an array."""
         picked, *samples = index if isinstance(index, tuple) else (index,)
+        if isinstance(picked, list | np.ndarray) and np.ndim(picked) == 1:
+            numbers = np.arange(len(self))[picked].tolist()
+            return np.array([self.signal(number).samples for number in numbers] or self[:0])[:, *samples]
         if not isinstance(picked, slice):
             return self.signal(picked).samples[samples[0]] if samples else self.signal(picked)
         numbers, parts, begin = range(len(self))[picked], [np.empty((0, self.shape[1]), self.dtype)], 0
