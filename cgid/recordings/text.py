@@ -642,12 +642,8 @@ def _measured_rate(
             rate = refined_rate(rate, float(times[0]), float(clock.times(last[None])[0]))
         rates.append(rate)
     for (earlier, a), (later, b) in pairwise(zip(clocks, rates, strict=True)):
-        if not rates_agree(a, b, STATED_RATE):
-            raise BadData(
-                f"{source}: the sampling rate must be one to 0.1 %, time column {names[earlier.columns[0]]!r} "
-                f"gives {a:.10g} Hz and {names[later.columns[0]]!r} {b:.10g} Hz; export the channels of one "
-                "rate only"
-            )
+        first, second = ((rate, f"time column {names[one.columns[0]]!r}") for one, rate in ((earlier, a), (later, b)))
+        require_one_rate(first, second, source)
     return rates[0]
 
 
