@@ -306,6 +306,20 @@ def test_a_force_beside_a_response_is_a_hammer(tmp_path, capsys, monkeypatch):
     assert "--hammer 'the hammer'" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("constant", [None, 0.12])
+def test_modes_of_an_exponential_window_are_said_to_be_none(constant, tmp_path, capsys, monkeypatch):
+    """Three are there; a recorder's window begins 20 ms before each tap and makes dozens of the noise."""
+    monkeypatch.chdir(tmp_path)
+    modes = np.array([[130.0, 410.0, 920.0], [0.006, 0.005, 0.004], [8e-4, -6e-4, 5e-4]])
+    response, force, times = taps(6, seed=2, modes=modes, noise=1e-2)
+    since = np.arange(response.size) / RATE - times[:, None] + 0.02
+    since = np.where(since >= 0, since, np.inf).min(axis=0)
+    np.save("taps.npy", np.stack([response * (np.exp(-since / constant) if constant else 1.0), force]))
+    given = ["tap", "taps.npy", "--rate", f"{RATE:g}", "--unit", "1=m/s^2,2=N", "--hammer", "2", "-o", "modes.csv"]
+    assert run([*given, "--band", "60", "1000"]) == 0
+    assert ("window" in capsys.readouterr().err) == bool(constant)
+
+
 @pytest.mark.parametrize("spread", [0.1, 1.0])
 def test_impacts_at_many_places_are_no_taps(spread, tmp_path, capsys, monkeypatch):
     """Modes as strong as at one place to 10 %, and as rocks excite them that fall anywhere."""

@@ -32,6 +32,8 @@ if TYPE_CHECKING:
 _TOLD = 5e-6
 #: Taps whose relative participations scatter by more than this were at several places.
 _SCATTERED = 0.5
+#: So large a part of the modes without a participation is no matter of weak ones.
+_UNSURE = 0.5
 #: A mode of which places predict less is coarsely sampled.
 _COARSE = 0.3
 
@@ -130,6 +132,12 @@ def tap(
         warn(
             f"{recording}: taps must be at one place, these excite modes in ratios {100 * scatter:.0f} % apart, "
             "as falling rocks do; frequencies and damping ratios hold, participations do not: tap one place"
+        )
+    unsure = 0 if test.modes.deviation is None else np.count_nonzero(test.modes.deviation[2] >= 1)
+    if unsure > _UNSURE * test.modes.frequency.size:
+        warn(
+            f"{recording}: modes must be surer than their own size, {unsure} of {test.modes.frequency.size} are not: "
+            "noise, or an exponential window of the recorder; switch that off, tap harder or narrow --band"
         )
     if len(test.used) == 1:
         warn("one tap: the standard deviations omit the variation between taps; tap about five times")
