@@ -326,7 +326,8 @@ def _header_and_body(path: Path, encoding: str, source: str, warnings: list[str]
             piece = piece[: piece.rfind("\n") + 1] or piece
     above: deque[str] = deque()
     start, layout, loose = 0, None, None
-    lines = _lines(piece)
+    # `str.splitlines` also splits at other characters: line numbers would differ from those of the rows.
+    lines = io.StringIO(piece, newline="\n")
     line = next(lines, "")
     while line:
         following = next(lines, "")
@@ -475,24 +476,12 @@ def _n_names(above: Sequence[str], layout: Layout) -> int:
     return len(fields) if is_list else 0
 
 
-def _lines(piece: str) -> Iterator[str]:
-    # `str.splitlines` also splits at other characters: line numbers would differ from those of the rows.
-    start = 0
-    while start < len(piece):
-        end = piece.find("\n", start) + 1 or len(piece)
-        yield piece[start:end]
-        start = end
-
-
 def _corrected(layout: Layout, second: str, above: deque[str]) -> Layout:
     """Return the layout of the first row, corrected by the other lines."""
-    if layout.trailing:
-        wider = replace(layout, n_columns=layout.n_columns + 1, trailing=False)
-        named = read_header(above, wider).columns
-        # An empty last field is a missing number if the next row has one there or the header names the column.
-        if (named and named[-1].name) or wider.fields(second)[-1]:
-            layout = wider
-    return layout
+    wider = replace(layout, n_columns=layout.n_columns + 1, trailing=False)
+    named = read_header(above, wider).columns if layout.trailing else ()
+    # An empty last field is a missing number if the next row has one there or the header names the column.
+    return wider if layout.trailing and ((named and named[-1].name) or wider.fields(second)[-1]) else layout
 
 
 def _is_damaged_row(line: str, layout: Layout) -> bool:
