@@ -383,6 +383,17 @@ def test_a_last_row_of_uff_may_be_filled_with_zeros(tmp_path, filling):
     np.testing.assert_allclose(read(tmp_path / "hit.uff")[0][0], FRONT[:-2], rtol=1e-10)
 
 
+def test_a_data_set_of_uff_that_is_no_recording_is_told(tmp_path):
+    """Its function type says that it is a frequency response."""
+    specimen = next(one for one in SPECIMENS if one.name == "UFF-58 ASCII")
+    path = tmp_path / "a.uff"
+    specimen.write(path, blows(400), 51_200.0)
+    path.write_bytes(path.read_bytes().replace(b"\n    1         0", b"\n    4         0", 1))
+    recording = open_recording(path)
+    assert len(recording.channels) == 1
+    assert any("data set 1 " in warning for warning in recording.warnings) and not recording.damage
+
+
 def test_a_row_of_parquet_that_is_a_whole_signal_is_refused(tmp_path):
     pyarrow = pytest.importorskip("pyarrow")
     parquet = pytest.importorskip("pyarrow.parquet")

@@ -8,9 +8,11 @@ from contextlib import suppress
 
 import h5py
 import numpy as np
+import pandas as pd
 import pytest
 from scipy.io import savemat
 
+from cgid import predict
 from cgid.cli import main
 from cgid.errors import BadData, CgidError, MissingOption
 from cgid.recordings import open_recording
@@ -170,16 +172,37 @@ def test_a_last_line_that_is_cut_off_is_a_warning(write):
     assert found.shape[1] == N - 1 and "cut off" in recording.damage[0]
 
 
-def test_labels_of_a_column_are_those_of_impacts(write, tmp_path, monkeypatch):
+@pytest.mark.parametrize("name", ["a.csv", "a.parquet"])
+def test_labels_of_a_column_are_those_of_impacts(write, tmp_path, monkeypatch, name):
     monkeypatch.chdir(tmp_path)
     twice = np.concatenate([FORCE, FORCE])
-    path = write(table("t,F (N),label\n", lambda t, x, k: f"{t:.9f},{x},{'coal' if k < N else 'gangue'}", twice))
-    marks = open_recording(path).labels()
+    write(table("t,F (N),label\n", lambda t, x, k: f"{t:.9f},{x},{'coal' if k < N else 'gangue'}", twice))
+    pd.read_csv("a.csv").to_parquet("a.parquet")
+    marks = open_recording(name).labels()
     assert [text for _, _, text in marks] == ["coal", "gangue"]
     np.testing.assert_allclose([mark[:2] for mark in marks], [[0, N / RATE], [N / RATE, 2 * N / RATE]], rtol=1e-6)
-    assert main(["events", "a.csv", "-o", "e.csv"]) == 0
+    assert main(["events", name, "-o", "e.csv"]) == 0
     rows = (tmp_path / "e.csv").read_text().splitlines()[1:]
     assert len(rows) == 2 and ",coal," in rows[0] and ",gangue," in rows[1]
+
+
+def test_train_takes_a_column_of_labels(tmp_path, monkeypatch):
+    """Four impacts of each label in turn, of two widths."""
+    monkeypatch.chdir(tmp_path)
+    rng = np.random.default_rng(3)
+    rows = ["t,F (N),Label"]
+    for hit in range(40):
+        width = 22 if hit // 4 % 2 else 44
+        force = rng.normal(0, 2, 600)
+        force[100 : 100 + width] += rng.uniform(500, 900) * np.sin(np.pi * np.arange(width) / width)
+        label = "gangue" if width == 22 else "coal"
+        rows += [f"{(600 * hit + k) / RATE:.9f},{one:.3f},{label}" for k, one in enumerate(force)]
+    (tmp_path / "a.csv").write_text("\n".join([*rows, ""]))
+    assert main(["train", "a.csv", "-o", "mine.npz"]) == 0
+    with pytest.warns(UserWarning, match="Label"):
+        answers = predict("a.csv", model="mine.npz")
+    assert answers["label"].tolist() == ["coal" if k // 4 % 2 == 0 else "gangue" for k in range(40)]
+    assert main(["events", "a.csv", "-o", "e.csv"]) == 0
 
 
 # ---- arrays ----

@@ -36,6 +36,7 @@ from cgid.identification.training.grouped import (
     leave_groups_out,
     vote_correlation,
 )
+from cgid.identification.training.impact_table import impact_table
 from cgid.identification.training.manifest import read_manifest
 from cgid.identification.training.recordings import record
 from cgid.identification.training.rows import Rows, Slicing, in_unit, measure, sets_for
@@ -726,3 +727,16 @@ def test_a_manifest_trains_by_its_path_as_by_the_command(tmp_path: Path) -> None
     (tmp_path / "gone.csv").write_text(f"path,label\n{table.parent / 'monday.wav'},coal\ngone.wav,gangue\n")
     with pytest.raises(CgidError, match=r"gone\.wav"):
         train_on_groups(tmp_path / "gone.csv")
+
+
+@pytest.mark.parametrize("rate", [300.0, 500.0])
+def test_rows_of_a_low_rate_are_as_long_as_what_is_measured(tmp_path, rate):
+    """The energy of a vibration has lost 20 dB after .1 s; 175 samples are measured."""
+    time = np.arange(round(4 * rate)) / rate
+    samples = 1e-3 * np.random.default_rng(1).normal(size=time.size)
+    for onset in (0.5, 1.5, 2.5):
+        since = np.maximum(time - onset, 0)
+        samples += np.exp(-23 * since) * np.sin(2 * np.pi * 40 * since) * (time > onset)
+    np.savez(tmp_path / "a.npz", a=samples, fs=rate)
+    table = impact_table(open_recording(tmp_path / "a.npz", unit="m/s^2"))
+    np.testing.assert_allclose(table["end_s"] - table["time_s"], 3 * [175 / rate], atol=1e-6)

@@ -7,11 +7,11 @@ import re
 import numpy as np
 import pytest
 
-from cgid.calibration import forces_in
+from cgid.calibration import forces_in, tap_test
 from cgid.cli.main import run
 from cgid.errors import BadData, InvalidValue
 from cgid.identification.inversion.recovered import RecoveredForce, errors_of, recover_force
-from cgid.measure.modal.modes import Modes
+from cgid.measure.modal.modes import Modes, read_modes
 from cgid.scene import generate
 from cgid.store import Dataset
 from tests.tapped import DAMPING, FREQUENCY, PARTICIPATION, taps
@@ -51,6 +51,33 @@ def test_force_and_its_deviations(recorded):
         assert abs(errors["impulse"]) < 3 * one.impulse[1] / one.impulse[0]
 
 
+@pytest.mark.parametrize("width", [0.15e-3, 0.25e-3, 0.35e-3, 0.5e-3, 0.8e-3, 2.5e-3, 4.5e-3])
+def test_deviations_know_what_lies_above_the_band(width):
+    """It ends at 1.87 kHz: of contacts below .3 ms it shows the impulse, and they look as short as it can."""
+    response, force, times = taps(4, gap=0.6, seed=3, width=width)
+    for one in recover_force(response[None], RATE, modes_of(), times):
+        errors = errors_of(one, force, RATE)
+        assert abs(errors["peak"]) < 2 * one.peak[1] / one.peak[0] or one.duration < one.shortest
+        assert abs(errors["impulse"]) < 3 * one.impulse[1] / one.impulse[0]
+        assert one.duration > one.shortest or width < 0.4e-3
+
+
+def test_the_band_of_the_taps_is_that_of_their_table(tmp_path):
+    """Three modes of ten lie above it; in the range of the others a table has no more of them than its lines."""
+    response, force, _ = taps(4, seed=5, width=1.5e-3)
+    test = tap_test(response[None], RATE, hammer=force, band=(60.0, 1100.0))
+    modes = read_modes(test.save(tmp_path / "modes.csv"))
+    assert modes.band == test.response.band == (60.0, 1100.0)
+    again, _, times = taps(3, seed=6, width=1.5e-3)
+    for one in recover_force(again[None], RATE, modes, times):
+        assert abs(errors_of(one, taps(3, seed=6, width=1.5e-3)[1], RATE)["peak"]) < 0.1
+        assert one.unexplained < 0.05
+    text = (tmp_path / "modes.csv").read_text()
+    (tmp_path / "wrong.csv").write_text(text.replace("1100.0", "50.0"))
+    with pytest.raises(BadData, match="band_low"):
+        read_modes(tmp_path / "wrong.csv")
+
+
 def test_its_text_has_no_matrix() -> None:
     force = RecoveredForce(time=np.arange(3.0), force=np.ones(3), covariance=np.eye(3), unexplained=0.1)
     assert "covariance" not in repr(force) and "unexplained=0.1" in repr(force)
@@ -61,7 +88,7 @@ def test_an_onset_a_millisecond_late_gives_the_same_force(recorded):
     found = recover_force(response[None], RATE, modes_of(), times)
     for first, other in zip(found, recover_force(response[None], RATE, modes_of(), times + 0.8e-3), strict=True):
         assert other.peak[0] == pytest.approx(first.peak[0], rel=0.03)
-        assert other.time[np.argmax(other.force)] == pytest.approx(first.time[np.argmax(first.force)], abs=1 / RATE)
+        assert abs(round((other.time[np.argmax(other.force)] - first.time[np.argmax(first.force)]) * RATE)) <= 1
 
 
 def test_two_sensors_are_inverted_together():

@@ -465,9 +465,14 @@ def test_memory_does_not_grow_with_the_number_of_signals(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    "index", [slice(3, 9), slice(None, None, -70), slice(5, 5), (slice(290, 310), slice(0, 100)), (3, slice(0, 9))]
+    "index",
+    [
+        *(slice(0, 5), slice(3, 9), slice(None, None, -70), slice(5, 5)),
+        *((slice(290, 310), slice(0, 100)), (3, slice(0, 9))),
+        *([1, 2], np.array([250, -1, 7]), ([4, 280], slice(0, 9)), np.arange(1000) % 100 == 3, np.empty(0, int)),
+    ],
 )
-def test_slices_of_a_dataset_are_arrays_as_dask_wants_them(made, index):
+def test_parts_of_a_dataset_are_arrays_as_dask_and_loaders_want_them(made, index):
     dataset = Dataset(made / "cut300")
     whole = np.stack([signal.samples for signal in dataset])
     assert (dataset.shape, dataset.dtype, dataset.ndim) == (whole.shape, whole.dtype, 2)
@@ -475,3 +480,15 @@ def test_slices_of_a_dataset_are_arrays_as_dask_wants_them(made, index):
     dask = pytest.importorskip("dask.array")
     array = dask.from_array(dataset, chunks=(100, -1))
     np.testing.assert_array_equal(array[10:400:3, ::5].compute(), whole[10:400:3, ::5])
+
+
+def test_a_loop_of_shuffled_batches_sees_each_signal_once(made):
+    """As loaders of torch ask: `len`, then one index or a list of them."""
+    dataset = Dataset(made / "cut300")
+    order = np.random.default_rng(0).permutation(len(dataset)).tolist()
+    one_by_one = np.stack([dataset[number].samples for number in order])
+    by_lists = np.concatenate([dataset[order[first : first + 64]] for first in range(0, len(order), 64)])
+    np.testing.assert_array_equal(one_by_one, by_lists)
+    np.testing.assert_array_equal(one_by_one[np.argsort(order)], dataset[:])
+    with pytest.raises(IndexError):
+        dataset[[0, len(dataset)]]

@@ -297,6 +297,40 @@ def test_channels_of_several_units(tmp_path, capsys, monkeypatch):
     assert "--unit" in capsys.readouterr().err
 
 
+def test_a_force_beside_a_response_is_a_hammer(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    response, force, _ = taps(3, gap=0.6, seed=1)
+    head = f"# sampling_rate: {RATE:g} Hz\nbeam [m/s^2],the hammer [N]"
+    np.savetxt("taps.csv", np.stack([response, force], axis=1), "%.7g", ",", header=head, comments="")
+    assert run(["tap", "taps.csv", "-o", "modes.csv"]) == 65
+    assert "--hammer 'the hammer'" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("constant", [None, 0.12])
+def test_modes_of_an_exponential_window_are_said_to_be_none(constant, tmp_path, capsys, monkeypatch):
+    """Three are there; a recorder's window begins 20 ms before each tap and makes dozens of the noise."""
+    monkeypatch.chdir(tmp_path)
+    modes = np.array([[130.0, 410.0, 920.0], [0.006, 0.005, 0.004], [8e-4, -6e-4, 5e-4]])
+    response, force, times = taps(6, seed=2, modes=modes, noise=1e-2)
+    since = np.arange(response.size) / RATE - times[:, None] + 0.02
+    since = np.where(since >= 0, since, np.inf).min(axis=0)
+    np.save("taps.npy", np.stack([response * (np.exp(-since / constant) if constant else 1.0), force]))
+    given = ["tap", "taps.npy", "--rate", f"{RATE:g}", "--unit", "1=m/s^2,2=N", "--hammer", "2", "-o", "modes.csv"]
+    assert run([*given, "--band", "60", "1000"]) == 0
+    assert ("window" in capsys.readouterr().err) == bool(constant)
+
+
+@pytest.mark.parametrize("spread", [0.1, 1.0])
+def test_impacts_at_many_places_are_no_taps(spread, tmp_path, capsys, monkeypatch):
+    """Modes as strong as at one place to 10 %, and as rocks excite them that fall anywhere."""
+    monkeypatch.chdir(tmp_path)
+    response, _, _ = taps(8, seed=3, spread=spread)
+    np.save("taps.npy", response)
+    given = ["tap", "taps.npy", "--rate", f"{RATE:g}", "--unit", "m/s^2", "-o", "modes.csv", "--band", "60", "2000"]
+    assert run(given) == 0
+    assert ("one place" in capsys.readouterr().err) == (spread == 1.0)
+
+
 def test_a_tap_at_the_begin_of_a_long_recording_is_kept():
     response, force, times = taps(3, gap=0.6, seed=1)
     first = round((times[0] - 0.02) * RATE)

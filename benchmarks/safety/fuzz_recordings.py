@@ -14,7 +14,9 @@ ones. Each is read to its end in a separate process with limits on time and memo
     facts     another rate, unit, name or start      changed   more or fewer numbers, without a message
 
 Without a checksum nobody can know that a number of the file has another value, be it a sample or a rate; a format with
-a checksum must never have "values" or "facts". One that states its length must never be "changed"; text has no length.
+a checksum must never have "values" or "facts". One that states its length must never be "changed", unless it is that
+number itself which is damaged (FLAC; the channels of AU); text has no length, so one cut at the end of a line looks
+like a shorter one.
 """
 
 from __future__ import annotations

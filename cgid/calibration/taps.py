@@ -38,7 +38,7 @@ from cgid.errors import BadData, InvalidValue
 from cgid.identification.detection.ear import Ear
 from cgid.identification.detection.events import Event
 from cgid.measure.modal.finite import Stretch
-from cgid.measure.modal.modes import COMPLEX_COLUMNS, LINE_DAMPING, Modes, residues, text_of_table
+from cgid.measure.modal.modes import BAND_COLUMNS, COMPLEX_COLUMNS, LINE_DAMPING, Modes, residues, text_of_table
 from cgid.physics.structure.response import DERIVATIVES
 from cgid.units import UNITS, quantity_of
 
@@ -199,6 +199,7 @@ class TapTest:
             "shape_sensor": np.copysign(1.0, participation),
             **every.columns,
             **dict(zip(COMPLEX_COLUMNS, (own.real, own.imag), strict=True)),
+            **{name: np.full(own.size, edge) for name, edge in zip(BAND_COLUMNS, every.band or (), strict=False)},
         }
         note = "participations are shape_impact shape_sensor / modal_mass, "
         note += "in 1/kg" if every.scaled else "without a hammer over the largest: masses have no scale"
@@ -352,7 +353,7 @@ def tap_test(
         band=(low, high),
         poles=poles,
         delay=delay,
-        response=response_modes,
+        response=replace(response_modes, band=(low, high)) if hammer is not None else modes,
         unexplained=unexplained,
         measure=measured,
     )

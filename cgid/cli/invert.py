@@ -45,7 +45,7 @@ _WRONG = 0.5
 @click.option("-o", "--output", type=OUTPUT, help="Write force and standard deviation over time to this table (.csv).")
 @click.option("--hammer", metavar="CHANNEL", help="Compare with the force measured in this channel.")
 @click.option(
-    "--band", nargs=2, type=float, metavar="LOW HIGH", help="Use LOW to HIGH [Hz], instead of the range of all modes."
+    "--band", nargs=2, type=float, metavar="LOW HIGH", help="Use LOW to HIGH [Hz], instead of the band of the taps."
 )
 @overwrite_option
 @json_option
@@ -95,6 +95,11 @@ def invert(
     for row in rows:
         if row["clipped"]:
             warn(f"impact at {row['time']:.4g} s: the response is clipped, its force is wrong; use a larger range")
+        if 0 < row["duration"] < row.pop("shortest"):
+            warn(
+                f"impact at {row['time']:.4g} s: the contact is as short as the band can show, so its force may be "
+                "shorter and higher; widen the --band of the taps"
+            )
         if row["peak"] <= 0:
             warn(f"impact at {row['time']:.4g} s: the force pulls; is it inverted (--set invert=true), or elsewhere?")
     if left_out:
@@ -183,6 +188,7 @@ def _row(one: ImpactForce) -> dict[str, Any]:
         "peak": peak[0],
         "peak_deviation": peak[1],
         "duration": found.duration,
+        "shortest": found.shortest,
         "impulse": impulse[0],
         "impulse_deviation": impulse[1],
         "unexplained": found.unexplained,

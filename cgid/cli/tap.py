@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import os
+import shlex
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -29,6 +30,10 @@ if TYPE_CHECKING:
 
 #: A delay of the hammer is told from here on [s].
 _TOLD = 5e-6
+#: Taps whose relative participations scatter by more than this were at several places.
+_SCATTERED = 0.5
+#: So large a part of the modes without a participation is no matter of weak ones.
+_UNSURE = 0.5
 #: A mode of which places predict less is coarsely sampled.
 _COARSE = 0.3
 
@@ -90,7 +95,7 @@ def tap(
     from cgid.calibration.taps import read_taps, save_learned, tap_test
     from cgid.plots.figure import new_picture
 
-    path = check_new(Path(output), "a table of modes", (".csv",), overwrite=overwrite)
+    path = check_new(Path(output), "a table of modes (a scene, in .toml, names it)", (".csv",), overwrite=overwrite)
     drawing = None if picture is None else new_picture(picture, overwrite=overwrite)
     times, places = (None, None) if table is None else read_taps(table)
     _require_roving(places is not None, hammer, sensor)
@@ -121,6 +126,19 @@ def tap(
         from cgid.plots.figure import stabilisation_picture
 
         write_whole(drawing, stabilisation_picture(test), overwrite=overwrite)
+    # The ratios of modes are those of a place. The deviation is that of a mean over the taps.
+    scatter = np.median(test.modes.deviation[2]) * np.sqrt(len(test.used)) if test.modes.deviation is not None else 0.0
+    if hammer is None and len(test.used) > 1 and scatter > _SCATTERED:
+        warn(
+            f"{recording}: taps must be at one place, these excite modes in ratios {100 * scatter:.0f} % apart, "
+            "as falling rocks do; frequencies and damping ratios hold, participations do not: tap one place"
+        )
+    unsure = 0 if test.modes.deviation is None else np.count_nonzero(test.modes.deviation[2] >= 1)
+    if unsure > _UNSURE * test.modes.frequency.size:
+        warn(
+            f"{recording}: modes must be surer than their own size, {unsure} of {test.modes.frequency.size} are not: "
+            "noise, or an exponential window of the recorder; switch that off, tap harder or narrow --band"
+        )
     if len(test.used) == 1:
         warn("one tap: the standard deviations omit the variation between taps; tap about five times")
     _say(test, path, scene_name, known, alike, as_json)
@@ -197,6 +215,12 @@ def read_with_hammer(
                 f"{path}: there must be a channel besides the hammer's, got none; record an accelerometer, too"
             )
     recording = open_recording(path, channel=channels, unit=reading.unit, **chain)
+    forces = [one.name for one in recording.channels if one.unit is not None and one.quantity == "force"]
+    if hammer is None and 0 < len(forces) < len(recording.channels):
+        raise BadData(
+            f"{path}: --hammer must name the channel of a force beside a response, got {', '.join(forces)} without it; "
+            f"give --hammer {shlex.quote(forces[0])}"
+        )
     if recorded_hammer is not None and recorded_hammer.channels[0].name in [one.name for one in recording.channels]:
         raise InvalidValue(f"{path}: --hammer and --channel must be different channels, got {hammer} for both")
     quantity, factor = factor_of(unit_of(recording), path)

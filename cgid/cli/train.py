@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import replace
 from itertools import chain
 from pathlib import Path
@@ -33,7 +34,7 @@ from cgid.cli.options import (
 from cgid.cli.output import accuracy_text, print_json, progress_bar, say, warn, warn_of_one_place
 from cgid.cli.reading import ReadingOptions, reading_options
 from cgid.cli.site import keys
-from cgid.errors import BadData, InvalidValue
+from cgid.errors import BadData, CgidError, InvalidValue
 
 if TYPE_CHECKING:
     from cgid.identification.training.manifest import Manifest
@@ -173,7 +174,7 @@ def train(
 
     if options["by"] is None:
         options["by"] = _requested_windows(context, others, options["features"], reading)
-    manifest = joined([_manifest(item) for item in recorded]) if recorded else None
+    manifest = joined([_manifest(item, reading) for item in recorded]) if recorded else None
     with workers(options.pop("jobs"), options.pop("scheduler")) as options["workers"]:
         if manifest is not None:
             training, failures = _from_recordings(manifest, others, reading, options)
@@ -192,7 +193,7 @@ def _correct(data: tuple[str, ...], base: str, path: Path, reading: ReadingOptio
 
     if len(data) != 1 or not _recorded(data[0]):
         raise BadData(f"{data[-1]}: --from needs one table of labelled impacts, as written by cgid events")
-    return correct_model(_manifest(data[0]), base, path, reading, how, **given)
+    return correct_model(_manifest(data[0], reading), base, path, reading, how, **given)
 
 
 def _recorded(item: str) -> bool:
@@ -212,14 +213,28 @@ def _recorded(item: str) -> bool:
     return is_manifest(item) or (path.suffix.lower() in ENDINGS and not is_dataset(item))
 
 
-def _manifest(item: str) -> Manifest:
-    """Return the manifest of an argument that names recordings."""
-    from cgid.identification.training.manifest import folder_manifest, is_manifest, read_manifest, unlabelled
+def _manifest(item: str, reading: ReadingOptions) -> Manifest:
+    """Return the manifest of an argument that names recordings, or of the column of labels of one."""
+    from cgid.identification.training.manifest import (
+        Manifest,
+        annotation_of,
+        folder_manifest,
+        is_manifest,
+        read_manifest,
+        unlabelled,
+    )
 
     if is_manifest(item):
         return _noted(read_manifest(item))
     if not Path(item).is_dir():
-        raise BadData(f"{item}: {unlabelled('a recording', item)}")
+        marks: list[tuple[float, float, str]] = []
+        with suppress(CgidError):  # without labels it need not be readable to say what it lacks
+            marks = reading.recording(item).labels()
+        if not marks:
+            raise BadData(f"{item}: {unlabelled('a recording', item)}")
+        about = {"path": item, "chosen": "stretch"}
+        rows = [{**about, "start": begin, "end": end, "label": label} for begin, end, label in marks]
+        return Manifest(source=item, annotations=tuple(annotation_of(row, Path(), None) for row in rows))
     manifest = _noted(folder_manifest(item))
     counts = Counter(one.label for one in manifest.annotations)
     counted_labels = ", ".join(f"{label} {count}" for label, count in sorted(counts.items()))

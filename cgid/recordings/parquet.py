@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid.errors import BadData
-from cgid.recordings.recording import Asked, Blocks, Remark, library, library_errors
+from cgid.recordings.recording import LABELS, Asked, Blocks, Remark, library, library_errors, places_of, stretches
 from cgid.recordings.text_layout import ColumnHeader, column_of
 from cgid.recordings.times import is_time_name
 from cgid.recordings.variables import Value, Variable, contents_of, full_scale_of
@@ -37,7 +37,7 @@ _INDEX = "__index_level_"
 def read_parquet(path: Path, source: str, asked: Asked) -> Blocks:
     """Return the columns of a Parquet file as channels; those without numbers are skipped with a warning."""
     file = _Parquet(path, source)
-    warnings, variables, names = list[str](), list[Variable](), list[str]()
+    warnings, variables, names, label = list[str](), list[Variable](), list[str](), ""
     for name, kind, values in file.columns():
         column = column_of(name)
         if kind == "list":
@@ -47,6 +47,7 @@ def read_parquet(path: Path, source: str, asked: Asked) -> Blocks:
             )
         if kind == "other":
             warnings.append(Remark(f"column {name} contains no numbers and is skipped"))
+            label = name if name.lower() in LABELS else label
         elif name.startswith(_INDEX) and kind == "number":
             warnings.append(Remark(f"column {name} is an index without a name and is left out"))
         else:
@@ -64,7 +65,11 @@ def read_parquet(path: Path, source: str, asked: Asked) -> Blocks:
     def read(length: int, channels: Sequence[int]) -> Iterator[NDArray[Any]]:
         return file.blocks([numeric[channel] for channel in channels], length)
 
-    return replace(blocks, read=read, start_time=blocks.start_time or start[0])
+    def labels() -> Iterator[tuple[int, int, str]]:
+        words = list(file.words(label))
+        return stretches(zip(places_of(np.arange(len(words)), blocks.gaps).tolist(), words, strict=True))
+
+    return replace(blocks, read=read, start_time=blocks.start_time or start[0], labels=labels if label else None)
 
 
 def _variable(file: _Parquet, name: str, kind: str, values: dict[str, Value], column: ColumnHeader) -> Variable:
@@ -149,6 +154,12 @@ class _Parquet:
             raise BadData(
                 f"{self._source}: the footer declares {self.n_rows} rows, the file contains {done}; copy it again"
             )
+
+    def words(self, name: str) -> Iterator[str]:
+        """Yield the texts of a column, "" without one."""
+        with self._opened() as file:
+            for batch in file.iter_batches(_ROWS, columns=[name], use_threads=False):
+                yield from (str(value or "").strip() for value in batch.column(name).to_pylist())
 
     @contextmanager
     def _opened(self) -> Iterator[Any]:

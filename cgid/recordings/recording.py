@@ -36,6 +36,9 @@ MAX_NUMBERS = 1 << 22
 #: Maximum number of channels; a file with more has its samples along the wrong axis.
 MAX_CHANNELS = 4096
 
+#: Names of a column of labels.
+LABELS = ("label", "labels", "class", "material", "标签")
+
 #: Channels that begin within this part of a sample are simultaneous.
 SIMULTANEOUS = 0.05
 
@@ -263,12 +266,28 @@ class Blocks:
 def _shifted(
     blocks: Iterable[NDArray[Any] | tuple[int, NDArray[Any]]], gaps: Sequence[tuple[int, int]]
 ) -> Iterator[tuple[int, NDArray[Any]]]:
-    starts, lost, count = [start for start, _ in gaps], np.cumsum([0, *(number for _, number in gaps)]), 0
+    count = 0
     for block in blocks:
         assert not isinstance(block, tuple)
-        stored = count + np.arange(block.shape[1])
-        yield from with_gaps(stored + lost[np.searchsorted(starts, stored, side="right")], block)
+        yield from with_gaps(places_of(count + np.arange(block.shape[1]), gaps), block)
         count += block.shape[1]
+
+
+def places_of(stored: NDArray[np.int64], gaps: Sequence[tuple[int, int]]) -> NDArray[np.int64]:
+    """Return the places in the recording of stored samples."""
+    lost = np.cumsum([0, *(number for _, number in gaps)])
+    return np.asarray(stored + lost[np.searchsorted([start for start, _ in gaps], stored, side="right")])
+
+
+def stretches(words: Iterable[tuple[int, str]]) -> Iterator[tuple[int, int, str]]:
+    """Yield begin, end and text of the runs of one word of samples, each given with its place; "" is none."""
+    begin, end, label = 0, 0, ""
+    for place, word in words:
+        if word != label:
+            yield from [(begin, end, label)] if label else []
+            begin, label = place, word
+        end = place + 1
+    yield from [(begin, end, label)] if label else []
 
 
 def with_gaps(places: NDArray[np.int64], samples: NDArray[Any]) -> Iterator[tuple[int, NDArray[Any]]]:

@@ -8,7 +8,7 @@ import re
 from collections import deque
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import pairwise
+from itertools import chain, pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -19,7 +19,16 @@ from cgid._lib.terminal import counted
 from cgid._lib.validation import STATED_RATE, rates_agree
 from cgid.errors import BadData
 from cgid.recordings.gaps import counts
-from cgid.recordings.recording import MAX_CHANNELS, Asked, Blocks, Remark, require_one_rate, with_gaps
+from cgid.recordings.recording import (
+    LABELS,
+    MAX_CHANNELS,
+    Asked,
+    Blocks,
+    Remark,
+    require_one_rate,
+    stretches,
+    with_gaps,
+)
 from cgid.recordings.text_layout import (
     MIXED,
     SNIFFED,
@@ -59,8 +68,6 @@ _COMMA = re.compile(r"^[^#%/\n]*,", re.MULTILINE)
 #: A line of a head that states a scale, such as "tscale,0.001".
 _SCALED = re.compile(r"\s*[a-z]?scale\s*[,;:=]\s*[\d.]", re.IGNORECASE)
 _DAY = 86_400.0
-#: Names of a column of labels.
-_LABELS = ("label", "labels", "class", "material", "标签")
 #: A column with fewer numbers than this part of the first rows is a slow channel.
 _SLOW = 0.5
 
@@ -319,7 +326,8 @@ def _header_and_body(path: Path, encoding: str, source: str, warnings: list[str]
             piece = piece[: piece.rfind("\n") + 1] or piece
     above: deque[str] = deque()
     start, layout, loose = 0, None, None
-    lines = _lines(piece)
+    # `str.splitlines` also splits at other characters: line numbers would differ from those of the rows.
+    lines = io.StringIO(piece, newline="\n")
     line = next(lines, "")
     while line:
         following = next(lines, "")
@@ -415,7 +423,7 @@ def _without_words(header: Header, layout: Layout, source: str, warnings: list[s
     warnings += [Remark(f"column {named} contains words and is left out")] if layout.words else []
     stamp = None if layout.stamp is None else picked.index(layout.stamp)
     narrow = replace(layout, n_columns=len(picked), picked=picked if layout.words else (), stamp=stamp)
-    label = [at for at in layout.words if columns[at].name.lower() in _LABELS]
+    label = [at for at in layout.words if columns[at].name.lower() in LABELS]
     has_names = bool(header.columns or layout.units)
     header = replace(header, columns=tuple(columns[at] for at in picked) if has_names else ())
     return header, replace(narrow, label=label[0] if label else None)
@@ -468,24 +476,12 @@ def _n_names(above: Sequence[str], layout: Layout) -> int:
     return len(fields) if is_list else 0
 
 
-def _lines(piece: str) -> Iterator[str]:
-    # `str.splitlines` also splits at other characters: line numbers would differ from those of the rows.
-    start = 0
-    while start < len(piece):
-        end = piece.find("\n", start) + 1 or len(piece)
-        yield piece[start:end]
-        start = end
-
-
 def _corrected(layout: Layout, second: str, above: deque[str]) -> Layout:
     """Return the layout of the first row, corrected by the other lines."""
-    if layout.trailing:
-        wider = replace(layout, n_columns=layout.n_columns + 1, trailing=False)
-        named = read_header(above, wider).columns
-        # An empty last field is a missing number if the next row has one there or the header names the column.
-        if (named and named[-1].name) or wider.fields(second)[-1]:
-            layout = wider
-    return layout
+    wider = replace(layout, n_columns=layout.n_columns + 1, trailing=False)
+    named = read_header(above, wider).columns if layout.trailing else ()
+    # An empty last field is a missing number if the next row has one there or the header names the column.
+    return wider if layout.trailing and ((named and named[-1].name) or wider.fields(second)[-1]) else layout
 
 
 def _is_damaged_row(line: str, layout: Layout) -> bool:
@@ -600,14 +596,8 @@ def assembled(header: Header, body: Body, warnings: list[str], asked: Asked, tim
                     yield at + first, samples[:, first : first + length]
 
     def labels() -> Iterator[tuple[int, int, str]]:
-        begin, end, label = 0, 0, ""
-        for places, _, piece in placed(()):
-            for place, word in zip(places.tolist(), body.words(piece), strict=False):
-                if word != label:
-                    yield from [(begin, end, label)] if label else []
-                    begin, label = place, word
-                end = place + 1
-        yield from [(begin, end, label)] if label else []
+        pieces = (zip(places.tolist(), body.words(piece), strict=False) for places, _, piece in placed(()))
+        return stretches(chain.from_iterable(pieces))
 
     about["labels"] = None if body.layout.label is None else labels
     if beginning.is_last and finite[[*times, *samples_columns]].all():
@@ -641,12 +631,8 @@ def _measured_rate(
             rate = refined_rate(rate, float(times[0]), float(clock.times(last[None])[0]))
         rates.append(rate)
     for (earlier, a), (later, b) in pairwise(zip(clocks, rates, strict=True)):
-        if not rates_agree(a, b, STATED_RATE):
-            raise BadData(
-                f"{source}: the sampling rate must be one to 0.1 %, time column {names[earlier.columns[0]]!r} "
-                f"gives {a:.10g} Hz and {names[later.columns[0]]!r} {b:.10g} Hz; export the channels of one "
-                "rate only"
-            )
+        first, second = ((rate, f"time column {names[one.columns[0]]!r}") for one, rate in ((earlier, a), (later, b)))
+        require_one_rate(first, second, source)
     return rates[0]
 
 

@@ -222,10 +222,13 @@ def _as_numbers(date: re.Match[str]) -> str:
 
 def stamped_layout_of(line: str, following: str) -> Layout | None:
     """Return the layout of `line` if it is a row with one stamp, like the next one; else None."""
-    first, second = _layout(line), _layout(following)
-    if first is None or second is None or (first.n_columns, first.stamp) != (second.n_columns, second.stamp):
-        return None
-    return first
+    return _like(_layout(line), _layout(following))
+
+
+def _like(first: Layout | None, second: Layout | None) -> Layout | None:
+    """Return the layout of a row if that of the next has as many columns, and the stamp in the same."""
+    same = first and second and (first.n_columns, first.stamp) == (second.n_columns, second.stamp)
+    return first if same else None
 
 
 def plain_rows(text: str, layout: Layout) -> str:
@@ -249,7 +252,8 @@ def stamped_moment(line: str, *, is_only_field: bool = False) -> datetime | None
     if match is None or not (match[1] or match[4]) or _is_ambiguous(match):
         return None
     try:
-        moment = _moment(match) + timedelta(microseconds=int((match[11] or "0")[:6].ljust(6, "0")))
+        moment = _EPOCH + timedelta(days=_day(*match.groups()[:7]), seconds=_second(match))
+        moment += timedelta(microseconds=int((match[11] or "0")[:6].ljust(6, "0")))
     except (OverflowError, ValueError):
         return None
     if match[13] is None:
@@ -267,11 +271,6 @@ def has_ambiguous_date(line: str) -> bool:
 
 def _is_ambiguous(match: re.Match[str]) -> bool:
     return match[5] == "/" and not match[12] and max(int(match[4]), int(match[6])) <= 12 and match[4] != match[6]
-
-
-def _moment(match: re.Match[str]) -> datetime:
-    """Return the datetime of a stamp without the fraction of its second; raise `ValueError` if there is none such."""
-    return _EPOCH + timedelta(days=_day(*match.groups()[:7]), seconds=_second(match))
 
 
 @lru_cache(maxsize=64)
@@ -319,10 +318,9 @@ _WITH_UNIT = re.compile(r"(.*[\d.])\s*([^\d\s.][^\d]*\d?)")
 
 def loose_layout_of(line: str, following: str, above: Sequence[str]) -> Layout | None:
     """Return the layout of `line` if it has words or units beside its numbers, as the next row; else None."""
-    first, second = _loose(line), _loose(following)
-    if first is None or second is None or (first.n_columns, first.stamp) != (second.n_columns, second.stamp):
-        return None
-    if {*first.words} != {*second.words}:
+    second = _loose(following)
+    first = _like(_loose(line), second)
+    if first is None or second is None or {*first.words} != {*second.words}:
         return None
     # Lines such as "serial, 123" above each other are no rows; names above rows or words that repeat show a table.
     repeats = all(first.fields(line)[at] == first.fields(following)[at] for at in first.words)

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from cgid._lib.validation import rates_agree
 from cgid.errors import BadData
-from cgid.recordings.recording import Asked, Blocks, library, library_errors
+from cgid.recordings.recording import Asked, Blocks, Remark, library, library_errors
 from cgid.recordings.text_layout import stated_chain
 from cgid.recordings.times import lost_before, rate_of, seconds
 from cgid.units import hertz_of, known_unit, seconds_of
@@ -115,6 +115,7 @@ def read_uff(path: Path, source: str, asked: Asked) -> Blocks:
             for number, (place, header) in enumerate(zip(positions, headers, strict=True), 1)
         ]
         selected = _select(sets, source, asked.variable)
+        left_out = [] if asked.variable else [one for one in sets if not one.is_recording]
         _require_recordings(selected, source)
         data_sets = [file.read_sets(one.position_in_file) for one in selected]
     samples = np.stack([_samples(one, its, source) for one, its in zip(data_sets, selected, strict=True)])
@@ -134,6 +135,7 @@ def read_uff(path: Path, source: str, asked: Asked) -> Blocks:
         rate_from="abscissa",
         start_time=first.start_time,
         starts=[one.start_time for one in selected],
+        warnings=[Remark(f"data set {one} is no response over time and is left out") for one in left_out],
     )
 
 

@@ -138,10 +138,8 @@ def full_scale_of(dtype: np.dtype[Any]) -> float | None:
 
 def stated_names(values: Values, n_channels: int) -> list[str] | None:
     """Return the names of the channels, None without any."""
-    for _, value, _, _ in _named(values, _CHANNEL_NAMES):
-        if isinstance(value, list) and len(value) == n_channels:
-            return value
-    return None
+    named = (value for _, value, _, _ in _named(values, _CHANNEL_NAMES))
+    return next((one for one in named if isinstance(one, list) and len(one) == n_channels), None)
 
 
 def stated_start(values: Values) -> datetime | None:

@@ -30,8 +30,10 @@ from cgid.measure.modal.modes import LINE_DAMPING, Modes, are_lines
 _MOTIONS = ("displacement", "velocity", "acceleration")
 #: The band reaches beyond the modes by this factor.
 _BEYOND = 1.1
-#: The force may begin this long before a detected onset, and is looked for this long after it [s].
+#: The force may begin this long before a detected onset, and is looked for this long after it [s]: a short time first,
+#: each next twice as long, which counts where it leaves less than this part.
 _BEFORE, CONTACT = 1e-3, 6e-3
+_SHORT, _LONGER_IS_BETTER = 1.5e-3, 0.9
 #: Longest vibration that is used [s]; where the place is unknown, of noise before an impact.
 _LONGEST, _QUIET_TIME = 1.0, 5e-3
 #: Step of numerical slopes of a pulse.
@@ -43,17 +45,21 @@ _FOOT, _MARGIN = 0.05, 0.6
 _PARTS = 40
 #: A measured force is moved by at most this time [s].
 _SHIFT = 2e-3
-#: Corners of the force in a period of the band's end.
+#: Corners of the force in a period of the band's end; then in that or the contact, whichever is shorter.
 _COARSE, _FINE = 3.0, 6.0
 #: Bins whose errors are alike, since they belong to one mode.
 _ALIKE = 100.0
 #: Fraction of the amplitude below which an unexplained rest is no smaller: the corners do not follow the force exactly.
 _QUIET = 6e-3
+#: Durations that a band shows are no shorter than this part of the period of its end.
+_NARROWEST = 0.6
 #: Rounds after the first, about the contact that the last has found.
-_ROUNDS = 2
+_ROUNDS = 5
 #: Standard deviation of a mode's error in one impact, over that of the table, which is a mean of several taps; where
 #: the table states none; the least.
 _SINGLE, _UNSTATED, _LEAST = 2.0, 0.05, 0.01
+#: Errors of modes are at most so many times what they leave unexplained, since a force may take up the rest.
+_HIDDEN = 3.0
 #: Relative size of what is added to the diagonal of a Gram matrix.
 _RIDGE = 1e-9
 
@@ -72,6 +78,8 @@ class RecoveredForce:
         Fraction of the amplitude of the vibration, in the band, that the force does not explain.
     place, place_deviation : tuple of float, optional [m]
         x and y of the impact where the place was looked for, and their standard deviations.
+    shortest : float [s]
+        A duration below this is what the band shows of any shorter contact: then the peak may be higher.
     """
 
     time: Floats
@@ -80,6 +88,7 @@ class RecoveredForce:
     unexplained: float
     place: tuple[float, float] | None = None
     place_deviation: tuple[float, float] | None = None
+    shortest: float = 0.0
 
     @property
     def deviation(self) -> Floats:
@@ -171,7 +180,7 @@ def recover_force(
     quantity : {"acceleration", "velocity", "displacement"}
         Of the response.
     band : tuple of float, optional [Hz]
-        By default the range of the natural frequencies.
+        By default that of the taps, else the range of the natural frequencies.
     contact : float [s]
         Longest contact.
 
@@ -243,7 +252,15 @@ def recover_each(
             _Vibration(row[first:last], own, sampling_rate, derivatives, band, first, found)
             for row, own in zip(response, every, strict=True)
         ]
-        out.append(_recovered(vibrations, first, round((contact + _BEFORE) * sampling_rate)))
+        tried, best = min(_SHORT, contact), None
+        while True:
+            one = _recovered(vibrations, first, round((tried + _BEFORE) * sampling_rate))
+            if best is None or one.unexplained < _LONGER_IS_BETTER * best.unexplained:
+                best = one
+            if tried >= contact:
+                break
+            tried = min(2 * tried, contact)
+        out.append(best)
     return out
 
 
@@ -312,15 +329,16 @@ def _pulse(logs: Floats, time: Floats | None, sampling_rate: float) -> tuple[Flo
 
 
 def _band_of(modes: Sequence[Modes], band: tuple[float, float] | None, sampling_rate: float) -> tuple[float, float]:
-    """Return the band [Hz], that of the modes if not given, within that of the recording."""
+    """Return the band [Hz], that of the tables or of the modes if not given, within that of the recording."""
     frequency = np.concatenate([own.frequency[~are_lines(own.damping_ratio)] for own in modes])
     if not frequency.size:
         raise BadData(
             f"modes must contain one with a damping ratio below {LINE_DAMPING / 2:g}; name a table of cgid tap"
         )
-    low, high = band or (frequency.min() / _BEYOND, frequency.max() * _BEYOND)
     if band is None:
-        high = min(high, 0.45 * sampling_rate)
+        ends = [own.band or (frequency.min() / _BEYOND, frequency.max() * _BEYOND) for own in modes]
+        band = max(low for low, _ in ends), min(min(high for _, high in ends), 0.45 * sampling_rate)
+    low, high = band
     if not 0 < low < high:
         raise InvalidValue(f"band must be two ascending frequencies above 0, got {low:.4g} and {high:.4g} Hz")
     if high > 0.49 * sampling_rate:
@@ -383,7 +401,8 @@ def _recovered(vibrations: Sequence[_Vibration], first: int, n_samples: int) -> 
         start, n_samples = start + begin, end - begin
         force, covariance, unexplained = _solved(vibrations, start, n_samples, guess, unexplained)
     time = (first + start + np.arange(force.size)) / vibrations[0].stretch.sampling_rate
-    return RecoveredForce(time=time, force=force, covariance=covariance, unexplained=unexplained)
+    shortest = _NARROWEST / vibrations[0].high
+    return RecoveredForce(time=time, force=force, covariance=covariance, unexplained=unexplained, shortest=shortest)
 
 
 def _contact_in(force: Floats) -> tuple[int, int]:
@@ -402,7 +421,9 @@ def _solved(
     """Return the force at samples from `start` on, its covariance, and the fraction of the amplitude unexplained."""
     # With a guess of the force, each mode may be wrong by a complex factor.
     rate = vibrations[0].stretch.sampling_rate
-    spacing = max(rate / ((_COARSE if guess is None else _FINE) * vibrations[0].high), 1.0)
+    length = 0 if guess is None else np.count_nonzero(guess > _FOOT * guess.max()) + 1
+    finest = rate / (_COARSE * vibrations[0].high) if guess is None else min(rate / vibrations[0].high, length) / _FINE
+    spacing = max(finest, 1.0)
     # Zero just outside: corners from one spacing inside.
     corners = np.arange(spacing, n_samples, spacing)
     hats = np.maximum(1 - np.abs(np.arange(n_samples)[:, None] - corners) / spacing, 0.0)
@@ -415,25 +436,31 @@ def _solved(
     target = np.concatenate([one.bins * level for one, level in zip(vibrations, levels, strict=True)])
     gram, vector = (matrix.conj().T @ matrix).real, (matrix.conj().T @ target).real
     gram += _RIDGE * np.diag(gram).max() * np.eye(len(gram))
+    noise = 0.0
     if guess is not None:
-        # A half sine of this peak and length bends so much from corner to corner; noise is what was left before.
-        length = np.count_nonzero(guess > _FOOT * guess.max()) + 1
+        # A half sine of this peak and length bends so much from corner to corner; noise is what was left before. What
+        # this says in place of the band is as uncertain as it allows.
         bends = guess.max() * (np.pi * spacing / length) ** 2
         second = np.diff(np.eye(corners.size + 2), 2, axis=0)[:, 1:-1]
-        gram += _ALIKE * np.square(max(before, _QUIET)) / 2 / bends**2 * second.T @ second
+        noise = _ALIKE * np.square(max(before, _QUIET)) / 2
+        gram += noise / bends**2 * second.T @ second
     force = _pushing(gram, vector)
     left = target - matrix @ force
     inverse = np.linalg.inv(gram)
+    unexplained = float(np.linalg.norm(left) / max(float(np.linalg.norm(target)), 1e-300))
     # Residuals of parts of the band, and the errors of the modes, of which a force may explain the larger part.
     blocks = zip(np.array_split(matrix, _PARTS), np.array_split(left, _PARTS), strict=True)
     pulls = [np.stack([(own.conj().T @ rest).real for own, rest in blocks])]
-    for own, one, level in zip(parts, vibrations, levels, strict=True):
-        if guess is not None:
-            moved = own.conj().T @ (one.by_mode(guess) * one.error * level)
+    if guess is not None:
+        errors = [one.by_mode(guess) * one.error * level for one, level in zip(vibrations, levels, strict=True)]
+        # Rows that cancel have large errors, which leave no more than is seen.
+        size = np.sqrt(sum(float(np.square(np.abs(rest)).sum()) for rest in errors))
+        share = min(1.0, _HIDDEN * max(unexplained, _QUIET) * float(np.linalg.norm(target)) / max(size, 1e-300))
+        for own, rest in zip(parts, errors, strict=True):
+            moved = share * own.conj().T @ rest
             pulls += [moved.real.T, moved.imag.T]
     pull = np.concatenate(pulls) @ inverse
-    unexplained = float(np.linalg.norm(left) / max(float(np.linalg.norm(target)), 1e-300))
-    return hats @ force, hats @ (pull.T @ pull) @ hats.T, unexplained
+    return hats @ force, hats @ (pull.T @ pull + noise * inverse) @ hats.T, unexplained
 
 
 def _pushing(gram: Floats, vector: Floats) -> Floats:

@@ -19,7 +19,7 @@ from cgid.identification.prediction.findings import SameBeamWarning
 from cgid.identification.training.recordings import measurable, unit_of
 from cgid.identification.training.rows import SAME_IMPACT
 from cgid.measure.features.extraction import kind_for
-from cgid.measure.features.table import ImpactKind
+from cgid.measure.features.table import LEAST_SAMPLES, ImpactKind
 from cgid.recordings import RecordingFile, open_recording
 from cgid.units import quantity_of
 
@@ -152,7 +152,9 @@ def interval_rows(rocks: Sequence[Sequence[Event]], unit: str) -> Iterator[dict[
     """Yield the cells of each rock, of which every channel has an event."""
     before = 0.0
     for events, following in zip(rocks, [*rocks[1:], None], strict=True):
-        time, end = events[0].time, max(event.end / event.sampling_rate for event in events)
+        time = events[0].time
+        # At low rates a vibration is as long as what is measured of it, which its energy may leave sooner.
+        end = max(max(event.end, event.onset + _least(event)) / event.sampling_rate for event in events)
         start = max(time - _BEFORE, (before + time) / 2 if before else 0.0)
         if following is not None:
             end = min(end, max(following[0].time - _BEFORE, (time + following[0].time) / 2))
@@ -168,6 +170,11 @@ def interval_rows(rocks: Sequence[Sequence[Event]], unit: str) -> Iterator[dict[
                 name for name in ("overlapping", "clipped", "cut") if any(getattr(event, name) for event in events)
             ),
         }
+
+
+def _least(event: Event) -> int:
+    """Return the least length of a row [samples]; the end of a pulse is known."""
+    return 0 if event.pre_trigger is None else LEAST_SAMPLES
 
 
 def found_impacts(

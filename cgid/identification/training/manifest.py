@@ -28,6 +28,7 @@ from cgid.identification.prediction.settings import LabelledSpan, require_groups
 from cgid.identification.training.stretches import Row, resolved
 from cgid.recordings.chain import Chain, Gain
 from cgid.recordings.formats import ENDINGS
+from cgid.recordings.recording import LABELS
 from cgid.units import quantity_of
 
 #: The columns of a row.
@@ -62,6 +63,8 @@ _OF_RECORDINGS = {
     "gain": "recording_gain",
     "rate": "sampling_rate",
 }
+#: Columns that a table of samples has not.
+_OF_MANIFESTS = {"path", "group", "start", "end", "start_s", "end_s", "time_s"}
 #: Maximum number of mistakes reported at once.
 _MAX_MISTAKES = 20
 
@@ -282,14 +285,20 @@ def is_manifest(path: str | Path) -> bool:
 
 
 def _is_table_of_numbers(path: Path) -> bool:
-    """Return whether the first lines of a CSV file name no column of a manifest and contain numbers or times only."""
+    """Return whether the first lines of a CSV file contain numbers or times only, besides labels of its samples."""
     try:
         with path.open("rb") as file:
             lines = file.read(_HEAD).decode("utf-8-sig", "replace").splitlines()
     except OSError:
         return False
     rows = [[cell.strip().strip('"').lower() for cell in re.split("[,;\t]", line)] for line in lines]
-    return not any({"path", "label"} & set(cells) for cells in rows) and any(map(_NUMBERS_ONLY.fullmatch, lines))
+    at = next((cells.index(one) for cells in rows for one in LABELS if one in cells), None)
+    if any(_OF_MANIFESTS & set(cells) for cells in rows):
+        return False
+    if at is None:
+        return any(map(_NUMBERS_ONLY.fullmatch, lines))
+    # Two numbers at least, such as a time and a sample.
+    return any(len(row) > 2 and _NUMBERS_ONLY.fullmatch(",".join(row[:at] + row[at + 1 :])) for row in rows)
 
 
 def read_manifest(path: str | Path, text: str | None = None) -> Manifest:

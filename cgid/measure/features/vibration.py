@@ -2,7 +2,8 @@
 
 Quantities are relative to a baseline and a noise from before onset, and use the event: the samples from the onset on,
 most of them times `exp(-t / WINDOW_TIME)`, the exponential window of impact testing. So neither the length of the frame
-nor the sampling rate matters much, except for skewness, kurtosis and flatness of the spectrum (`EnergySpectrum`).
+nor the sampling rate matters much, except for skewness, kurtosis and flatness of the spectrum (`EnergySpectrum`). Rates
+below 2 kHz show low frequencies alone, of which a window holds too few periods: it is longer there, as frames are.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid._lib.validation import Floats
-from cgid.measure.features.table import LEAST_BANDWIDTH, MIN_BANDWIDTH, Bank, Feature, bank, described
+from cgid.measure.features.table import LEAST_BANDWIDTH, LEAST_SAMPLES, MIN_BANDWIDTH, Bank, Feature, bank, described
 from cgid.measure.frames import Frames, Problem, ProblemKind, constant_signal, no_impact
 from cgid.measure.spectra import (
     MEL_BANDS,
@@ -29,13 +30,14 @@ from cgid.measure.spectra import (
     third_octave,
 )
 
-#: Time constant of the exponential window [s]. It widens a line by 1 / (pi WINDOW_TIME) = 21 Hz.
-WINDOW_TIME = 15e-3
-#: Minimum distance between maxima of the spectrum [Hz]: several widths of a line.
+#: Time constant of the exponential window [s]. It widens a line by 1 / (pi WINDOW_TIME) = 21 Hz. At low rates it is a
+#: part of `LEAST_SAMPLES`.
+WINDOW_TIME, _WINDOW_PART = 15e-3, 0.17
+#: Minimum distance between maxima of the spectrum [Hz]: several widths of a line, less where the window is longer.
 MIN_SEPARATION = 100.0
 #: Length of the frames for the delay of a band [s].
 DELAY_FRAME = 10e-3
-#: Longest event [s]: the window has then fallen to 2e-6.
+#: Longest event [s]: the window has then fallen to 2e-6. At low rates it is all of `LEAST_SAMPLES`.
 MAX_EVENT = 0.2
 #: Shortest event [s].
 MIN_EVENT = 5e-3
@@ -144,7 +146,8 @@ class VibrationBatch(Frames):
     def event(self) -> Floats:
         """Samples from the onset on, less the baseline; zeros after the end of the frame."""
         n_samples = self.samples.shape[1]
-        out = np.zeros((len(self.samples), min(n_samples, int(np.ceil(MAX_EVENT * self.sampling_rate)))))
+        longest = max(int(np.ceil(MAX_EVENT * self.sampling_rate)), LEAST_SAMPLES)
+        out = np.zeros((len(self.samples), min(n_samples, longest)))
         # Row by row: copying a slice is several times faster than gathering the same samples.
         for row, first in enumerate(self.first.tolist()):
             part = self.samples[row, first : first + out.shape[1]]
@@ -156,9 +159,14 @@ class VibrationBatch(Frames):
         """Number of samples of each event inside the frame."""
         return np.asarray(np.minimum(self.samples.shape[1] - self.first, self.event.shape[1]))
 
+    @property
+    def _n_window(self) -> float:
+        """Time constant of the exponential window [samples]."""
+        return max(WINDOW_TIME * self.sampling_rate, _WINDOW_PART * LEAST_SAMPLES)
+
     @cached_property
     def _window(self) -> Floats:
-        return np.exp(-np.arange(self.event.shape[1]) / (WINDOW_TIME * self.sampling_rate))
+        return np.exp(-np.arange(self.event.shape[1]) / self._n_window)
 
     @cached_property
     def _noise_share(self) -> Floats:
@@ -297,7 +305,7 @@ class VibrationBatch(Frames):
     @cached_property
     def dominant_frequencies(self) -> Floats:
         """Frequencies of the three strongest maxima of the clean spectrum [Hz], (n_signals, 3)."""
-        return self.clean_spectrum.dominant(3, MIN_SEPARATION)
+        return self.clean_spectrum.dominant(3, MIN_SEPARATION * WINDOW_TIME * self.sampling_rate / self._n_window)
 
     # -- bands that overlap ---------------------------------------------------------------------------
 

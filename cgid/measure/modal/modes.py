@@ -36,6 +36,8 @@ LEARNED_COLUMNS = {
 }
 #: Columns of a complex participation, real and imaginary part, which a table of measured modes may lack.
 COMPLEX_COLUMNS = {"in_phase": "1/kg", "quadrature": "1/kg"}
+#: Columns of the band in which taps gave the modes, in each row the same, which a table may lack.
+BAND_COLUMNS = {"band_low": "Hz", "band_high": "Hz"}
 #: A participation is at least this [1/kg], so that shapes are finite. Modes are compared at frequencies so many
 #: half-widths from each.
 _LEAST, _BESIDE = 1e-12, (0.0, 0.5, 1.0, 2.0, 4.0, 8.0)
@@ -77,6 +79,8 @@ class Modes:
         Whether the scale of the shapes is known; otherwise only their ratios are.
     residual : float [m/N]
         Static compliance of the omitted higher modes where the force acts.
+    band : tuple of float, optional [Hz]
+        Where measured modes, with rows for those outside, respond like the beam.
     """
 
     frequency: Floats
@@ -86,6 +90,7 @@ class Modes:
     deviation: Floats | None = None
     scaled: bool = True
     residual: float = 0.0
+    band: tuple[float, float] | None = None
 
     @classmethod
     def of(cls, columns: Mapping[str, ArrayLike]) -> Modes:
@@ -312,7 +317,8 @@ def read_modes(path: str | Path, columns: Mapping[str, str] = COLUMNS) -> Modes:
     The first line names the columns with their units, in any order: `frequency [Hz]`, `damping_ratio [1]`,
     `modal_mass [kg]`, `shape_impact [1]`, `shape_sensor [1]`; other columns are ignored. Each further line is one mode;
     empty lines and lines that begin with # are ignored. `in_phase [1/kg]` and `quadrature [1/kg]`, a complex
-    participation in place of that of masses and shapes, may be missing.
+    participation in place of that of masses and shapes, may be missing, and so may `band_low [Hz]` and
+    `band_high [Hz]`, the band in which the modes respond like the beam.
 
     Parameters
     ----------
@@ -345,8 +351,13 @@ def read_modes(path: str | Path, columns: Mapping[str, str] = COLUMNS) -> Modes:
     >>> modes.participation().round(6).tolist()
     [0.001714, -0.001167]
     """
-    rows = rows_of_table(path, columns, COMPLEX_COLUMNS if columns is COLUMNS else {})
+    rows = rows_of_table(path, columns, COMPLEX_COLUMNS | BAND_COLUMNS if columns is COLUMNS else {})
     modes = Modes.of({name: [row[name] for row in rows] for name in columns})
+    if BAND_COLUMNS.keys() <= rows[0].keys():
+        low, high = (rows[0][name] for name in BAND_COLUMNS)
+        if not low < high:
+            raise BadData(f"{path}: band_low must be below band_high, got {low:g} and {high:g} Hz; correct them")
+        modes = replace(modes, band=(low, high))
     if not COMPLEX_COLUMNS.keys() <= rows[0].keys():
         return modes
     real, imaginary = (np.array([row[name] for row in rows]) for name in COMPLEX_COLUMNS)
@@ -407,7 +418,8 @@ def text_of_shapes(places: Floats, shapes: Floats) -> str:
 
 def text_of_table(columns: Mapping[str, Floats], scale: str = "1") -> str:
     """Return columns of `COLUMNS` or `LEARNED_COLUMNS`, each (n_modes,), as the text of a table of modes."""
-    units = COLUMNS | LEARNED_COLUMNS | {"participation": scale, **dict.fromkeys(COMPLEX_COLUMNS, scale)}
+    units = COLUMNS | LEARNED_COLUMNS | BAND_COLUMNS
+    units |= {"participation": scale, **dict.fromkeys(COMPLEX_COLUMNS, scale)}
     titles = ",".join(f"{name} [{units[name]}]" for name in columns)
     rows = (",".join(f"{float(value)!r}" for value in row) for row in zip(*columns.values(), strict=True))
     return "\n".join((titles, *rows)) + "\n"
@@ -450,4 +462,4 @@ def _require_rule(name: str, value: ArrayLike) -> Floats:
         return validation.damping_ratio(name, value)
     if name.endswith("_deviation"):
         return validation.not_negative(name, value)
-    return validation.positive(name, value, (COLUMNS | LEARNED_COLUMNS)[name])
+    return validation.positive(name, value, (COLUMNS | LEARNED_COLUMNS | BAND_COLUMNS)[name])
