@@ -152,11 +152,10 @@ def untold_beams(model: StoredModel, channels: Sequence[str], given: Sequence[An
 
 
 def warn_of_chance(model: StoredModel, source: str = "", gangue: Sequence[str] = ("gangue",)) -> None:
-    """Warn if a model is not shown to be better than chance."""
-    from cgid.identification.prediction.fraction import unproven
+    """Warn if a model follows what sounds between the rocks, or is not shown to be better than chance."""
+    from cgid.identification.prediction.fraction import followed, unproven
 
-    if reason := unproven(model, gangue):
-        warn(
-            f"{source}the model is not shown to be better than chance, so neither SHUT nor OPEN follows from it: "
-            f"{reason}; label impacts of more recordings"
-        )
+    told = followed(model.training)
+    if reason := told or unproven(model, gangue):
+        cure = "label both materials in each state of the machines" if told else "label impacts of more recordings"
+        warn(f"{source}{reason}; neither SHUT nor OPEN follows from it; {cure}")

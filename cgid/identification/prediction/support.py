@@ -55,7 +55,7 @@ class Ground(StrEnum):
     BLIND = "blind"  # samples are missing, constant, or far below the channel's own earlier noise
     WRONG_SCALE = "wrong_scale"  # the levels are not those of the training, or of a mixture with the stated coal
     MOSTLY_UNKNOWN = "mostly_unknown"  # most impacts of the last minutes are unknown
-    UNPROVEN = "unproven"  # the model is not shown to be better than chance
+    UNPROVEN = "unproven"  # the model is not shown to be better than chance, or follows machines instead of rocks
     STOPPED = "stopped"  # no samples arrive
 
 
@@ -366,7 +366,7 @@ class CavingWatch:
         if Condition.MOSTLY_UNKNOWN in conditions:
             return Ground.MOSTLY_UNKNOWN, end, "most of its latest impacts are unknown"
         if self._unproven:
-            return Ground.UNPROVEN, end, f"the model is not shown to be better than chance: {self._unproven}"
+            return Ground.UNPROVEN, end, self._unproven
         return Ground.SEEN, end, ""
 
     def _probability(self, answer: Answer) -> float:
