@@ -23,9 +23,11 @@ from cgid.identification.prediction.fraction import followed, unproven
 from cgid.identification.training.control import in_common, odd_sources
 from cgid.identification.training.correction import correct
 from cgid.identification.training.manifest import read_manifest
-from cgid.identification.training.recordings import Reading, record
+from cgid.identification.training.recordings import Cutting, Reading, default_names, opened, record
 from cgid.identification.training.rows import Slicing
 from cgid.identification.training.training import Training, train_on_groups
+from cgid.labelling.learning import NEW, Learning
+from cgid.labelling.recording import LabelledRecording
 
 FACE = Face(77)
 SOUND = Design("sound", State(), State())
@@ -314,3 +316,33 @@ def test_forces_and_windows_and_two_sensors_have_the_control(tmp_path: Path) -> 
     assert of_force["n"] > 100
     assert of_windows["n"] > 50
     assert of_windows["same"] > of_windows["other"] + 0.1
+
+
+# -- the page of label ------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("both", [False, True], ids=["a state for each label", "each label in each state"])
+def test_the_page_of_labels_shows_the_control_and_the_missing_state(both: bool, tmp_path: Path) -> None:
+    manifest = read_manifest(written(tmp_path, FACE, replace(LOUD, n_files=8, n_rocks=10, both=both), 5))
+    slicing = Slicing(by="impact")
+    cutting = Cutting(default_names("vibration", [RATE], slicing), slicing, "m/s^2")
+    recordings = []
+    for one in manifest.annotations:
+        file = opened((replace(one, label=""),), Reading())
+        listed = LabelledRecording(file, {"path": one.written}, "vibration", {NEW: cutting})
+        listed.read(NEW, lambda: False)
+        recordings.append(listed)
+    learning = Learning(None, lambda: False)
+    learning.learn(recordings, manifest)
+    assert learning.trainings[NEW].control is None
+    learning.hear(recordings, manifest)
+    control = learning.trainings[NEW].control
+    assert control is not None
+    assert control["told"] == ("" if both else "background")
+    notes = learning.content()["notes"]
+    assert f"{control['same']:.2f}" in notes[0]
+    missing = [note for note in notes if "1.npy" in note and "3.npy" in note]
+    assert bool(missing) is not both
+    model = learning.model(NEW)
+    assert model is not None
+    assert bool(unproven(model, ("gangue",))) is not both
