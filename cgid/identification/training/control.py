@@ -313,11 +313,10 @@ def judged(rows: Rows, own: NDArray[np.str_], again: NDArray[np.str_]) -> dict[s
     accuracy = float(np.mean(own[tried] == rows.labels[tried]))
     background, path = _chance(right[:, SAME], right[:, OTHER]), _chance(right[:, PATH_SAME], right[:, PATH_OTHER])
     n_groups = min(len(np.unique(rows.group[tried & (rows.labels == one)])) for one in np.unique(rows.labels))
-    follows = path_same - path_other > _PATH_HARM and path < _PATH_CHANCE and n_groups >= _PATH_GROUPS
-    told = "path" if follows else ""
-    told = "background" if same - other > _BACKGROUND_HARM and background < _BACKGROUND_CHANCE else told
+    is_heard = same - other > _BACKGROUND_HARM and background < _BACKGROUND_CHANCE
+    follows = path_same - path_other > _PATH_HARM and path < _PATH_CHANCE and n_groups >= _PATH_GROUPS and not is_heard
     return {
-        "told": told,
+        "told": "background" if is_heard else "path" if follows else "",
         "n": int(tried.sum()),
         "own": accuracy,
         "same": same,
@@ -325,7 +324,7 @@ def judged(rows: Rows, own: NDArray[np.str_], again: NDArray[np.str_]) -> dict[s
         "chance": background,
         "path": [path_same, path_other],
         # What swapped states leave, but for .12 (standard deviation over 72 trainings).
-        "expected": float(np.clip(accuracy - 2 * (same - other), 0.0, 1.0)),
+        "expected": float(np.clip(accuracy - (path_same - path_other if follows else 2 * (same - other)), 0.0, 1.0)),
     }
 
 

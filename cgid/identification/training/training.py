@@ -354,7 +354,8 @@ def train_on_groups(
     again, rows = rows.again, replace(rows, again=None)
     training_set = TrainingSet(rows=rows, candidates=candidates, weights=class_weights, seed=seed)
     training = _left_out(training_set, synthetic, progress, workers, record)
-    if again is None or is_of_one or synthetic is not None or not told(training):
+    # Another gain or filter cannot be taken out.
+    if again is None or is_of_one or synthetic is not None or told(training) != "background":
         return training
     with suppress(BadData):  # nothing may be left without the tones
         mended = _left_out(_mended(training_set, again()), None, None, workers, record | {MENDED: True})
