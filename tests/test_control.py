@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from benchmarks.identification.control import RATE, Design, Face, State, additive, written
+from benchmarks.identification.control import RATE, Design, Face, State, additive, paths, written
 from cgid.cli.main import run
 from cgid.errors import BadData
 from cgid.identification.model.model import StoredModel
@@ -70,6 +70,17 @@ def test_machines_that_coincide_with_the_label_are_told(trainings: dict[str, Tra
     assert loud.control["same"] - loud.control["other"] > 0.3
     assert loud.control["expected"] < 0.5 < loud.metrics["accuracy"]
     assert unproven(loud.model, ("gangue",)) == followed(loud.model.training) != ""
+
+
+def test_another_gain_by_label_is_told_and_not_mended(tmp_path: Path) -> None:
+    (gain,) = (one for one in paths() if one.name == "gain 9.8")
+    training = train_on_groups(written(tmp_path, Face(1001), gain, 0))
+    control = training.control
+    assert control is not None
+    assert control["told"] == "path"
+    assert training.unmended is None
+    assert control["expected"] < 0.5 < training.metrics["accuracy"]
+    assert f"{control['path'][1]:.2f}" in unproven(training.model, ("gangue",))
 
 
 def test_a_told_model_is_mended_with_tones_out_and_a_floor(trainings: dict[str, Training], tmp_path: Path) -> None:
