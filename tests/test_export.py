@@ -22,6 +22,7 @@ from cgid.export import c_source
 from cgid.identification.model.conformal import COVERAGES, Conformal
 from cgid.identification.model.families import Standardiser
 from cgid.identification.model.model import StoredModel
+from cgid.identification.model.model_file import FLOOR, NO_FLOOR
 from cgid.identification.training.classifier import ImpactClassifier, noise_contrast
 from cgid.measure.features.extraction import extract_array
 from cgid.shipped import MODELS, path_of
@@ -141,6 +142,8 @@ def named(name: str) -> StoredModel:
     model = made(family, int(n_labels))
     if not noise:
         return model
+    if noise == ["floor"]:
+        return replace(model, arrays=model.arrays | {FLOOR: np.array([1.0, NO_FLOOR, 0.1])})
     rows = usual_rows(model, 500)
     contrast = noise_contrast(rows, 10 + 5 * np.log(rows[:, 0]) + rows[:, 2], linear=(2, 3))
     return replace(model, arrays=model.arrays | replace(contrast, limit=-1.5).arrays)
@@ -151,6 +154,7 @@ NAMES = few(
     [
         "default",
         "linear 2 noise",
+        "logistic 2 floor",
         "logistic 2",
         "linear 3",
         *MODELS[1:],

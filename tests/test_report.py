@@ -307,7 +307,7 @@ def test_a_recording_of_one_impact_has_a_page(tmp_path: Path) -> None:
 
 def test_report_says_that_a_model_is_no_better_than_chance() -> None:
     model = StoredModel.load(shipped.path_of("models", shipped.DEFAULT_MODEL))
-    assert "not better than chance" not in model_facts(model, "mine.npz")
+    assert "unproven" not in model_facts(model, "mine.npz")
     metrics = {"accuracy": 0.55, "accuracy_interval_95": [0.42, 0.67], "confusion": [[15, 15], [12, 18]]}
     facts = model_facts(replace(model, training={**model.training, "metrics": metrics}), "mine.npz")
-    assert "0.60 of the gangue" in facts["not better than chance"]
+    assert "0.60 of the gangue" in facts["unproven"]

@@ -116,10 +116,8 @@ class Models:
 
 
 def warn_of_chance(model: StoredModel, source: str = "", gangue: Sequence[str] = ("gangue",)) -> None:
-    """Warn if a model is not shown to be better than chance."""
-    from cgid.identification.prediction.findings import Finding
-    from cgid.identification.prediction.fraction import unproven
+    """Warn if a model follows what sounds between the rocks, or is not shown to be better than chance."""
+    from cgid.identification.prediction.telling import of_chance
 
-    if reason := unproven(model, gangue):
-        finding = Finding(kind="unproven", fields={"reason": reason})
+    for finding in of_chance(model, gangue):
         warn(f"{source}{finding.what()}; {finding.help()}")

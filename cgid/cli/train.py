@@ -403,6 +403,8 @@ def _with_synthetic(data: list[str], recorded: Any, options: dict[str, Any]) -> 
 
 def print_training(training: Any, path: Path, written: list[Path], then: str, as_json: bool) -> None:
     """Print the results of a training, with warnings, and the command `then` that comes next."""
+    from cgid.identification.training.control import control_notes
+    from cgid.identification.training.grouped import untold_scale
     from cgid.identification.training.metrics import drawn_text
 
     metrics, about = training.metrics, training.model.training
@@ -414,12 +416,18 @@ def print_training(training: Any, path: Path, written: list[Path], then: str, as
         summary = f"{metrics['accuracy']:.4f} accuracy on the recorded impacts, without them {without:.4f}"
         warn(f"with synthetic impacts {summary}; leave the scenes out")
     warn_of_chance(training.model)
+    for note in (*control_notes(training.control or {}), untold_scale(about.get("level_range", {}))):
+        if note:
+            say(f"cgid: {note}", err=True)
     if as_json:
-        print_json({"model": str(path), **metrics})
+        print_json({"model": str(path), **metrics, **({"control": control} if (control := training.control) else {})})
         return
     if "drawn" in metrics:
         say(drawn_text(metrics["drawn"]))
+    control = training.control or {}
     like = " for recordings like these" if "recorded" in about else ""
+    if control.get("told"):
+        like = f" in these recordings; about {control['expected']:.1f} in others' machines"
     say(f"accuracy {accuracy_text(metrics)}{like}")
     for vote in metrics.get("running", []):
         summary = f"{accuracy_text(vote)} of {vote['n']}" if vote["n"] else "no recording is that long"

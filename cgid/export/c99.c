@@ -268,7 +268,7 @@ int cgid_covers(double sampling_rate)
 cgid_status cgid_identify(const cgid_real *values, cgid_answer *answer)
 {
     cgid_real x[CGID_N_INPUTS];
-    int i, finite = 1;
+%(above)s    int i, finite = 1;
     answer->label = CGID_UNKNOWN;
     for (i = 0; i < CGID_N_VALUES; i++) {
         finite = finite && isfinite(values[i]);
@@ -280,7 +280,7 @@ cgid_status cgid_identify(const cgid_real *values, cgid_answer *answer)
         }
         return answer->status = CGID_UNMEASURED;
     }
-    standardise(values, CGID_N_INPUTS, standardiser_logarithmic, standardiser_floor, standardiser_mean,
+%(floored)s    standardise(values, CGID_N_INPUTS, standardiser_logarithmic, standardiser_floor, standardiser_mean,
                 standardiser_scale, x);
     finite = probabilities(x, answer->probability);
     answer->novelty = novelty(values, x);
@@ -309,6 +309,11 @@ int cgid_self_test(void)
     }
     return wrong;
 }
+//: floored
+    for (i = 0; i < CGID_N_VALUES; i++) {
+        above[i] = i < CGID_N_INPUTS && values[i] < floor_levels[i] ? floor_levels[i] : values[i];
+    }
+    values = above;
 //: body of together
 /* Set the probabilities to the mean of the log-odds of the answers that count; no label is surer than in any of them. */
 static void mean_of_log_odds(const cgid_answer *answers, const unsigned char *counts, int n, cgid_answer *out)

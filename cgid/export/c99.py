@@ -22,7 +22,7 @@ from cgid.errors import InvalidValue
 from cgid.identification.model.conformal import COVERAGES
 from cgid.identification.model.families import BY_NAME, Contrast, Network, Standardiser
 from cgid.identification.model.model import MIN_SHARE, Model, StoredModel, stored
-from cgid.identification.model.model_file import STANDARDISER
+from cgid.identification.model.model_file import FLOOR, STANDARDISER
 from cgid.measure.features.extraction import FEATURES, base_of
 from cgid.measure.features.vibration import EARLY_BANDS, EARLY_TIME, WINDOW_TIME
 from cgid.measure.spectra import THIRD_OCTAVES, third_octave
@@ -226,7 +226,7 @@ def _arrays(model: StoredModel) -> dict[str, NDArray[Any]]:
     stored = model.arrays
     names = [STANDARDISER + name for name in Standardiser.NAMES]
     names += ["neighbourhood.centres", "neighbourhood.whitening"]
-    names += [name for name in stored if name.startswith(("family.", "contrast."))]
+    names += [name for name in stored if name.startswith(("family.", "contrast.")) or name == FLOOR]
     arrays = {name.replace(".", "_"): stored[name] for name in names}
     for owner in ("standardiser", "contrast"):
         if f"{owner}_floor" in arrays:  # logarithms of smaller numbers would be those of 0 in single precision
@@ -295,7 +295,12 @@ def _answer(model: StoredModel) -> str:
     if model.beam is not None:
         low, high = MIN_SHARE * low, 1e300
     ones = ", ".join("1" for _ in model.labels)
-    text = _part("answer", ones=ones, lowest=repr(0.99 * low), highest=repr(1.01 * high))
+    floored = FLOOR in model.arrays
+    filled = {
+        "above": "    cgid_real above[CGID_N_VALUES];  /* values from their floors on */\n" * floored,
+        "floored": _part("floored") * floored,
+    }
+    text = _part("answer", **filled, ones=ones, lowest=repr(0.99 * low), highest=repr(1.01 * high))
     measuring = _part("body of measure") if _bands(model) is not None else ""
     text += _part("body of together") if _together(model) else ""
     return text + (_part("body of sets") if model.conformal is not None else "") + measuring

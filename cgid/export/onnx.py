@@ -15,7 +15,7 @@ from cgid.errors import optional
 from cgid.export.c99 import channels_text, require_small
 from cgid.identification.model.families import Network, Standardiser
 from cgid.identification.model.model import StoredModel
-from cgid.identification.model.model_file import STANDARDISER
+from cgid.identification.model.model_file import FLOOR, STANDARDISER
 
 #: Version of the operators and of the format: old enough for runtimes of several years.
 _OPSET, _IR = 17, 8
@@ -92,13 +92,17 @@ def onnx_bytes(model: StoredModel) -> bytes:
 
 def _answer(graph: _Graph, model: StoredModel) -> None:
     """Add probabilities, novelty and label."""
-    inputs = graph.columns("values", range(len(model.inputs)))
+    inputs, values = graph.columns("values", range(len(model.inputs))), "values"
+    if FLOOR in model.arrays:
+        inputs = graph("Max", inputs, model.arrays[FLOOR])
+        guards = [graph.columns("values", range(len(model.inputs), len(model.inputs) + len(model.guards)))]
+        values = graph("Concat", inputs, *guards * bool(model.guards), axis=1)
     x = _standardised(graph, inputs, Standardiser.from_arrays(model.arrays, STANDARDISER))
     scores = graph("Div", _SCORES[model.family](graph, x, model), model.temperature)
     if len(model.labels) == 2:
         scores = graph("Concat", graph("Mul", scores, 0.0), scores, axis=1)
     probabilities = graph("Softmax", scores, axis=1, name="probabilities")
-    novelty = _novelty(graph, model, x)
+    novelty = _novelty(graph, model, x, values)
     # Infinity times zero is nan, too.
     sums = graph.sums(graph("Concat", "values", probabilities, axis=1))
     finite = graph("Not", graph("IsNaN", graph("Mul", sums, 0.0)))
@@ -113,7 +117,7 @@ def _standardised(graph: _Graph, values: str, standardiser: Standardiser) -> str
     return graph("Div", graph("Sub", scaled, standardiser.mean), standardiser.scale)
 
 
-def _novelty(graph: _Graph, model: StoredModel, x: str) -> str:
+def _novelty(graph: _Graph, model: StoredModel, x: str, values: str) -> str:
     """Add the novelty (n,): infinite where infinities cancel, as in `Model`."""
     centres, whitening = model.arrays["neighbourhood.centres"], model.arrays["neighbourhood.whitening"]
     squares = []
@@ -130,7 +134,7 @@ def _novelty(graph: _Graph, model: StoredModel, x: str) -> str:
         parts.append(graph("ReduceMax", graph("Div", guards, np.array(model.guard_limits)), axes=[1], keepdims=1))
     if model.contrast is not None:
         contrast = model.contrast
-        measured = graph.columns("values", [*range(len(model.features)), *range(n, n + len(model.guards))])
+        measured = graph.columns(values, [*range(len(model.features)), *range(n, n + len(model.guards))])
         standardised, arrays = _standardised(graph, measured, contrast.standardiser), contrast.scorer.arrays
         by_network = isinstance(contrast.scorer, Network)
         score = _layers(graph, standardised, arrays) if by_network else _line(graph, standardised, arrays)

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import time
 import warnings
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,13 +20,15 @@ from cgid.labelling.recording import LabelledRecording, rows_of_all
 
 if TYPE_CHECKING:
     from cgid.identification.model.model import StoredModel
-    from cgid.identification.training.manifest import Manifest
+    from cgid.identification.training.manifest import Annotation, Manifest
     from cgid.identification.training.training import Training
 
 #: Names of the sets of features: those of the model that is corrected, and those of a new one.
 BASE, NEW = "corrected", "new"
 #: Labelled impacts of each label from which a new model is tried.
 MIN_EACH = 8
+#: A control is made anew after so many times as long as the last one took.
+_SELDOM = 5.0
 
 
 @dataclass(eq=False)
@@ -39,6 +42,8 @@ class Learning:
     notes: list[str] = field(default_factory=list)
     version: int = 0  # grows with each learning
     n_labelled: int = 0
+    control: list[str] = field(default_factory=list)  # whether the answers follow what sounds between the rocks
+    _next_control: float = 0.0
 
     def learn(self, recordings: Sequence[LabelledRecording], manifest: Manifest | None) -> None:
         """Train and correct with the labels of a table; raises `Stopped`."""
@@ -64,6 +69,49 @@ class Learning:
                 self.why[name] = str(error)
         self.notes = list(dict.fromkeys(notes))
         self.version += 1
+
+    def hear(self, recordings: Sequence[LabelledRecording], manifest: Manifest | None, *, now: bool = False) -> None:
+        """Train the new model with a control, for which the labelled recordings are read twice; not too often."""
+        from cgid.identification.prediction.fraction import followed
+        from cgid.identification.training.control import control_notes
+        from cgid.identification.training.recordings import controlled
+        from cgid.identification.training.training import train_on_groups
+
+        begin = time.monotonic()
+        if manifest is None or NEW not in self.trainings or (begin < self._next_control and not now):
+            return
+
+        def go_on(_: int) -> None:
+            if self.stopped():
+                raise Stopped("the page was closed")
+
+        by_file: dict[tuple[str, str], list[Annotation]] = {}
+        for row in manifest.annotations:
+            by_file.setdefault((str(row.path), str(row.channels)), []).append(row)
+        files = [
+            replace(one.file, annotations=tuple(sorted(labelled, key=lambda row: row.start)))
+            for one in recordings
+            for first in one.file.annotations[:1]
+            if not one.fault and (labelled := by_file.get((str(first.path), str(first.channels))))
+        ]
+        try:
+            rows = controlled(files, recordings[0].cuttings[NEW], go_on)
+            training = train_on_groups(rows, workers=Workers(stopped=self.stopped))
+            self.trainings[NEW], record = training, training.model.training
+            self.control = [f"{one}" for one in (followed(record), *control_notes(training.control or {})) if one]
+            if (training.control or {}).get("told"):
+                names: dict[str, list[str]] = {one: [] for one in training.model.labels}
+                for source in record["recorded"]["levels_of_sources"]:
+                    names[source["label"]].append(source["name"])
+                self.control += [
+                    f"no {label} is labelled in the state of the machines of "
+                    + ", ".join(name for other, of in names.items() if other != label for name in of)
+                    for label in names
+                ]
+        except BadData as error:
+            self.control = [str(error)]
+        self.version += 1
+        self._next_control = time.monotonic() + _SELDOM * (time.monotonic() - begin)
 
     def _trained(self, rows: Rows) -> Training:
         from cgid.identification.training.training import train_on_groups
@@ -119,7 +167,7 @@ class Learning:
             "best": self.best,
             "results": results,
             "why": self.why,
-            "notes": self.notes,
+            "notes": [*self.control, *self.notes],
             "has_base": self.base is not None,
         }
 

@@ -109,7 +109,9 @@ class Workbench:
             self._ended.wait(_LEARN_AFTER)
             learned = self.table.version, state[1]
             try:
-                self.learning.learn(self.recordings, self._manifest())
+                manifest = self._manifest()
+                self.learning.learn(self.recordings, manifest)
+                self.learning.hear(self.recordings, manifest)
             except Stopped:
                 return
             except Exception as error:  # the page goes on without
@@ -296,6 +298,8 @@ class Workbench:
     def save(self, request: Request) -> PageAnswer:
         """Write a model under the name that the command line gave."""
         name = _word(request.body, "which")
+        if name == NEW:  # which is not saved without its control
+            self.learning.hear(self.recordings, self._manifest(), now=True)
         written = self.learning.save(
             validation.choice("which", name, (NEW, BASE)), self._saved_as, overwrite=bool(self._saved)
         )

@@ -120,7 +120,7 @@ def model_facts(model: StoredModel, name: str, gangue: Collection[str] = ("gangu
         low, high = metrics["accuracy_interval_95"]
         facts["test accuracy"] = f"{metrics['accuracy']:.3f} (95 % interval {low:.3f} to {high:.3f})"
     if reason := unproven(model, gangue):
-        facts["not better than chance"] = reason
+        facts["unproven"] = reason
     return facts
 
 

@@ -6,14 +6,14 @@ most windows are silent, and on windows where impacts are dense or noise never e
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cgid._lib.validation import Floats
-from cgid.identification.detection.ear import Ear
+from cgid.identification.detection.ear import Ear, Heard
 from cgid.identification.detection.events import Event
 from cgid.identification.detection.windows import WINDOW_TIME, windows_of
 from cgid.measure.features.table import ImpactKind
@@ -70,8 +70,12 @@ def silence_of(
     kind: ImpactKind,
     intervals: Sequence[tuple[float, float]],
     dead_time: float | None = None,
+    hear: Callable[[Heard, float, int], object] | None = None,
 ) -> Silence:
-    """Return the counts of a recording within intervals [s]; raises as its `blocks` and the detector."""
+    """Return the counts of a recording within intervals [s]; raises as its `blocks` and the detector.
+
+    `hear` gets all that is heard, its sampling rate [Hz] and the length of a frame.
+    """
     rate = recording.sampling_rate
     # With tones, as in a training on labelled recordings.
     ear = Ear(rate, len(recording.channels), kind=kind, dead_time=dead_time, joint=True, lines=False)
@@ -87,9 +91,11 @@ def silence_of(
                 break
 
     def seen() -> Iterator[NDArray[np.floating]]:
-        for found, _, samples in ear.heard(begun()):
-            events.extend(found)
-            yield samples
+        for heard in ear.heard(begun()):
+            if hear is not None:
+                hear(heard, ear.rate, ear.n_samples)
+            events.extend(heard.events)
+            yield heard.samples
 
     parts = [(first, windows.var(axis=2)) for first, windows in windows_of(seen(), rate, WINDOW_TIME, WINDOW_TIME)]
     intervals = [(start, min(end, (max_samples - left) / rate)) for start, end in intervals]

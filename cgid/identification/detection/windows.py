@@ -97,6 +97,7 @@ def columns_of(names: Sequence[str], selected: Sequence[str], n_columns: int) ->
 #: Numbers of copies of each window with some noise, and with strong noise; the power of the window
 #: over that of their noise [dB]; the largest change of their gain [dB]; the steepest noise, power over 1/frequency^n.
 CLEAR_COPIES, NOISY_COPIES = 2, 1
+N_COPIES = CLEAR_COPIES + NOISY_COPIES
 _CLEAR_SNR, _NOISE_SNR, _GAIN, _STEEPEST = (CLEAR, 45.0), (-10.0, CLEAR), 3.0, 1.0
 
 

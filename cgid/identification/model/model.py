@@ -35,8 +35,11 @@ from cgid.identification.model.families import (
     softmax,
 )
 from cgid.identification.model.model_file import (
+    FLOOR,
     FORMAT,
     LEVEL_RANGE,
+    MENDED,
+    NO_FLOOR,
     SCHEMA_VERSION,
     STANDARDISER,
     UNEXPLAINED,
@@ -326,6 +329,11 @@ class StoredModel(Model):
         return bool(recorded.get("fewest_groups", MIN_GROUPS) < MIN_GROUPS)
 
     @property
+    def is_mended(self) -> bool:
+        """Whether it was trained without tones of machines, which are taken out from the first sample on."""
+        return bool(self.training.get(MENDED, False))
+
+    @property
     def same_beam(self) -> tuple[str, ...]:
         """Channels of a beam of the training whose impacts are one row, such as "1+2"; none if each is by itself."""
         return tuple(self.training.get("same_beam", ()))
@@ -491,6 +499,7 @@ class StoredModel(Model):
 
     def _contrast(self, inputs: Floats, guards: Floats) -> Floats:
         assert self.contrast is not None
+        inputs = self._floored(inputs)
         return _in_blocks(self.contrast.novelty, np.hstack([inputs, guards]), self.contrast.scorer.width)
 
     @cached_property
@@ -635,7 +644,10 @@ class StoredModel(Model):
                 f"features must be finite rows of {len(self.inputs)} ({', '.join(self.inputs)}), "
                 f"got shape {inputs.shape}"
             )
-        return self._standardiser.apply(np.asarray(inputs, np.float64))
+        return self._standardiser.apply(self._floored(np.asarray(inputs, np.float64)))
+
+    def _floored(self, inputs: Floats) -> Floats:
+        return np.asarray(np.maximum(inputs, self.arrays[FLOOR])) if FLOOR in self.arrays else inputs
 
     # -- file -----------------------------------------------------------------------------------------
 
@@ -648,6 +660,7 @@ class StoredModel(Model):
         conformal: Conformal | None = None,
         contrast: Contrast | None = None,
         beam: Beam | None = None,
+        floor: Floats | None = None,
         **fields: Any,
     ) -> StoredModel:
         """Return the model of a fitted classifier.
@@ -661,6 +674,8 @@ class StoredModel(Model):
         conformal : Conformal, optional
         contrast : Contrast, optional
         beam : Beam, optional
+        floor : ndarray, (n_features,), optional
+            Values below which nothing counts.
         **fields
             Other attributes of the model: at least features, unit, sampling_rates and training.
         """
@@ -681,6 +696,9 @@ class StoredModel(Model):
             arrays |= contrast.arrays
         if beam is not None:
             arrays |= beam.arrays
+        if floor is not None and np.isfinite(floor).any():
+            n_channels = len(neighbourhood.centres[0]) // len(floor)
+            arrays[FLOOR] = np.tile(np.maximum(floor, NO_FLOOR), n_channels)
         # C order, as in the file: the last digit of a product may depend on the order.
         arrays = {name: np.ascontiguousarray(array) for name, array in arrays.items()}
         return cls(

@@ -50,6 +50,14 @@ _NO_LONGER_USED = "world."
 #: Of the training record of models of labelled recordings: the levels of recordings, and the names of its numbers.
 LEVEL_RANGE, LEVELS = "level_range", ("deviation", "low", "high", "between", "within")
 
+#: Of the training record of models of recordings: the control by what sounds between the rocks, and whether the model
+#: was trained without tones of machines.
+CONTROL, MENDED = "control", "mended"
+#: The array of least values of the inputs: below these, nothing counts.
+FLOOR = "floor.levels"
+#: The least value of an input that has none, finite in single precision.
+NO_FLOOR = -1e30
+
 #: Longest window [s], because it is in memory.
 MAX_WINDOW = 10.0
 #: Shortest hop, as a share of the window; the longest is `MAX_WINDOW`.
@@ -294,6 +302,8 @@ def check_training(model: StoredModel) -> None:
                 raise BadData(f"{name} must be numbers of shape {shapes[name]} up to {_MAX_NUMBER:g}")
         if "confusion" in found and np.sum(found["confusion"]) < 1:
             raise BadData("confusion must count at least one impact")
+    for control in (training.get(CONTROL, {}), correction.get(CONTROL, {})):
+        _check_control(control)
     for name in (UNEXPLAINED, VOTE_CORRELATION):
         if name in training and np.ndim(validation.not_negative(name, training[name])):
             raise BadData(f"{name} must be one number")
@@ -314,6 +324,16 @@ def check_training(model: StoredModel) -> None:
                 raise BadData(f"class_weights must be one number for each label, {low:g} to {high:g}")
         elif weights not in (None, "balanced"):
             raise BadData("class_weights must be 'balanced' or a number for each label")
+
+
+def _check_control(control: object) -> None:
+    """Raise unless a control is empty, or states by what it tells, with the numbers of its line."""
+    if not isinstance(control, Mapping):
+        raise BadData(f"{CONTROL} must be an object")
+    validation.choice(f"told of {CONTROL}", control.get("told", ""), ("", "background", "path"))
+    numbers = [control.get("same"), control.get("other"), *np.ravel(control.get("path", ())).tolist()]
+    if control.get("told") and (len(numbers) != 4 or not all(_is(one, float) for one in numbers)):
+        raise BadData(f"{CONTROL} must have the numbers same, other and two of path if it tells")
 
 
 def _check_level_range(levels: object) -> None:
@@ -349,7 +369,9 @@ def _check_arrays(model: StoredModel) -> None:
             raise BadData(f"array {name} must have shape {possible[0]}")
     if ("conformal.scores" in arrays) != ("conformal.labels" in arrays):
         raise BadData("arrays conformal.scores and conformal.labels must both be present or absent")
-    known = shapes.keys() | {"conformal.scores", "conformal.labels"}
+    if FLOOR in arrays and arrays[FLOOR].shape != (n,):
+        raise BadData(f"array {FLOOR} must have shape {(n,)}")
+    known = shapes.keys() | {"conformal.scores", "conformal.labels", FLOOR}
     family = Fitted if model.estimator is not None else BY_NAME[model.family]
     known |= {f"family.{name}" for name in family.AXES} | {f"beam.{name}" for name in Beam.ARRAYS}
     known |= {Contrast.PREFIX + name for name in (*Standardiser.NAMES, *Network.AXES, *Linear.AXES, "limit")}

@@ -56,6 +56,7 @@ from cgid.identification.prediction.settings import COST_EARLY, COST_LATE, RULES
 
 if TYPE_CHECKING:
     from cgid.identification.model.model import StoredModel
+from cgid.identification.model.model_file import CONTROL
 
 __all__ = ["Share"]
 
@@ -493,6 +494,9 @@ class ShutDecision:
         self.shut, self.is_sure, self._since = None, False, -np.inf
 
 
+_BY_CHANCE = "the model is not shown to be better than chance"
+
+
 class HeldOut(NamedTuple):
     """How often a model called gangue of its test gangue, and other labels, and the interval of the difference."""
 
@@ -503,6 +507,7 @@ class HeldOut(NamedTuple):
     n_trials: float  # as many as the interval rests on
     by_chance: bool  # whether chance explains the difference even if all impacts were independent trials
     of_one: bool = False  # whether all labelled impacts are from a single recording
+    told: str = ""  # what the answers follow instead of the rocks
 
     @classmethod
     def of(cls, metrics: Mapping[str, Any], is_gangue: NDArray[np.bool_]) -> HeldOut | None:
@@ -537,11 +542,38 @@ class HeldOut(NamedTuple):
 
     @property
     def unproven(self) -> str:
-        """Why the model is not shown to tell gangue from the rest better than chance; empty if it is."""
+        """Why the model is not shown to tell gangue from the rest, or not better than chance; empty if it is."""
+        if self.told:
+            return self.told
         # A decision concerns recordings to come, of which a single one says nothing.
         if self.of_one:
-            return f"its labelled impacts are all from one recording, which shows nothing of others; {self}"
-        return "" if self.low > 0 else str(self)
+            return (
+                f"{_BY_CHANCE}: its labelled impacts are all from one recording, which shows nothing of others; {self}"
+            )
+        return "" if self.low > 0 else f"{_BY_CHANCE}: {self}"
+
+
+def followed(training: Mapping[str, Any]) -> str:
+    """Return what the answers of a model follow by its training record, instead of the rocks, in one line; else empty.
+
+    >>> followed({"control": {"told": "background", "same": 0.92, "other": 0.51}})[-71:]
+    '0.92 right with silence of their own label, 0.51 with that of the other'
+    """
+    own, here = (part.get(CONTROL, {}) for part in (training, training.get("correction", {})))
+    control = here if "same" in here else own
+    told = control.get("told", "")
+    if told == "path":
+        same, other = control["path"]
+        return (
+            "the labels differ in gain or filter by what sounds between the rocks, and the answers follow it: "
+            f"{same:.2f} right by the recorder of their own label, {other:.2f} by that of the other"
+        )
+    if not told:
+        return ""
+    return (
+        "the labels differ in what sounds between the rocks, and the answers follow it: "
+        f"{control['same']:.2f} right with silence of their own label, {control['other']:.2f} with that of the other"
+    )
 
 
 def unproven(model: StoredModel, gangue: Collection[str]) -> str:
@@ -562,9 +594,11 @@ def held_out(model: StoredModel, gangue: Collection[str]) -> HeldOut | None:
     is_gangue = np.isin(model.labels, as_in(model, gangue))
     own, here = (HeldOut.of(model.training.get(name, {}), is_gangue) for name in ("metrics", "correction"))
     by_sources = "recorded" in model.training and len(set(model.training.get("sources", ()))) == 1  # of older files
-    if here is not None and (own is None or here.low > 0 or here.high < own.gangue - own.others):
-        return here
-    return None if own is None else own._replace(of_one=bool(model.training.get("one_recording", by_sources)))
+    told = followed(model.training)
+    if here is not None and (told or own is None or here.low > 0 or here.high < own.gangue - own.others):
+        return here._replace(told=told)
+    of_one = bool(model.training.get("one_recording", by_sources))
+    return None if own is None else own._replace(of_one=of_one, told=told)
 
 
 def separates(gangue: Collection[str], model: StoredModel) -> bool:

@@ -134,8 +134,8 @@ def _impacts(
     with _named(source):
         groups = rows_of(model, channels, settings.same_beam)
         names = answering_channels(model, channels, settings.same_beam)
-        # A model of labelled recordings has learned with their tones.
-        tones = False if beam is None else settings.lines
+        # A model of labelled recordings has learned with their tones, unless it followed them.
+        tones = settings.lines if beam is not None else model.is_mended and settings.lines is not False
         ear = Ear(
             sampling_rate,
             len(channels),

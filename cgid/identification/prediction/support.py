@@ -59,7 +59,7 @@ class Ground(StrEnum):
     FAULT = "fault"  # a finding that can move answers stands
     WRONG_SCALE = "wrong_scale"  # the levels are not those of the training, or of a mixture with the stated coal
     MOSTLY_UNKNOWN = "mostly_unknown"  # most impacts of the last minutes are unknown
-    UNPROVEN = "unproven"  # the model is not shown to be better than chance
+    UNPROVEN = "unproven"  # the model is not shown to be better than chance, or follows machines instead of rocks
     STOPPED = "stopped"  # no samples arrive
 
 
@@ -377,7 +377,7 @@ class CavingWatch:
         if others:
             return Ground.FAULT, end, f"the finding {others[0].kind} stands"
         if self._unproven:
-            return Ground.UNPROVEN, end, f"the model is not shown to be better than chance: {self._unproven}"
+            return Ground.UNPROVEN, end, self._unproven
         return Ground.SEEN, end, ""
 
     def _probability(self, answer: Answer) -> float:

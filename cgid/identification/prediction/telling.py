@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from cgid._lib.terminal import counted
 from cgid.identification.model.anchor import MIN_ANCHOR, MIN_LUMPS, Basis
 from cgid.identification.prediction.findings import Finding, Findings
-from cgid.identification.prediction.fraction import unproven
+from cgid.identification.prediction.fraction import followed, unproven
 
 if TYPE_CHECKING:
     from cgid.identification.model.model import StoredModel
@@ -42,11 +42,17 @@ def of_model(
         found.append(Finding(kind="one_place"))
     if model.is_of_few:
         found.append(Finding(kind="few_recordings"))
-    if decides and (reason := unproven(model, settings.shares.gangue)):
-        found.append(Finding(kind="unproven", fields={"reason": reason}))
+    if decides:
+        found += of_chance(model, settings.shares.gangue)
     if not model.covers(sampling_rate):
         found.append(Finding(kind="untrained_rate", fields={"rate": sampling_rate, "rates": model.rates_text}))
     return found
+
+
+def of_chance(model: StoredModel, gangue: Sequence[str]) -> list[Finding]:
+    """Return why neither SHUT nor OPEN follows from a model, if so."""
+    reason, kind = unproven(model, gangue), "follows_machines" if followed(model.training) else "unproven"
+    return [Finding(kind=kind, fields={"reason": reason})] if reason else []
 
 
 def untold_beams(model: StoredModel, channels: Sequence[str], given: Sequence[object]) -> tuple[str, ...]:

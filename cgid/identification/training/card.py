@@ -15,6 +15,9 @@ from cgid._lib.terminal import counted, printable
 from cgid.errors import CannotCreate
 from cgid.identification.detection.detector import VIBRATION_DEAD_TIME
 from cgid.identification.model.model import MIN_GROUPS, Model, StoredModel, stored
+from cgid.identification.prediction.fraction import followed
+from cgid.identification.training.control import control_notes
+from cgid.identification.training.grouped import untold_scale
 from cgid.identification.training.metrics import drawn_text
 from cgid.measure.features import FEATURES
 
@@ -131,6 +134,8 @@ def _blocks(model: StoredModel, pictures: tuple[str, ...]) -> Iterator[str]:
         "votes": recorded is not None,
         "few": model.is_of_few,
         "voted": "recordings" in metrics,
+        "control": "control" in model.training,
+        "sources": recorded is not None and recorded.get("levels_of_sources"),
         "pictures": pictures,
         "calibration of specimens": recorded is None,
         "no sets": recorded is None and not metrics["prediction_sets"],
@@ -185,6 +190,7 @@ def _fields(model: StoredModel, name: str, pictures: tuple[str, ...]) -> dict[st
         "min_groups": MIN_GROUPS,
         "dead_time": VIBRATION_DEAD_TIME * 1e3,
         **(_fields_of_recordings(training["recorded"], metrics) if "recorded" in training else {}),
+        **_fields_of_control(training),
     }
 
 
@@ -245,6 +251,34 @@ def _fields_of_recordings(recorded: Record, metrics: Record) -> dict[str, Any]:
         "votes": _table(("recording", "label", "vote", "rows", "right"), votes),
         "candidates": _table(("features", "family", "number", "accuracy", "taken in folds"), candidates),
         "moved": _table(("feature", "moved by [dB]"), moved),
+    }
+
+
+def _fields_of_control(training: Record) -> dict[str, str]:
+    """Return the control, and the table of rocks and silence of each recording."""
+    control = training.get("control", {})
+    rows = [
+        (name, f"{one['own']:.2f}", f"{one['same']:.2f}", f"{one['other']:.2f}", *(f"{x:.2f}" for x in one["path"]))
+        for name, one in (("before it was mended", control.get("before", {})), ("this model", control))
+        if "same" in one
+    ]
+    scale = untold_scale(training.get("level_range", {}))
+    told = f"{followed(training)}. Expect {control.get('expected', 0.0):.1f} in others' machines."
+    told *= bool(control.get("told"))
+    sources = (
+        (
+            plain(one["name"]),
+            plain(one["label"]),
+            f"{one['rocks']:.0f}",
+            "-" if one["silence"] is None else f"{one['silence']:.0f}",
+        )
+        for one in training.get("recorded", {}).get("levels_of_sources", ())
+    )
+    titles = ("right", "as recorded", "own label's silence added", "other's", "own label's recorder", "other's")
+    return {
+        "control_lines": "\n".join(filter(None, map(plain, [told, *control_notes(control), scale]))),
+        "control": _table(titles, rows) if rows else "",
+        "levels_of_sources": _table(("recording", "label", "rocks [dB]", "silence [dB]"), sources),
     }
 
 

@@ -25,7 +25,9 @@ from cgid.errors import BadData, InvalidValue
 from cgid.identification.model.explanations import Explanations
 from cgid.identification.model.families import Contrast, Standardiser, softmax
 from cgid.identification.model.model import StoredModel
-from cgid.identification.model.model_file import STANDARDISER
+from cgid.identification.model.model_file import CONTROL, FLOOR, NO_FLOOR, STANDARDISER
+from cgid.identification.training.control import in_backgrounds
+from cgid.identification.training.control import judged as controlled
 from cgid.identification.training.grouped import warnings_of_few
 from cgid.identification.training.metrics import clustered_interval, evaluate, evaluate_drawn
 from cgid.identification.training.rows import Rows
@@ -113,7 +115,14 @@ def correct(model: StoredModel, rows: Rows) -> Correction:
     before = _evaluated(labels, softmax(impacts.logs[impacts.middle]), model, trials)
     after = _evaluated(labels, probabilities, model, trials)
     n, n_unknown = len(labels), int((~known).sum())
+    model_after = shifted(model, shift)
+    again = in_backgrounds(
+        lambda table: np.array(model.labels)[np.argmax(model_after.probabilities(table), axis=1)],
+        rows.background[:, :, rows.places(model.features)] if len(rows.background) else np.empty((n, 0, 1)),
+    )
+    answers = np.array(model.labels)[np.argmax(probabilities, axis=1)]
     correction = {
+        CONTROL: controlled(rows, answers, again),
         "n": n,
         "n_rocks": len(np.unique(rocks)),
         "n_groups": len(np.unique(rows.group)),
@@ -133,7 +142,7 @@ def correct(model: StoredModel, rows: Rows) -> Correction:
     training = {**model.training, "metrics": metrics, "correction": correction}
     training |= {"same_beam": [*rows.same_beam]} if rows.same_beam else {}
     return Correction(
-        replace(shifted(model, shift), training=training),
+        replace(model_after, training=training),
         shift,
         before,
         after,
@@ -358,6 +367,8 @@ def shifted(model: StoredModel, shift: Shift) -> StoredModel:
     arrays = {name: array for name, array in model.arrays.items() if not name.startswith(lost)}
     gained = _gained(model, shift.gain)
     arrays |= _after(Standardiser.from_arrays(arrays, STANDARDISER), *gained).arrays(STANDARDISER)
+    if FLOOR in arrays:
+        arrays[FLOOR] = np.where(arrays[FLOOR] > NO_FLOOR, arrays[FLOOR] * gained[0] + gained[1], NO_FLOOR)
     if model.contrast is not None:  # its inputs include the guards, which no gain changes
         n_guards = len(model.guards)
         factors, addends = np.append(gained[0], np.ones(n_guards)), np.append(gained[1], np.zeros(n_guards))

@@ -7,7 +7,7 @@ and calibrates its probabilities, so the evaluation group never takes part in a 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
 from itertools import pairwise, product
@@ -39,6 +39,7 @@ from cgid.identification.training.classifier import (
     noise_contrast,
     row_weights,
 )
+from cgid.identification.training.control import OTHER, in_backgrounds
 from cgid.identification.training.metrics import paired_difference
 from cgid.identification.training.rows import SAME_IMPACT, Rows, Sets, adapted, linear_columns
 
@@ -78,6 +79,7 @@ class TrainingSet:
     candidates: Sequence[Candidate]
     weights: Weights
     seed: int
+    copies: bool = False  # whether each row trains with another label's background, too
 
 
 class Selection(NamedTuple):
@@ -90,10 +92,14 @@ class Selection(NamedTuple):
 
 
 class CrossValidation(NamedTuple):
-    """Result of the outer loop: probabilities (n_recorded, n_labels), and the candidate of each fold."""
+    """Result of the outer loop: probabilities (n_recorded, n_labels), candidate of each fold, answers in backgrounds.
+
+    `again` (n_recorded, n_ways) are the labels of rows with other backgrounds, "" where there is no silence.
+    """
 
     probabilities: Floats
     chosen: tuple[int, ...]
+    again: NDArray[np.str_]
 
 
 def require_groups(labels: NDArray[np.str_], group: NDArray[np.integer]) -> None:
@@ -269,6 +275,7 @@ def cross_validate(
     """Return the probabilities for each group by the candidate chosen and trained on the others (the outer loop)."""
     rows = training_set.rows
     probabilities, selected = np.empty((len(rows.labels), len(np.unique(rows.labels)))), []
+    again = np.zeros(rows.background.shape[:2] if len(rows.background) else (len(rows.labels), 0), rows.labels.dtype)
     folds = list(leave_groups_out(rows.labels, rows.group, training_set.seed))
     if not all(_teaches_all(rows.labels, fold) for fold in folds):
         raise BadData(
@@ -276,12 +283,12 @@ def cross_validate(
             "smaller groups"
         )
     with closing(workers.each(_evaluate, training_set, folds)) as evaluation:
-        for fold, (best, answers) in zip(folds, evaluation, strict=True):
+        for fold, (best, answers, in_backgrounds) in zip(folds, evaluation, strict=True):
             selected.append(best)
-            probabilities[fold] = answers
+            probabilities[fold], again[fold] = answers, in_backgrounds
             if progress is not None:
                 progress(1)
-    return CrossValidation(probabilities[rows.is_recorded], tuple(selected))
+    return CrossValidation(probabilities[rows.is_recorded], tuple(selected), again[rows.is_recorded])
 
 
 def final(
@@ -309,6 +316,10 @@ def final(
 _BETWEEN, _COUNTS_AS, _OF_UPPER_END = 0.3, 4, 1.5
 #: Fewest rows of a recording whose level counts, and probability of a warning on either side of a sound recording.
 _MIN_LEVELS_EACH, _FALSE_WARNING = 5, 0.0025
+
+
+#: Impacts by which a wrong scale should be told.
+_TOLD_BY = 20
 
 
 def level_range(rows: Rows, levels: Floats) -> dict[str, float]:
@@ -354,6 +365,18 @@ def level_range(rows: Rows, levels: Floats) -> dict[str, float]:
     }
 
 
+def untold_scale(levels: Mapping[str, float]) -> str:
+    """Return in one line up to which factor a wrong scale of a model with levels is not told; empty without levels."""
+    if not levels:
+        return ""
+    # All impacts may be of the label whose levels are lowest, or highest.
+    factor = np.exp(levels["high"] - levels["low"] + np.sqrt(levels["between"] + levels["within"] / _TOLD_BY))
+    return (
+        f"the model looks at levels: a scale wrong by less than {factor:.1f} times (unit, sensitivity, gain) changes "
+        f"its answers and is not told by {_TOLD_BY} impacts"
+    )
+
+
 def _parts(levels: Floats) -> list[Floats]:
     """Return successive levels in blocks of `MIN_LEVELS`, without what remains."""
     n = len(levels) // MIN_LEVELS
@@ -381,12 +404,17 @@ def _scores_of_all(training_set: TrainingSet, fold: NDArray[np.bool_]) -> Floats
         return np.stack([_scores(candidate, training_set, fold) for candidate in training_set.candidates])
 
 
-def _evaluate(training_set: TrainingSet, fold: NDArray[np.bool_]) -> tuple[int, Floats]:
-    """Return the candidate chosen on the other rows, and its probabilities for the fold."""
+def _evaluate(training_set: TrainingSet, fold: NDArray[np.bool_]) -> tuple[int, Floats, NDArray[np.str_]]:
+    """Return the candidate chosen on the other rows, its probabilities for the fold, and its answers in backgrounds."""
     with threadpool_limits(1):
         selection = choose_candidate(replace(training_set, rows=training_set.rows[~fold]))
-        scores = _scores(training_set.candidates[selection.best], training_set, fold)
-        return selection.best, softmax(scores / selection.temperature)
+        candidate = training_set.candidates[selection.best]
+        rows, classifier = training_set.rows, _fitted(training_set, candidate, ~fold)
+        scores = _scores_by(classifier, rows.only(candidate.features, fold).columns(candidate.features))
+        again = np.zeros((int(fold.sum()), 0), rows.labels.dtype)
+        if len(rows.background):
+            again = in_backgrounds(classifier.predict, rows.background[fold][:, :, rows.places(candidate.features)])
+        return selection.best, softmax(scores / selection.temperature), again
 
 
 def _held_out(training_set: TrainingSet, fold: NDArray[np.bool_]) -> tuple[Floats, Floats]:
@@ -423,7 +451,17 @@ def _fitted(
 ) -> ImpactClassifier:
     """Return a candidate trained on the chosen rows, or on all."""
     clear = training_set.rows.is_clear
-    rows = adapted(training_set.rows.only(candidate.features, clear if selected is None else selected & clear))
+    used = clear if selected is None else selected & clear
+    rows = adapted(training_set.rows.only(candidate.features, used))
+    inputs, labels = rows.columns(candidate.features), rows.labels
+    if training_set.copies:
+        # The silence of a group that is left out does not train.
+        every = training_set.rows
+        known = used & np.isin(every.donor, every.group[used])
+        copies = every.background[known, OTHER][:, every.places(candidate.features)]
+        measured = np.isfinite(copies).all(axis=1)
+        inputs = np.concatenate([inputs, copies[measured]])
+        labels = np.concatenate([labels, every.labels[known][measured]])
     classifier = ImpactClassifier(
         candidate.family,
         linear=linear_columns(candidate.features * rows.n_channels),
@@ -432,11 +470,15 @@ def _fitted(
         rejects=rejects,
         random_state=training_set.seed,
     )
-    return classifier.fit(rows.columns(candidate.features), rows.labels)
+    return classifier.fit(inputs, labels)
 
 
 def _scores(candidate: Candidate, training_set: TrainingSet, fold: NDArray[np.bool_]) -> Floats:
     """Return the scores of a fold by a candidate trained on the other rows, (n_rows, n_labels)."""
     left_out = training_set.rows.only(candidate.features, fold).columns(candidate.features)
-    scores = _fitted(training_set, candidate, ~fold).decision_function(left_out)
+    return _scores_by(_fitted(training_set, candidate, ~fold), left_out)
+
+
+def _scores_by(classifier: ImpactClassifier, inputs: Floats) -> Floats:
+    scores = classifier.decision_function(inputs)
     return np.stack([np.zeros(len(scores)), scores], axis=1) if scores.ndim == 1 else scores

@@ -201,12 +201,18 @@ def _recordings(rows: Rows, probabilities: Floats) -> list[dict[str, Any]]:
     """Return the vote of each recording: the label with the largest mean log probability of its rows."""
     classes = np.unique(rows.labels)
     votes = []
-    for source in np.unique(rows.source):
-        of_source = rows.source == source
+    # Rocks of one file that were labelled one by one are one recording.
+    few = np.bincount(rows.source, minlength=len(rows.sources))[rows.source] < MIN_VOTING
+    of_file = np.where(few, len(rows.sources) + rows.file, rows.source) if len(rows.file) else rows.source
+    units = np.unique(np.stack([of_file, np.unique(rows.labels, return_inverse=True)[1]]), axis=1, return_inverse=True)
+    for unit in range(units[0].shape[1]):
+        of_source = units[1].ravel() == unit
+        source = rows.source[of_source][0]
+        name = rows.files[units[0][0, unit] - len(rows.sources)][0] if few[of_source][0] else rows.sources[source]
         total = np.log(np.maximum(probabilities[of_source], MIN_PROBABILITY)).mean(axis=0)
         votes.append(
             {
-                "name": rows.sources[source],
+                "name": name,
                 "group": rows.groups[rows.group[of_source][0]],
                 "label": str(rows.labels[of_source][0]),
                 "n": int(of_source.sum()),

@@ -11,7 +11,7 @@ from bisect import bisect_right
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import compress, groupby, product
 from pathlib import Path
 from typing import Any, NamedTuple, NoReturn
@@ -26,6 +26,7 @@ from cgid.identification.detection.ear import Ear
 from cgid.identification.detection.events import Event, Framing, frames_alike
 from cgid.identification.detection.silence import Silence, silence_of
 from cgid.identification.detection.windows import (
+    N_COPIES,
     WINDOW_TIME,
     Grid,
     NoisyCopies,
@@ -43,6 +44,7 @@ from cgid.identification.prediction.same_beam import (
     pulse_columns,
 )
 from cgid.identification.prediction.settings import require_groups
+from cgid.identification.training.control import N_WAYS, TOTALS, Background, table_of
 from cgid.identification.training.manifest import Annotation, Manifest
 from cgid.identification.training.rows import Rows, Slicing, default_guards, sets_for, union_of
 from cgid.measure.features.extraction import (
@@ -65,6 +67,8 @@ from cgid.units import UNITS, quantity_of
 _NONE = np.empty(0, np.str_)
 #: Windows whose noisy copies are measured at once.
 _COPIED = 64
+#: Impacts that are measured at once in other backgrounds.
+_MEASURED = 64
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -114,6 +118,11 @@ class AnnotatedFile:
         """Names of the channels of each beam that has several, such as 1+2."""
         names = [channel.name for channel in self.recording.channels]
         return ["+".join(names[row] for row in rows) for rows in self.groups if len(rows) > 1]
+
+    def annotation_at(self, time: float) -> Annotation | None:
+        """Return the annotation that contains a time [s]."""
+        k = bisect_right([one.start for one in self.annotations], time) - 1
+        return self.annotations[k] if k >= 0 and time < self.annotations[k].end else None
 
     def blocks(self) -> Iterator[NDArray[Any]]:
         """Yield the samples, nan in gaps; raise `BadData` at the end if an annotation starts after it."""
@@ -306,10 +315,14 @@ def record(
     augment: bool = False,
     model: StoredModel | None = None,
     progress: Callable[[int], object] | None = None,
+    control: bool = True,
+    mended: bool = False,
 ) -> Rows:
     """Return the rows of annotated recordings: the features of their windows or impacts."""
     # If `augment`, windows have noisy copies (`Rows.snr`), from which a model learns the effect of noise. With a
-    # `model` of impacts, rows are what it measures: its features and guards, in its unit, through its beam.
+    # `model` of impacts, rows are what it measures: its features and guards, in its unit, through its beam. If
+    # `control`, rows are measured again with other backgrounds; if `mended`, without tones of machines, and levels
+    # count from a floor above the loudest silence.
     slicing, reading = slicing or Slicing(), reading or Reading()
     failures: list[CgidError] = []
     files = open_all(manifest, reading, failures)
@@ -319,7 +332,11 @@ def record(
     if model is not None:
         features, slicing = model.measured, replace(slicing, by="impact")
         _require_quantity(files[0], model)
+    unit = files[0].unit if model is None else model.unit
+    background = Background(unit) if control else None
     slicing, notes, warnings = _decided(files, slicing, features)
+    if slicing.by == "window" and background and not _silence(files, slicing, background).has_single_impacts:
+        background = Background(unit)  # what is dense has no silence
     if slicing.by == "impact":
         _require_single(files, reading)
     elif grouped_file := next((file for file in files if file.is_grouped), None):
@@ -330,12 +347,15 @@ def record(
     names = _names(features, files, slicing)
     if model is None:
         names += tuple(name for name in default_guards(names) if name not in names)
-    unit = files[0].unit if model is None else model.unit
-    cutting = Cutting(names, slicing, unit, augment, model)
+    if mended:
+        names = tuple(dict.fromkeys((*names, *filter(None, [TOTALS.get(kind_of(names))]))))
+    cutting = Cutting(names, slicing, unit, augment, model, mended or (model is not None and model.is_mended))
     measured: list[tuple[AnnotatedFile, list[AnnotatedRows]]] = []
-    for file in files:
+    numbers = list[int]()
+    for number, file in enumerate(files):
         try:
-            measured.append((file, list(_pieces(file, cutting, progress))))
+            measured.append((file, list(_pieces(file, cutting, progress, (background, number)))))
+            numbers.append(number)
         except CgidError as error:
             reading.note(error, failures)
     if not any(np.isfinite(piece.features).all(axis=1).any() for _, parts in measured for piece in parts):
@@ -347,7 +367,99 @@ def record(
     for failure in failures[n_reported:]:
         reading.failed(failure)
     rows = rows_of(measured, cutting)
+    if background is not None:
+        rows = _controlled(rows, measured, cutting, background, numbers)
+        if model is None and not mended:
+            once = replace(reading, failed=Reading().failed)  # who is told of unreadable files already
+            again = partial(record, manifest, features, slicing=slicing, reading=once, augment=augment, mended=True)
+            rows = replace(rows, again=again)
     return replace(rows, failures=tuple(failures), notes=notes, warnings=(*warnings, *rows.warnings))
+
+
+def controlled(files: Sequence[AnnotatedFile], cutting: Cutting, progress: Callable[[int], object]) -> Rows:
+    """Return the rows of open files, in other backgrounds, too."""
+    background = Background(cutting.unit)
+    measured = [
+        (file, list(_pieces(file, cutting, progress, (background, number)))) for number, file in enumerate(files)
+    ]
+    return _controlled(rows_of(measured, cutting), measured, cutting, background, range(len(files)))
+
+
+def _controlled(
+    rows: Rows,
+    measured: Sequence[tuple[AnnotatedFile, list[AnnotatedRows]]],
+    cutting: Cutting,
+    background: Background,
+    numbers: Sequence[int],
+) -> Rows:
+    """Return the rows with what they are with other backgrounds; the files are read once more."""
+    background.settle()
+    background.require_others()
+    table = table_of(background.sources)
+    complete = np.isfinite(np.concatenate([piece.features for _, parts in measured for piece in parts])).all(axis=1)
+    parts = [
+        _again(file, its, cutting, background, number) for number, (file, its) in zip(numbers, measured, strict=True)
+    ]
+    again = np.concatenate([features for features, _ in parts])[complete]
+    known = {name: number for number, name in enumerate(rows.groups)}
+    donor = np.array([known.get(name, -1) for _, names in parts for name in names], np.intp)[complete]
+    framing = Framing.of("vibration", rows.sampling_rates[0])
+    n = _length(kind_of(cutting.names), rows.sampling_rates[0], cutting.slicing)
+    pre_trigger = framing.pre_trigger if kind_of(cutting.names) == "vibration" else None
+    floor = background.floor(cutting.names, n, pre_trigger) if cutting.mended and cutting.model is None else np.empty(0)
+    return replace(rows, background=again, donor=donor, levels_of_sources=tuple(table), floor=floor)
+
+
+def _again(
+    file: AnnotatedFile, parts: Sequence[AnnotatedRows], cutting: Cutting, background: Background, number: int
+) -> tuple[Floats, list[str]]:
+    """Return the rows of a file in other backgrounds (n_rows, N_WAYS, n_columns), and the groups these are from."""
+    if cutting.slicing.by == "window":
+        return _windows_again(file, cutting, background, number)
+    ways = [ImpactRows(file, cutting) for _ in range(N_WAYS)]
+    found: list[list[AnnotatedRows]] = [[] for _ in ways]
+    waiting: list[list[Event]] = [[] for _ in ways]
+    groups = dict[int, str]()  # of onsets
+    for events, until, _ in cutting.ear(file).heard(file.blocks()):
+        for event in events:
+            others = background.again(number, event)
+            changed, group = ([replace(event, problem="no silence")] * N_WAYS, "") if others is None else others
+            groups[event.onset] = group
+            for way, one in zip(waiting, changed, strict=True):
+                way.append(one)
+        if len(waiting[0]) >= _MEASURED or until == np.inf:
+            for way, measuring, rows in zip(waiting, ways, found, strict=True):
+                rows += measuring.feed(way, until)
+                way.clear()
+    # Measured in larger batches, so in another order.
+    times, order = _ordered(parts)
+    features = np.empty((len(order), N_WAYS, len(cutting.names)))
+    for k, rows in enumerate(found):
+        if rows:
+            features[order, k] = np.concatenate([piece.features for piece in rows])[_ordered(rows)[1]]
+    return features, [groups.get(round(time * ways[0].ear.rate), "") for time in times.tolist()]
+
+
+def _ordered(parts: Sequence[AnnotatedRows]) -> tuple[Floats, NDArray[np.intp]]:
+    """Return the times of rows, and their order by channel and time."""
+    times = np.concatenate([np.empty(0), *(piece.times for piece in parts)])
+    return times, np.lexsort((times, np.repeat([piece.channel for piece in parts], [piece.n_rows for piece in parts])))
+
+
+def _windows_again(
+    file: AnnotatedFile, cutting: Cutting, background: Background, number: int
+) -> tuple[Floats, list[str]]:
+    rate, slicing = file.recording.sampling_rate, cutting.slicing
+    width = len(cutting.names) * len(file.recording.channels)
+    features, groups = [np.empty((0, N_WAYS, width))], list[str]()
+    for annotation, blocks in annotated_blocks(file, cutting.unit):
+        for first, windows in windows_of(blocks, rate, slicing.window_time, slicing.hop_time):
+            changed, names = background.windows(number, annotation, first, windows)
+            n_copies = N_COPIES * len(windows) if cutting.augment else 0
+            features += [np.stack([measure_windows(one, rate, cutting.names) for one in changed], axis=1)]
+            features += [np.full((n_copies, N_WAYS, width), np.nan)]
+            groups += names + [""] * n_copies
+    return np.concatenate(features), groups
 
 
 def _require_quantity(file: AnnotatedFile, model: StoredModel) -> None:
@@ -382,14 +494,15 @@ def _decided(
     return slicing, (), (f"most windows contain no impact, {silence}; leave out --by, or give --by impact",)
 
 
-def _silence(files: Sequence[AnnotatedFile], slicing: Slicing) -> Silence:
+def _silence(files: Sequence[AnnotatedFile], slicing: Slicing, background: Background | None = None) -> Silence:
     """Return the impacts and silence of all files; unreadable files are reported later."""
     silence = Silence()
-    for file in files:
+    for number, file in enumerate(files):
         with suppress(CgidError):
             intervals = [(one.start, one.end) for one in file.annotations]
             kind = kind_for(quantity_of(file.unit))
-            silence += silence_of(file.recording, kind, intervals, slicing.dead_time)
+            hear = None if background is None else partial(background.hear, number, file)
+            silence += silence_of(file.recording, kind, intervals, slicing.dead_time, hear)
     return silence
 
 
@@ -559,6 +672,7 @@ class Cutting:
     unit: str
     augment: bool = False
     model: StoredModel | None = None
+    mended: bool = False
 
     def ear(self, file: AnnotatedFile) -> Ear:
         """Return what hears the impacts of a file; with tones unless they are looked at through a beam."""
@@ -567,7 +681,7 @@ class Cutting:
             len(file.recording.channels),
             kind="vibration" if kind_of(self.names) == "vibration" else "pulse",
             dead_time=self.slicing.dead_time,
-            lines=False if self.model is None or self.model.beam is None else None,
+            lines=self.mended if self.model is None or self.model.beam is None else None,
             beam=None if self.model is None else self.model.beam,
         )
 
@@ -602,8 +716,13 @@ class AnnotatedRows(NamedTuple):
         return len(self.times)
 
 
-def _pieces(file: AnnotatedFile, cutting: Cutting, progress: Callable[[int], object] | None) -> Iterator[AnnotatedRows]:
-    for piece in (_windows if cutting.slicing.by == "window" else _impacts)(file, cutting):
+def _pieces(
+    file: AnnotatedFile,
+    cutting: Cutting,
+    progress: Callable[[int], object] | None,
+    background: tuple[Background | None, int],
+) -> Iterator[AnnotatedRows]:
+    for piece in _windows(file, cutting) if cutting.slicing.by == "window" else _impacts(file, cutting, *background):
         yield piece
         if progress is not None:
             progress(int(np.sum(piece.snr == np.inf)))
@@ -626,11 +745,15 @@ def _windows(file: AnnotatedFile, cutting: Cutting) -> Iterator[AnnotatedRows]:
                 yield AnnotatedRows(annotation, np.repeat(times[some : some + _COPIED], n_copies), features, snr)
 
 
-def _impacts(file: AnnotatedFile, cutting: Cutting) -> Iterator[AnnotatedRows]:
+def _impacts(
+    file: AnnotatedFile, cutting: Cutting, background: Background | None, number: int
+) -> Iterator[AnnotatedRows]:
     """Yield annotation, times and features of the impacts in annotated intervals; the detector gets all samples."""
     measuring = ImpactRows(file, cutting)
-    for events, until, _ in measuring.ear.heard(file.blocks()):
-        yield from measuring.feed(events, until)
+    for heard in measuring.ear.heard(file.blocks()):
+        if background is not None:
+            background.hear(number, file, heard, measuring.ear.rate, measuring.ear.n_samples)
+        yield from measuring.feed(heard.events, heard.until)
 
 
 class ImpactRows:

@@ -11,7 +11,7 @@ from contextlib import closing
 from dataclasses import dataclass, field, replace
 from functools import cache, lru_cache
 from itertools import chain
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -127,6 +127,17 @@ class Rows:
     snr : ndarray, (n_rows,) [dB]
         Power of a window over that of the noise added to a copy of it; infinite for a row as recorded. Empty without
         copies.
+    background : ndarray, (n_rows, n_ways, n_columns)
+        Features of each row with other backgrounds (`cgid.identification.training.control`); nan where there is no
+        silence. Empty without a control.
+    donor : ndarray of int, (n_rows,)
+        Group whose silence gave each row the background of another label; below 0 for none.
+    floor : ndarray, (n_names,)
+        Value from which each feature counts; empty if all do.
+    levels_of_sources : tuple of dict
+        Levels of rocks and silence of each label in each recording [dB].
+    again : callable or None
+        Measures the recordings without tones of machines, and with a floor.
     beam : Beam or None
         The beam of the features.
     left_out : int
@@ -158,6 +169,11 @@ class Rows:
     same_beam: tuple[str, ...] = ()
     chosen: NDArray[np.str_] = field(default_factory=lambda: np.empty(0, np.str_))
     snr: Floats = field(default_factory=lambda: np.empty(0))
+    background: Floats = field(default_factory=lambda: np.empty(0))
+    donor: NDArray[np.intp] = field(default_factory=lambda: np.empty(0, np.intp))
+    floor: Floats = field(default_factory=lambda: np.empty(0))
+    levels_of_sources: tuple[Mapping[str, Any], ...] = ()
+    again: Callable[[], Rows] | None = None
     beam: Beam | None = None
     left_out: int = 0
     failures: tuple[CgidError, ...] = ()
@@ -195,7 +211,8 @@ class Rows:
 
     def __getitem__(self, selected: NDArray[np.bool_]) -> Rows:
         """Return the rows of a mask."""
-        names = ("features", "labels", "group", "source", "time", "file", "channel", "chosen", "snr")
+        names = [*("features", "labels", "group", "source", "time", "file", "channel", "chosen", "snr")]
+        names += ["background", "donor"]
         columns = {name: getattr(self, name) for name in names}
         return replace(self, **{name: column[selected] for name, column in columns.items() if len(column)})
 
@@ -223,15 +240,20 @@ class Rows:
     def only(self, names: Sequence[str], selected: NDArray[np.bool_] | None = None) -> Rows:
         """Return the rows, or those of a mask, with some of the features."""
         if selected is None:
-            return replace(self, names=tuple(names), features=self.columns(names))
-        columns = np.array(columns_of(self.names, names, self.features.shape[1]))
+            background = self.background[:, :, self.places(names)] if len(self.background) else self.background
+            return replace(self, names=tuple(names), features=self.columns(names), background=background)
+        columns = np.array(self.places(names))
         # The other columns are not copied.
-        rows = replace(self, features=self.features[:0])[selected]
+        rows = replace(self, features=self.features[:0], background=np.empty(0))[selected]
         return replace(rows, names=tuple(names), features=self.features[np.ix_(np.flatnonzero(selected), columns)])
 
     def columns(self, names: Sequence[str]) -> Floats:
         """Return the columns of some features, channel by channel."""
-        return self.features[:, columns_of(self.names, names, self.features.shape[1])]
+        return self.features[:, self.places(names)]
+
+    def places(self, names: Sequence[str]) -> list[int]:
+        """Return the numbers of the columns of some features, channel by channel."""
+        return columns_of(self.names, names, self.features.shape[1])
 
 
 # -- choice of features -----------------------------------------------------------------------------------
@@ -459,11 +481,14 @@ def mixed(recorded: Rows, synthetic: Rows, seed: int) -> Rows:
             "them alike in the manifest, or record it"
         )
     selected = thinned(synthetic.labels, recorded.labels, seed)
+    n, shape = int(selected.sum()), recorded.background.shape[1:]
     return Rows(
         names=recorded.names,
         features=np.concatenate([recorded.features, synthetic.features[selected]]),
         labels=np.concatenate([recorded.labels, synthetic.labels[selected]]),
-        group=np.concatenate([recorded.group, np.full(int(selected.sum()), -1)]),
+        group=np.concatenate([recorded.group, np.full(n, -1)]),
+        background=np.concatenate([recorded.background, np.full((n * bool(shape), *shape), np.nan)]),
+        levels_of_sources=recorded.levels_of_sources,
         n_channels=recorded.n_channels,
     )
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import platform
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
@@ -28,8 +29,10 @@ from cgid.errors import BadData, InvalidValue
 from cgid.identification.model.conformal import Conformal
 from cgid.identification.model.families import Neighbourhood
 from cgid.identification.model.model import Model, StoredModel
-from cgid.identification.model.model_file import LEVEL_RANGE, UNEXPLAINED, VOTE_CORRELATION
+from cgid.identification.model.model_file import CONTROL, LEVEL_RANGE, MENDED, UNEXPLAINED, VOTE_CORRELATION
 from cgid.identification.training.classifier import ImpactClassifier, Weights, contrast_of
+from cgid.identification.training.control import TOTALS, odd_sources
+from cgid.identification.training.control import judged as controlled
 from cgid.identification.training.grouped import (
     Candidate,
     Selection,
@@ -110,6 +113,8 @@ class Training:
     rows : Rows or None
         The test rows, in the order of `test_labels`, with the recording, time and channel of each; only these of the
         rows that trained if a model was tested on all that it was trained on, group by group.
+    unmended : Training or None
+        The training whose answers followed what sounds between the rocks, if this one was made instead.
     """
 
     model: Model
@@ -118,6 +123,17 @@ class Training:
     test_probabilities: Floats
     classifier: ImpactClassifier | None
     rows: Rows | None = None
+    unmended: Training | None = None
+
+    @property
+    def control(self) -> Mapping[str, Any] | None:
+        """Whether the answers follow what sounds between the rocks; None if that was not asked.
+
+        "told" says by what ("background", "path"; "" if they do not), "own" the accuracy as recorded, "same" and
+        "other" with silence of its own label and of another added, "expected" the accuracy if the machines' states were
+        swapped, "why" why it was not tried, "before" that of the model before it was mended.
+        """
+        return self.model.training.get(CONTROL)
 
     def __repr__(self) -> str:
         model, accuracy = f"{self.model.family}: {', '.join(self.model.labels)}", self.metrics["accuracy"]
@@ -335,8 +351,45 @@ def train_on_groups(
     record |= {"one_recording": is_of_one, **({"same_beam": [*rows.same_beam]} if rows.same_beam else {})}
     sets = {"asked for": names} if names else sets_for(rows.kind, rows.sampling_rates[0])
     candidates = candidates_for(sets, rows.names, family)
+    again, rows = rows.again, replace(rows, again=None)
     training_set = TrainingSet(rows=rows, candidates=candidates, weights=class_weights, seed=seed)
-    return _left_out(training_set, synthetic, progress, workers, record)
+    training = _left_out(training_set, synthetic, progress, workers, record)
+    # Another gain or filter cannot be taken out.
+    if again is None or is_of_one or synthetic is not None or told(training) != "background":
+        return training
+    with suppress(BadData):  # nothing may be left without the tones
+        mended = _left_out(_mended(training_set, again()), None, None, workers, record | {MENDED: True})
+        if not told(mended):
+            control = {**mended.model.training[CONTROL], "before": training.model.training[CONTROL]}
+            model = replace(mended.model, training={**mended.model.training, CONTROL: control})
+            return replace(mended, model=model, unmended=training)
+    return training
+
+
+def told(training: Training) -> str:
+    """Return by what a training is told to follow what sounds between the rocks; empty if it does not."""
+    return str((training.control or {}).get("told", ""))
+
+
+def _mended(training_set: TrainingSet, rows: Rows) -> TrainingSet:
+    """Return a training on rows without tones, levels from a floor on, and copies with another label's background."""
+    rows = _in_one_spelling(rows)
+    floor = np.tile(rows.floor, rows.n_channels)
+    rows = replace(
+        rows, features=np.maximum(rows.features, floor), background=np.maximum(rows.background, floor), again=None
+    )
+
+    def levels(name: str) -> tuple[str, ...]:
+        """Return the level of a relative one, which has a floor."""
+        plain, total = name.replace("relative_", ""), TOTALS.get(rows.kind, "")
+        return (plain, total) if plain != name and {plain, total} <= set(rows.names) else (name,)
+
+    candidates = {
+        names: replace(one, name=f"{one.name}, from a floor", features=names)
+        for one in training_set.candidates
+        for names in [tuple(dict.fromkeys(level for name in one.features for level in levels(name)))]
+    }
+    return replace(training_set, rows=rows, candidates=tuple(candidates.values()), copies=True)
 
 
 def _named_in(rows: Rows, features: Iterable[Named] | None) -> tuple[str, ...]:
@@ -605,6 +658,8 @@ def _left_out(
     judged = cross_validate(training_set, progress, workers)
     selection = choose_candidate(training_set, workers)
     recorded_rows, counts = rows[rows.is_recorded], groups_of_labels(rows)
+    answers = np.unique(recorded_rows.labels)[np.argmax(judged.probabilities, axis=1)]
+    control = controlled(recorded_rows, answers, judged.again)
     classifier, levels = final(training_set, selection, workers)
     features = training_set.candidates[selection.best].features
     guards = tuple(name for name in default_guards(features) if name in rows.names and name not in features)
@@ -621,7 +676,8 @@ def _left_out(
         "class_weights": training_set.weights,
         "candidates": _comparison(training_set.candidates, selection, judged.chosen),
         "failures": [str(error) for error in rows.failures],
-        "warnings": [*rows.warnings, *warnings_of_few(recorded_rows)],
+        "warnings": [*rows.warnings, *warnings_of_few(recorded_rows), *odd_sources(rows.levels_of_sources)],
+        "levels_of_sources": [*rows.levels_of_sources],
         **adaptation,
     }
     return _trained(
@@ -633,12 +689,14 @@ def _left_out(
             **record,
             "n_train": len(recorded_rows.labels),
             "recorded": recorded,
+            **({CONTROL: control} if rows.levels_of_sources else {}),
             LEVEL_RANGE: level_range(rows, levels[: len(rows.labels)]),
             **({VOTE_CORRELATION: selection.vote_correlation} if rows.kind == "window" else {}),
         },
         features=features,
         guards=limits,
         contrast=noise_guard(training_set, selection, workers),
+        floor=rows.floor[[rows.names.index(name) for name in features]] if len(rows.floor) else None,
     )
 
 
