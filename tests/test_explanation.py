@@ -119,6 +119,7 @@ def test_a_model_without_explanations_tells_nothing() -> None:
         ("whitening", lambda a: 0 * a, "at least"),
         ("scale", lambda a: -a, "at least"),
         ("centre", lambda a: a[:-1], "shape"),
+        ("mean", lambda a: a + 1e10, "at most"),
     ],
 )
 def test_arrays_are_checked(prefix: str, name: str, spoil: object, rule: str) -> None:

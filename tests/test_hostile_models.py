@@ -254,10 +254,10 @@ def test_everything_that_a_command_says_goes_through_one_door():
 #: What makes an array degenerate, though its numbers are finite.
 DEGENERATE = {
     "zeros": np.zeros_like,
-    "5e-324": lambda array: np.full_like(array, 5e-324),
-    "1e-31": lambda array: np.full_like(array, 1e-31),
-    "1e99": lambda array: np.full_like(array, 1e99),
-    "1e308": lambda array: np.full_like(array, 1e308),
+    "5e-324": lambda array: np.full(array.shape, 5e-324),
+    "1e-31": lambda array: np.full(array.shape, 1e-31),
+    "1e99": lambda array: np.full(array.shape, 1e99),
+    "1e308": lambda array: np.full(array.shape, 1e308),
     "equal columns": lambda array: np.broadcast_to(array[..., :1], array.shape).copy(),
     "equal rows": lambda array: np.broadcast_to(array[:1], array.shape).copy(),
 }

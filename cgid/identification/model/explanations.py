@@ -203,7 +203,7 @@ def summary(impacts: Impacts, model: StoredModel, spectrum: Floats, moves: Float
     return out
 
 
-#: Largest number of a reference that is kept in a file.
+#: Largest number of a reference, and of an array of explanations.
 MAX_NUMBER = 1e9
 #: Impacts after a change from which on it is told (explain2.md, 2: some 2 s).
 LEAST_CHANGED = 20
@@ -365,6 +365,8 @@ class Explanations:
         for name, shape in shapes.items():
             if stored[name].shape != shape:
                 raise BadData(f"array {prefix}{name} must have shape {shape}, got {stored[name].shape}")
+            if np.abs(stored[name]).max() > MAX_NUMBER:
+                raise BadData(f"array {prefix}{name} must be at most {MAX_NUMBER:g}")
         diagonal = stored["whitening"][..., np.cumsum(np.arange(1, n + 1)) - 1]
         for name, values in (("scale", stored["scale"]), ("whitening", diagonal)):
             if values.min() < MIN_DIVISOR:
