@@ -144,6 +144,10 @@ class Diagnosis:
         is_doubtful = watch is not None and bool(watch.explained.faults) and not watch.is_sure
         return tuple(one for one in self._standing.get(channel, {}).values() if one.moves and not is_doubtful)
 
+    def stands(self, channel: str) -> bool:
+        """Return whether anything stands of a channel, surely or not, as of the last `changes`."""
+        return bool(self._standing.get(channel))
+
     def changes(self, time: float) -> list[Finding]:
         """Return what has begun or ended up to a time [s]."""
         found = []
