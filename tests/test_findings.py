@@ -35,13 +35,11 @@ OUTPUTS = ("cli", "plant", "plots", "labelling", f"{OF_PREDICTION}pipeline.py", 
 
 
 def kinds_told(path: Path) -> set[str]:
-    """Return the kinds of which a module makes findings: `kind=` of calls, with what it may be."""
+    """Return the kinds of which a module makes findings."""
     tree = ast.parse(path.read_text(encoding="utf-8"))
-    return {
-        node.value.value
-        for node in ast.walk(tree)
-        if isinstance(node, ast.keyword) and node.arg == "kind" and isinstance(node.value, ast.Constant)
-    } & words().keys()
+    calls = (node for node in ast.walk(tree) if isinstance(node, ast.Call) and "Finding" in ast.unparse(node.func))
+    told = (one.value for call in calls for one in call.keywords if one.arg == "kind")
+    return {one.value for one in told if isinstance(one, ast.Constant)} & words().keys()
 
 
 def test_a_kind_is_named_in_its_table_and_where_it_is_found_alone() -> None:
