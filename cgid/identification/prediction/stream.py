@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from cgid._lib.validation import Floats
 from cgid.errors import BadData, CgidError, InvalidValue
-from cgid.identification.detection.detector import INVERT_HINT
+from cgid.identification.detection.detector import invert_hint
 from cgid.identification.detection.ear import Ear
 from cgid.identification.detection.events import Event
 from cgid.identification.detection.windows import measure_windows, windows_of
@@ -178,7 +178,7 @@ def _impacts(
                 for row in sorted(silent):
                     text = ear.why_silent(row, model.unit)
                     turned = ear.is_upside_down(row)  # why it is silent
-                    fields = {"silent": text.removesuffix(INVERT_HINT)} if turned else {"text": text}
+                    fields = {"silent": text.removesuffix(invert_hint())} if turned else {"text": text}
                     found.append(of(row, "upside_down" if turned else "silent", fields=fields))
             yield Step(
                 answers,
