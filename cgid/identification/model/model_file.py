@@ -58,7 +58,7 @@ FINEST_HOP = 0.01
 #: Maximum number of arrays of a model, and longest directory of its archive [bytes].
 MAX_ENTRIES, _MAX_DIRECTORY_SIZE = 64, 64 * 128
 _MAX_AXES = 3
-_TYPES = ("<f8", "<i4", "<i8", "|b1", "|u1")
+_TYPES = ("<f8", "<f4", "<i4", "<i8", "|b1", "|u1")
 #: Errors of zipfile and numpy on damaged archives.
 _DAMAGE = (
     zipfile.BadZipFile, struct.error, ValueError, LookupError, OSError, EOFError, RuntimeError, ArithmeticError,
@@ -97,7 +97,7 @@ def _array(stored: bytes, name: str) -> NDArray[Any]:
     # With Python's integers the product cannot overflow.
     size = math.prod(map(int, shape)) * dtype.itemsize
     if dtype.str not in _TYPES or size != len(stored) - stream.tell() or 0 in shape or len(shape) > _MAX_AXES:
-        raise BadData(f"array {name} must contain numbers (float64, int32, int64 or bool), as many as declared")
+        raise BadData(f"array {name} must be numbers (float64, float32, int32, int64 or bool), as many as declared")
     array: NDArray[Any] = np.frombuffer(stored, dtype, offset=stream.tell())  # read-only
     if dtype.kind == "b" and (array.view(np.uint8) > 1).any():
         raise BadData(f"array {name} must contain truth values, bytes 0 and 1")
@@ -358,7 +358,7 @@ def _check_arrays(model: StoredModel) -> None:
         kinds = "b" if name.endswith(".logarithmic") else "fi"
         plain = array.dtype.kind in kinds and array.size > 0
         # Without np.abs, which would copy a large array. False for nan.
-        if not plain or not (array.min() >= -_MAX_NUMBER and array.max() <= _MAX_NUMBER):
+        if not plain or not (float(array.min()) >= -_MAX_NUMBER and float(array.max()) <= _MAX_NUMBER):
             raise BadData(f"array {name} must contain finite numbers, got {array.dtype}")
     if n_classes != 2 and any(name.startswith(Confusion.PREFIX) for name in arrays):
         raise BadData(f"arrays of a share must be left out, they are for two labels, got {n_classes}")
