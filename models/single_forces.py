@@ -23,4 +23,11 @@ def pool_of_pulses(batches: Iterable[Batch], names: tuple[str, ...]) -> Pool:
             )
     pulse = np.concatenate(pulses)
     every, nothing = np.ones(len(pulse), bool), np.full(len(pulse), np.nan)
-    return Pool(pulse=pulse, measured=np.concatenate(measured), told=every, bounce=~every, back=nothing)
+    return Pool(
+        pulse=pulse,
+        measured=np.concatenate(measured),
+        told=every,
+        bounce=~every,
+        loudness=np.zeros(len(pulse), np.intp),  # the noise of a frame is relative to its peak
+        back=nothing,
+    )

@@ -53,7 +53,7 @@ from cgid.identification.training.rows import (
 )
 from cgid.identification.training.training import train_on_specimens
 from cgid.learning.faults import Recording, of_forces, of_seams, with_faults
-from cgid.learning.seams import N_STREAMS, Pool, pool_of, wide, with_seams
+from cgid.learning.seams import N_POOLS, N_STREAMS, Pool, pool_of, wide, with_seams
 from cgid.learning.streams import StreamRows, finished, rows_of_streams, variations
 from cgid.measure.modal.beam import Beam
 from cgid.scene import Scene, load_scene, parse_scene, synthesise
@@ -223,6 +223,8 @@ def seams_section(told: dict[str, Any]) -> list[str]:
         f"{told['n_seams']} simulated seams taught it the fraction of gangue in a seam that nobody described, by the "
         f"errors of {told['n_impacts']} impacts. On {told['n_judges']} others, in windows of 40 to 130 rocks:\n",
         *table(("", "RMS error", "95 % intervals hold", "their width"), rows),
+        f"\nThe fraction beside coal is the mean of {len(told['each'])} networks; each by itself errs by "
+        f"{min(told['each']):.3f} to {max(told['each']):.3f}.",
         f"\nOf anchors of another seam, or a fifth gangue and more, {told['foreign_told']:.0%} are told by one window, "
         f"of sound ones {1 - told['sound']:.1%}.",
     ]
@@ -289,7 +291,7 @@ def faults_section(told: dict[str, Any]) -> list[str]:
 
 def simulated(model: StoredModel, seed: int) -> StoredModel:
     """Return a model with what simulated seams and recordings teach beside its answers."""
-    model = with_seams(model, pool(model, N_STREAMS, seed + 20), seed)
+    model = with_seams(model, [pool(model, N_STREAMS, seed + 20 + k) for k in range(N_POOLS)], seed)
     return with_faults(model, spoilt(model, seed + 8799), seed)
 
 

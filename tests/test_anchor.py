@@ -19,6 +19,7 @@ from cgid.identification.model.anchor import (
     N_SUMMARY,
     Anchor,
     Basis,
+    Committee,
     Impacts,
     SeamNetworks,
     class_edges,
@@ -27,7 +28,7 @@ from cgid.identification.model.anchor import (
     pulse_names,
     summary,
 )
-from cgid.identification.model.families import Network
+from cgid.identification.model.families import Network, softmax
 from cgid.identification.model.model import StoredModel
 from cgid.identification.prediction.settings import PredictionSettings
 from cgid.identification.prediction.support import CavingWatch
@@ -53,16 +54,19 @@ def networks(seed: int = 1, n_cells: int = 5) -> SeamNetworks:
         arrays |= {f"biases_{k + 1}": rng.normal(size=sizes[k + 1]) for k in range(3)}
         return Network(arrays, n_inputs, n_classes)
 
+    def committee(n_inputs: int) -> Committee:
+        return Committee.of([network(n_inputs, N_CLASSES) for _ in range(3)])
+
     return SeamNetworks(
         cells=rng.normal((8.0, -16.0, -3.0), 1.0, (n_cells, 3)),
         cell_scale=np.array([1.0, 0.5, 0.3]),
         mean=rng.normal(size=3 * n),
         scale=rng.uniform(0.5, 2.0, 3 * n),
         limit=1.5,
-        anchored=network(3 * n, N_CLASSES),
-        alone=network(n, N_CLASSES),
+        anchored=committee(3 * n),
+        alone=committee(n),
         foreign=network(3 * n, 2),
-        sharpened=network(4 * n, N_CLASSES),
+        sharpened=committee(4 * n),
         lumps_limit=0.0,  # any lumps are gangue
     )
 
@@ -112,6 +116,17 @@ def test_networks_return_from_a_model_file() -> None:
     )
 
 
+def test_a_committee_is_the_mean_of_its_networks_and_one_network_of_an_earlier_version_is_itself() -> None:
+    own = networks()
+    window = own.summary(drawn(30))
+    inputs = ((window - own.mean[: window.size]) / own.scale[: window.size]).clip(-6, 6)[None]
+    each = [softmax(one.scores(inputs)) for one in own.alone.networks]
+    assert len(each) == 3 and np.abs(each[0] - each[1]).max() > 1e-3
+    assert own.density(window) == pytest.approx(np.mean(each, axis=0))
+    single = Committee(own.alone.networks[1].arrays, window.size, N_CLASSES)
+    assert single.density(inputs).tolist() == each[1].tolist()
+
+
 def without_networks(model: StoredModel) -> dict[str, np.ndarray]:
     return {name: array for name, array in model.arrays.items() if not name.startswith(SeamNetworks.PREFIX)}
 
@@ -127,10 +142,11 @@ def with_arrays(model: StoredModel, arrays: dict[str, np.ndarray]) -> StoredMode
         ("cells", np.zeros((5, 2)), "rows of 3"),
         ("cell_scale", np.zeros(3), "at least 1e-30"),
         ("mean", np.zeros(7), "seams.mean must have shape"),
-        ("alone.weights_1", np.zeros((7, 6)), "weights_1 must have shape"),
+        ("alone.weights_1", np.zeros((3, 7, 6)), "weights_1 must have shape"),
+        ("alone.weights_1", np.zeros((2, 58, 6)), "one number of networks"),
         ("anchored.biases_3", None, "biases_3 is missing"),
         ("lumps_limit", None, "must be given together"),
-        ("sharpened.weights_1", np.zeros((7, 6)), "weights_1 must have shape"),
+        ("sharpened.weights_1", np.zeros((3, 7, 6)), "weights_1 must have shape"),
         ("cells", np.full((5, 3), np.nan), "finite"),
         ("more", np.zeros(3), "seams.more"),
     ],

@@ -68,8 +68,18 @@ def is_streamable(scene: Scene) -> bool:
     return scene.stream is not None and has_beam(scene) and len(labels_of(scene)) == 2
 
 
-def variations(scene: Scene, n_streams: int, seed: int) -> list[Scene]:
-    """Return variations of the stream of a scene, each with a constant mixture, other rates, locations and noise."""
+def variations(
+    scene: Scene,
+    n_streams: int,
+    seed: int,
+    *,
+    rates: tuple[float, float] = _RATES,
+    loudness: Sequence[float] = (),
+) -> list[Scene]:
+    """Return variations of the stream of a scene, each with a constant mixture, other rates, locations and noise.
+
+    `loudness` are factors of all noise but hum, taken in turn in place of those of every other stream.
+    """
     # Fractions of the second label fill 0 to 1 evenly. Uncertain modes are sampled for each stream.
     if scene.stream is None or len(labels_of(scene)) != 2:
         raise InvalidValue(
@@ -78,17 +88,34 @@ def variations(scene: Scene, n_streams: int, seed: int) -> list[Scene]:
         )
     rng = np.random.default_rng([seed, n_streams])
     fractions = rng.permutation((np.arange(n_streams) + rng.random(n_streams)) / n_streams)
-    return [_variation(scene, number, float(fraction), rng) for number, fraction in enumerate(fractions)]
+    louder = [loudness[number % len(loudness)] if loudness else None for number in range(n_streams)]
+    return [
+        _variation(scene, number, float(fraction), rng, rates, louder[number])
+        for number, fraction in enumerate(fractions)
+    ]
 
 
-def _variation(scene: Scene, number: int, fraction: float, rng: np.random.Generator) -> Scene:
+def _variation(
+    scene: Scene,
+    number: int,
+    fraction: float,
+    rng: np.random.Generator,
+    rates: tuple[float, float],
+    louder: float | None,
+) -> Scene:
     content = json.loads(scene.text)
     stream, sensor = content["stream"], content["sensor"]
     stream["duration"] = DURATION
-    stream["arrivals"] = {"rate": _rate_of(scene) * _factor(rng, _RATES)}
+    stream["arrivals"] = {"rate": _rate_of(scene) * _factor(rng, rates)}
     stream["mixture"] = {"times": [0.0], labels_of(scene)[1]: [fraction]}
     factor = _factor(rng, _NOISES)
-    if number % 4 >= 2 and sensor.get("noise_density"):
+    if louder is not None:
+        sensor["noise_density"] = louder * (sensor.get("noise_density") or 0.0)
+        coloured = None if scene.background is None else scene.background.coloured
+        if coloured is not None:
+            density = np.sqrt(coloured.densities(scene.sensor.quantity))
+            content["background"]["coloured"]["density"] = (louder * density).tolist()
+    elif number % 4 >= 2 and sensor.get("noise_density"):
         sensor["noise_density"] *= factor
     if number % 2 == 1:
         spread_over(content["tail_beam"])

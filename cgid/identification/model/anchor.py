@@ -45,7 +45,7 @@ N_SUMMARY = _QUANTITIES * _QUANTILES.size + 2 + _EDGES.size + 1 + 2
 _COUNTS = 3, 200
 #: Standardised inputs are clipped at this.
 _FARTHEST = 6.0
-_MAX_CELLS = 1000
+_MAX_CELLS, _MAX_NETWORKS = 1000, 100
 
 
 def pulse_names(features: Sequence[str]) -> tuple[str, ...]:
@@ -91,6 +91,43 @@ def _nearest(points: Floats, centres: Floats) -> NDArray[np.intp]:
     return np.asarray((np.square(centres).sum(axis=1) / 2 - points @ centres.T).argmin(axis=1))
 
 
+class Committee:
+    """Networks of one shape, each of a training of its own, whose densities are averaged.
+
+    A single training is right by luck: five by one recipe differ by a tenth of their error, and their mean is better
+    than most of them.
+    """
+
+    def __init__(self, arrays: Mapping[str, NDArray[Any]], n_inputs: int, n_classes: int) -> None:
+        #: Those of a network, each with a first axis of networks; of one network without it, as earlier versions wrote.
+        self.arrays = arrays
+        sizes = {len(a) if a.ndim > Network.AXES.get(name, 2) else 1 for name, a in arrays.items()} or {1}
+        if len(sizes) > 1 or max(sizes) > _MAX_NETWORKS:
+            raise BadData(f"arrays of seams must be of one number of networks, at most {_MAX_NETWORKS}")
+        self.networks = [
+            Network(
+                {
+                    name: np.asarray(a[k] if a.ndim > Network.AXES.get(name, 2) else a, np.float64)
+                    for name, a in arrays.items()
+                },
+                n_inputs,
+                n_classes,
+            )
+            for k in range(max(sizes))
+        ]
+
+    @classmethod
+    def of(cls, networks: Sequence[Network]) -> Self:
+        """Return a committee in single precision, which is enough for densities."""
+        first = networks[0]
+        stacked = {name: np.stack([one.arrays[name] for one in networks]).astype(np.float32) for name in first.arrays}
+        return cls(stacked, first.n_features, first.n_classes)
+
+    def density(self, inputs: Floats) -> Floats:
+        """Return the mean probability of each class, (n, n_classes)."""
+        return np.asarray(np.mean([softmax(one.scores(inputs)) for one in self.networks], axis=0))
+
+
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class SeamNetworks:
     """What simulated seams taught about the fraction of gangue in a window."""
@@ -100,10 +137,10 @@ class SeamNetworks:
     mean: Floats  # of the inputs, (3 n_summary,): window, anchor, window - anchor
     scale: Floats
     limit: float  # score of `foreign` above which the anchor is not of this seam
-    anchored: Network
-    alone: Network
+    anchored: Committee
+    alone: Committee
     foreign: Network
-    sharpened: Network | None = None  # None: of an earlier version
+    sharpened: Committee | None = None  # None: of an earlier version
     lumps_limit: float = 0.0  # least probability of more than half gangue of lumps of gangue, beside its coal
 
     PREFIX: ClassVar = "seams."
@@ -132,9 +169,8 @@ class SeamNetworks:
         if min(cell_scale.min(), scale.min()) < MIN_DIVISOR:
             raise BadData(f"arrays {cls.PREFIX}scale and {cls.PREFIX}cell_scale must be at least {MIN_DIVISOR:g}")
 
-        def network(name: str, n_inputs: int, n_classes: int) -> Network:
-            own = {part.removeprefix(f"{name}."): a for part, a in stored.items() if part.startswith(f"{name}.")}
-            return Network(own, n_inputs, n_classes)
+        def own(name: str) -> dict[str, NDArray[Any]]:
+            return {part.removeprefix(f"{name}."): a for part, a in stored.items() if part.startswith(f"{name}.")}
 
         return cls(
             cells=cells,
@@ -142,10 +178,10 @@ class SeamNetworks:
             mean=mean,
             scale=scale,
             limit=float(stored["limit"][0]),
-            anchored=network("anchored", 3 * n, N_CLASSES),
-            alone=network("alone", n, N_CLASSES),
-            foreign=network("foreign", 3 * n, 2),
-            sharpened=network("sharpened", 4 * n, N_CLASSES) if is_sharp else None,
+            anchored=Committee(own("anchored"), 3 * n, N_CLASSES),
+            alone=Committee(own("alone"), n, N_CLASSES),
+            foreign=Network(own("foreign"), 3 * n, 2),
+            sharpened=Committee(own("sharpened"), 4 * n, N_CLASSES) if is_sharp else None,
             lumps_limit=float(stored.get("lumps_limit", [0.0])[0]),
         )
 
@@ -168,10 +204,10 @@ class SeamNetworks:
         """Return the probability of each class of the fraction, (n, N_CLASSES), of one or more summaries."""
         if anchor is None:
             n = window.shape[-1]
-            return softmax(self.alone.scores(np.atleast_2d(_clipped(window, self.mean[:n], self.scale[:n]))))
-        network = self.anchored if lumps is None else self.sharpened
-        assert network is not None
-        return softmax(network.scores(np.atleast_2d(inputs_of(window, anchor, self.mean, self.scale, lumps))))
+            return self.alone.density(np.atleast_2d(_clipped(window, self.mean[:n], self.scale[:n])))
+        networks = self.anchored if lumps is None else self.sharpened
+        assert networks is not None
+        return networks.density(np.atleast_2d(inputs_of(window, anchor, self.mean, self.scale, lumps)))
 
     def gangue_of(self, lumps: Floats, anchor: Floats) -> Floats:
         """Return the probability that lumps beside the coal of an anchor are more than half gangue, (n,)."""
