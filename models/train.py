@@ -211,8 +211,9 @@ def pool(model: StoredModel, n: int, seed: int) -> Pool:
     return pool_of_pulses(chain.from_iterable(batches), model.measured)
 
 
-def seams_section(told: dict[str, Any]) -> list[str]:
+def seams_section(told: dict[str, Any], *, in_noises: bool) -> list[str]:
     """Return the lines about the fraction of gangue in simulated seams."""
+    noises = " in noise of 1, 3, 10 and 30 times that of the scene" if in_noises else ""
     named = {
         "beside the coal of its seam": told["anchored"],
         "beside coal and labelled lumps of gangue": told["sharpened"],
@@ -221,7 +222,8 @@ def seams_section(told: dict[str, Any]) -> list[str]:
     rows = [(name, *(f"{own[key]:.3f}" for key in ("rms", "holds", "width"))) for name, own in named.items()]
     return [
         f"{told['n_seams']} simulated seams taught it the fraction of gangue in a seam that nobody described, by the "
-        f"errors of {told['n_impacts']} impacts. On {told['n_judges']} others, in windows of 40 to 130 rocks:\n",
+        f"errors of {told['n_impacts']} impacts{noises}. On {told['n_judges']} others, in windows of 40 to 130 "
+        "rocks:\n",
         *table(("", "RMS error", "95 % intervals hold", "their width"), rows),
         f"\nThe fraction beside coal is the mean of {len(told['each'])} networks; each by itself errs by "
         f"{min(told['each']):.3f} to {max(told['each']):.3f}.",
@@ -238,7 +240,7 @@ def sections(model: StoredModel) -> list[Section]:
     if "streams" in told:
         found.append(("On streams", streams_section(told["streams"])))
     if "seams" in told:
-        found.append(("In other seams", seams_section(told["seams"])))
+        found.append(("In other seams", seams_section(told["seams"], in_noises=model.beam is not None)))
     if "faults" in told:
         found.append(("Faults of a recording", faults_section(told["faults"])))
     if "beside_force" in told:
