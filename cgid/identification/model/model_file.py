@@ -52,7 +52,8 @@ LEVEL_RANGE, LEVELS = "level_range", ("deviation", "low", "high", "between", "wi
 
 #: Of the training record of models of recordings: the control by what sounds between the rocks, and whether the model
 #: was trained without tones of machines.
-CONTROL, MENDED = "control", "mended"
+CONTROL = "control"
+MENDED = "mended"
 #: The array of least values of the inputs: below these, nothing counts.
 FLOOR = "floor.levels"
 #: The least value of an input that has none, finite in single precision.

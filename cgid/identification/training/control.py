@@ -32,7 +32,10 @@ if TYPE_CHECKING:
     from cgid.identification.training.rows import Rows
 
 #: The ways in which an impact is measured again.
-SAME, OTHER, PATH_SAME, PATH_OTHER = range(4)
+SAME = 0
+OTHER = 1
+PATH_SAME = 2
+PATH_OTHER = 3
 N_WAYS = 4
 #: The level of all bands together, by kind: with it, a level says what a relative one does.
 TOTALS = {"vibration": "level_total", "window": "window_level"}
