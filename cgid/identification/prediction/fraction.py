@@ -91,7 +91,7 @@ class Share:
     start : float [s]
         Begin of the window; impacts after it and up to `time` count.
     share : float
-        The most probable one, by networks of seams the median; nan without any impact, and of a model whose test
+        The most probable one, by networks of seams the mean; nan without any impact, and of a model whose test
         chance explains.
     low, high : float
         Shortest interval of probability `LEVEL`; 0 and 1 where `share` is nan.
@@ -362,11 +362,12 @@ def estimate_of(density: Floats, threshold: float) -> dict[str, float]:
     starts = np.flatnonzero(below <= 1.0 - LEVEL)
     ends = np.searchsorted(below, below[starts] + LEVEL - 1e-12)
     shortest = int(np.argmin(edges[ends] - edges[starts]))
+    mean = float(np.diff(below) @ shares)
     return {
-        "share": float(np.interp(0.5, below, edges)),
+        "share": mean,
         "low": float(edges[starts[shortest]]),
         "high": float(edges[ends[shortest]]),
-        "mean": float(np.diff(below) @ shares),
+        "mean": mean,
         "above": float(1.0 - np.interp(threshold, edges, below)),
         "excess": float(np.diff(below) @ np.maximum(shares - threshold, 0.0)),
     }
