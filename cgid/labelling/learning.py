@@ -14,8 +14,9 @@ import numpy as np
 from cgid._lib.validation import UNKNOWN, Floats
 from cgid._lib.workers import Workers
 from cgid.errors import BadData, CgidError, InvalidValue, Stopped
+from cgid.identification.detection.events import SAME_IMPACT
 from cgid.identification.prediction.settings import PredictionSettings
-from cgid.identification.training.rows import SAME_IMPACT, Rows
+from cgid.identification.training.rows import Rows
 from cgid.labelling.recording import LabelledRecording, rows_of_all
 
 if TYPE_CHECKING:

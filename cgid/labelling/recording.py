@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from cgid._lib.validation import Floats
 from cgid.errors import BadData, CgidError, NoInput, Stopped
 from cgid.identification.detection.ear import Ear
-from cgid.identification.detection.events import Event
-from cgid.identification.training.rows import SAME_IMPACT, Rows
+from cgid.identification.detection.events import SAME_IMPACT, Event
+from cgid.identification.training.rows import Rows
 from cgid.labelling.table import Cells
 from cgid.measure.features.table import ImpactKind
 from cgid.signals import channel_name

@@ -33,6 +33,8 @@ _LONGER, _EXTENSIONS = 4, 16
 LEAD_TIME = 1e-3
 #: The detected onset of the next impact may be this late [s].
 _LATE = 0.5e-3
+#: Impacts on two channels within this time are one impact [s].
+SAME_IMPACT = 10e-3
 #: A detected impact must rise this many standard deviations above the quiet part of its frame. The limit is lower than
 #: that of measurements, because of the ring-down of the previous impact.
 DETECTION_LIMIT = 2.0

@@ -20,8 +20,8 @@ from scipy import stats
 
 from cgid._lib.validation import Floats
 from cgid.errors import BadData
+from cgid.identification.detection.events import SAME_IMPACT
 from cgid.identification.detection.silence import SILENT_POWER
-from cgid.identification.training.rows import SAME_IMPACT
 from cgid.measure.features.extraction import FEATURES, extract_array
 
 if TYPE_CHECKING:

@@ -25,7 +25,7 @@ from cgid._lib.terminal import counted
 from cgid._lib.validation import Floats
 from cgid._lib.workers import SERIAL, Workers
 from cgid.errors import BadData
-from cgid.identification.detection.events import EVENT_TIME
+from cgid.identification.detection.events import EVENT_TIME, SAME_IMPACT
 from cgid.identification.detection.windows import CLEAR
 from cgid.identification.model.families import Contrast, Neighbourhood, softmax
 from cgid.identification.model.model import MIN_GROUPS, inputs_of, level_weights
@@ -41,7 +41,7 @@ from cgid.identification.training.classifier import (
 )
 from cgid.identification.training.control import OTHER, in_backgrounds
 from cgid.identification.training.metrics import paired_difference
-from cgid.identification.training.rows import SAME_IMPACT, Rows, Sets, adapted, linear_columns
+from cgid.identification.training.rows import Rows, Sets, adapted, linear_columns
 
 #: Maximum number of folds: up to this number of groups each is a fold; more groups share this many folds, in the inner
 #: loop a quarter of it, since it is run for each fold of the outer one.

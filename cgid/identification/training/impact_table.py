@@ -13,11 +13,10 @@ import numpy as np
 from cgid._lib.terminal import counted
 from cgid.errors import BadData
 from cgid.identification.detection.ear import Ear
-from cgid.identification.detection.events import Event
+from cgid.identification.detection.events import SAME_IMPACT, Event
 from cgid.identification.model.model import Model
 from cgid.identification.prediction.findings import SameBeamWarning
 from cgid.identification.training.recordings import measurable, unit_of
-from cgid.identification.training.rows import SAME_IMPACT
 from cgid.measure.features.extraction import kind_for
 from cgid.measure.features.table import LEAST_SAMPLES, ImpactKind
 from cgid.recordings import RecordingFile, open_recording

@@ -21,6 +21,7 @@ from cgid._lib import validation
 from cgid._lib.validation import Floats
 from cgid._lib.workers import SERIAL, Workers
 from cgid.errors import BadData, CgidError, InvalidValue
+from cgid.identification.detection.events import SAME_IMPACT
 from cgid.identification.detection.windows import CLEAR, WINDOW_TIME, columns_of
 from cgid.identification.inversion.through_beam import ThroughBeam
 from cgid.identification.model.model_file import require_times
@@ -61,8 +62,6 @@ DEFAULT_VIBRATION_FEATURES = (
 #: Features of a model with a beam, and its guards.
 BEAM_FEATURES = BEAM_PULSE
 BEAM_GUARDS = ("beam_unexplained", "beam_surely_unexplained")
-#: Impacts on two channels within this time are one impact [s].
-SAME_IMPACT = 10e-3
 #: Synthetic rows of a label per recorded one; more would outweigh the measurements.
 MAX_SYNTHETIC = 10
 #: Share of signals that a training leaves out without a word.
