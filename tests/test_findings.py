@@ -35,13 +35,11 @@ OUTPUTS = ("cli", "plant", "plots", "labelling", f"{OF_PREDICTION}pipeline.py", 
 
 
 def kinds_told(path: Path) -> set[str]:
-    """Return the kinds of which a module makes findings: `kind=` of calls, with what it may be."""
+    """Return the kinds of which a module makes findings."""
     tree = ast.parse(path.read_text(encoding="utf-8"))
-    return {
-        node.value.value
-        for node in ast.walk(tree)
-        if isinstance(node, ast.keyword) and node.arg == "kind" and isinstance(node.value, ast.Constant)
-    } & words().keys()
+    calls = (node for node in ast.walk(tree) if isinstance(node, ast.Call) and "Finding" in ast.unparse(node.func))
+    told = (one.value for call in calls for one in call.keywords if one.arg == "kind")
+    return {one.value for one in told if isinstance(one, ast.Constant)} & words().keys()
 
 
 def test_a_kind_is_named_in_its_table_and_where_it_is_found_alone() -> None:
@@ -236,3 +234,20 @@ def test_a_fault_is_named_first_in_one_line_and_in_python_alike(
         assert told == [one["finding"] for one in table.attrs["findings"]]
     assert len(caught) == len(right and {1})
     assert {one.message.finding.kind for one in caught} <= right
+
+
+def test_a_fault_of_a_stream_is_told_when_it_begins_and_when_it_ends(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    x, rate = forces(102, 100)
+    samples = np.concatenate([x, x, x])
+    samples[x.size : 2 * x.size] *= 10  # a gain for a third of the time
+    samples.astype("<f4").tofile(tmp_path / "x.f32")
+    raw = ["--rate", f"{rate:g}", "--channels", "1", "--sample-format", "f32le", "--unit", "N", "--json"]
+    assert run(["monitor", str(tmp_path / "x.f32"), *raw]) == 0
+    lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    found = [line for line in lines if line["kind"] == "finding" and not line["note"]]
+    assert {line["finding"] for line in found} == {"scale"}
+    assert [line["end_s"] is None for line in found[:2]] == [True, False][: len(found)]
+    assert x.size / rate < found[0]["begin_s"] < 2 * x.size / rate
+    assert all(line["begin_s"] == found[0]["begin_s"] and line["end_s"] > line["begin_s"] for line in found[1:])

@@ -147,6 +147,10 @@ class Diagnosis:
         watch = self.channels[channel].watch if channel in self.channels else None
         return watch is not None and bool(watch.explained.faults) and not watch.is_sure
 
+    def stands(self, channel: str) -> bool:
+        """Return whether anything stands of a channel, surely or not, as of the last `changes`."""
+        return bool(self._standing.get(channel))
+
     def changes(self, time: float) -> list[Finding]:
         """Return what has begun or ended up to a time [s]."""
         found = []

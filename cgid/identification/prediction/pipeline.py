@@ -138,8 +138,10 @@ class Pipeline:
 
     def _of_watch(self, watch: CavingWatch, reports: Sequence[SupportReport]) -> None:
         """Take what a watch has found; of a file, parts of channels are told at its end."""
-        (self._found if self.live else self._of_parts).extend(watch.take_changes())
-        self._found += self.findings.of_reports(reports, watch)
+        found = watch.take_changes()
+        for one in self.findings.of_reports(reports, watch):
+            (found if one.is_explained else self._found).append(one)
+        (self._found if self.live else self._of_parts).extend(found)
 
     def _told(self) -> list[Finding]:
         found, self._found = self._found, []
@@ -161,7 +163,18 @@ class Pipeline:
         """Return what is wrong with a file as a whole, and with parts of channels of which nothing else is told."""
         whole = self.diagnosis.findings()
         known = {name for one in (*whole, *self.findings.all) if one.moves for name in one.channels}
-        return whole + [one for one in self._of_parts if known.isdisjoint(one.channels)]
+        begun, last = dict[tuple[Any, ...], Finding](), dict[tuple[Any, ...], Finding]()
+        for one in self._of_parts:
+            if known.isdisjoint(one.channels):
+                begun.setdefault((one.kind, one.channels), one)
+                last[one.kind, one.channels] = one
+        explained = {name for one in begun.values() if not one.is_explained for name in one.channels}
+        parts = [one for one in begun.values() if not one.is_explained or explained.isdisjoint(one.channels)]
+        return [
+            *whole,
+            *parts,
+            *(last[one.kind, one.channels] for one in parts if last[one.kind, one.channels].is_over),
+        ]
 
     def stopped(self, reason: str) -> Step:
         """Return what is known of a stream whose samples have stopped; the next ones take it up again."""

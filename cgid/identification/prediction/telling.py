@@ -119,7 +119,7 @@ class Telling(Findings):
         if state.ground not in _NO_FINDING:
             fields = {"reason": state.reason}
             one = Finding(kind=str(state.ground), channels=channel, begin=state.since, fields=fields)
-            found += [] if one.is_explained and watch.diagnosis.standing(channel[0]) else [one]
+            found += [] if one.is_explained and watch.diagnosis.stands(channel[0]) else [one]
         return found
 
     def _of_cycle(self, channel: str, begun: float, until: float) -> list[Finding]:
