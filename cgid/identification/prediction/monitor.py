@@ -20,7 +20,6 @@ from cgid.identification.model.model import Model
 from cgid.identification.prediction.answers import Answer
 from cgid.identification.prediction.findings import Finding
 from cgid.identification.prediction.pipeline import Pipeline
-from cgid.identification.prediction.prediction import default_model, read_model
 from cgid.identification.prediction.settings import PredictionSettings
 from cgid.identification.prediction.stream import Step
 from cgid.identification.prediction.support import STEPS, SupportReport, SupportState
@@ -119,6 +118,8 @@ class Monitor:
         source: str = "stream",
         **settings: Any,
     ) -> None:
+        from cgid.identification.prediction.prediction import default_model, read_model
+
         for name in settings:
             validation.choice("setting", name, tuple(PredictionSettings.__dataclass_fields__))
         place = NOWHERE if site is None else Site.of(site)
