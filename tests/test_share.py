@@ -789,7 +789,7 @@ def test_a_finding_that_moves_answers_takes_the_ground() -> None:
     standing: list[Finding] = []
     watch.diagnosis.standing = lambda channel: tuple(standing)  # type: ignore[method-assign]
     answers, seen = flow(rng, 0, 60, 0.95), []
-    for begin, until, kinds in ((0, 20, ()), (20, 30, ("upside_down",)), (30, 60, ("tones", "foreign"))):
+    for begin, until, kinds in ((0, 20, ()), (20, 30, ("upside_down",)), (30, 60, ("tones",))):
         standing[:] = [one for one in (Finding(kind=kind, channels=("1",)) for kind in kinds) if one.moves]
         reports = watch.feed([one for one in answers if begin <= one.time < until], until)
         seen.append({(one.state.ground, one.state.decision) for one in reports if one.state.time > until - 2})
