@@ -209,7 +209,7 @@ MAX_NUMBER = 1e9
 LEAST_CHANGED = 20
 #: Where a reference has its noise, before its spectrum.
 FLOOR = -1
-#: Impacts of a reference at least and at most: with fewer a change of 2 is told less often (by a trial on 36 simulated seams).
+#: Impacts of a reference at least and at most: with fewer a change of 2 is told less often (by a trial on 36 seams).
 LEAST_OF_PAST = 50
 MOST_OF_PAST = 80
 
