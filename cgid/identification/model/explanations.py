@@ -205,11 +205,11 @@ def summary(impacts: Impacts, model: StoredModel, spectrum: Floats, moves: Float
 
 #: Largest number of a reference, and of an array of explanations.
 MAX_NUMBER = 1e9
-#: Impacts after a change from which on it is told (explain2.md, 2: some 2 s).
+#: Impacts after a change from which on it is told (some 2 s; by a trial on 36 simulated seams).
 LEAST_CHANGED = 20
 #: Where a reference has its noise, before its spectrum.
 FLOOR = -1
-#: Impacts of a reference at least and at most: with fewer a change of 2 is told less often (explain2.md, 2).
+#: Impacts of a reference at least and at most: with fewer a change of 2 is told less often (by a trial on 36 seams).
 LEAST_OF_PAST = 50
 MOST_OF_PAST = 80
 
@@ -277,7 +277,7 @@ def _shift(spectra: Floats, sound: Floats) -> tuple[float, float, float]:
 
 #: A summary of n impacts has the density of the first of these bins that holds n.
 BINS = (6, 14, 28, 60, MOST_IMPACTS)
-#: Degrees of freedom of the densities: recordings are stranger than Gaussians (explain.md; by cross-validation there).
+#: Degrees of freedom of the densities: recordings are stranger than Gaussians (by cross-validation of a trial).
 _FREEDOM = 8.0
 #: Standard deviations of sound recordings from which on a summary counts logarithmically.
 _FAR = 3.0
