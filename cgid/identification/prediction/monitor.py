@@ -20,7 +20,6 @@ from cgid.identification.model.model import Model
 from cgid.identification.prediction.answers import Answer
 from cgid.identification.prediction.findings import Finding
 from cgid.identification.prediction.pipeline import Pipeline
-from cgid.identification.prediction.prediction import default_model, read_model
 from cgid.identification.prediction.settings import PredictionSettings
 from cgid.identification.prediction.stream import Step
 from cgid.identification.prediction.support import STEPS, SupportReport, SupportState
@@ -135,6 +134,8 @@ class Monitor:
         applied = PredictionSettings(**{"batch": 1, "same_beam": beams, **place.settings, **settings})
         applied = replace(applied, share_step=applied.share_step or applied.shares.window / STEPS)
         model = place.get("model") if model is None else model
+        from cgid.identification.prediction.prediction import default_model, read_model
+
         loaded = read_model(default_model(self._channels[0].quantity, applied) if model is None else model)
         applied.check(loaded)
         self.sampling_rate: float = require_rate(rate)
