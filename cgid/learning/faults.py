@@ -38,7 +38,7 @@ from cgid.identification.model.model import StoredModel
 from cgid.identification.prediction.answers import Answer
 from cgid.identification.prediction.settings import PredictionSettings
 from cgid.identification.prediction.stream import identify_blocks
-from cgid.learning.seams import seam_numbers
+from cgid.learning.prior import seam_numbers
 from cgid.learning.streams import impact_of, labels_of
 from cgid.scene.file.schema import Scene, parse_scene
 from cgid.scene.synthesis.stream import record
