@@ -152,7 +152,7 @@ def test_the_same_rocks_have_the_same_answers_at_any_rate_and_live(
     later, others = answers("predict", own, RATE + 0.8)
     assert others == labels
     np.testing.assert_allclose(later * (RATE + 0.8) / RATE, time, atol=1e-6)
-    # Another recorder has another noise, which changes 5 to 8 of 100 labels.
+    # Of 100 labels 5 to 8 differ (four seeds); another recorder has another noise, which may be why.
     found, others = answers("predict", other, rate)
     nearest = np.abs(found[:, None] - time).argmin(axis=1)
     near = np.abs(found - time[nearest]) < 1e-3
