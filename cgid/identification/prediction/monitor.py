@@ -118,6 +118,8 @@ class Monitor:
         source: str = "stream",
         **settings: Any,
     ) -> None:
+        from cgid.identification.prediction.prediction import default_model, read_model
+
         for name in settings:
             validation.choice("setting", name, tuple(PredictionSettings.__dataclass_fields__))
         place = NOWHERE if site is None else Site.of(site)
