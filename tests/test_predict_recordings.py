@@ -234,12 +234,12 @@ def test_predict_tells_impacts_shares_and_a_summary(two_channels: Path, capsys: 
 
 
 def test_predict_says_when_to_shut(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    np.save(tmp_path / "s.npy", stream(["coal"] * 14 + ["gangue"] * 14, 0.02).astype(np.float32))
-    arguments = ["predict", str(tmp_path / "s.npy"), "--rate", str(RATE), "--unit", "N", "--set", "window=0.24"]
+    np.save(tmp_path / "s.npy", stream(["coal"] * 70 + ["gangue"] * 70, 0.02).astype(np.float32))
+    arguments = ["predict", str(tmp_path / "s.npy"), "--rate", str(RATE), "--unit", "N", "--set", "window=1.4"]
     assert run([*arguments, "--json"]) == 0
     rows = lines_of(capsys)
     (shut,) = of_kind(rows, "shut")
-    assert 0.28 < shut["time_s"] <= 0.56
+    assert 1.4 < shut["time_s"] <= 2.8
     assert 0 < shut["cost"] <= 2 * shut["gangue_share"] - 1 + 1e-6  # the expected share lies nearer to the middle
     assert 0.95 <= shut["evidence"] <= 1
     assert not of_kind(rows, "open")
@@ -335,7 +335,7 @@ def test_model_of_windows_answers_windows(tmp_path: Path, capsys: pytest.Capture
     windows = [row for row in of_kind(rows, "window") if row["channel"] == "1"]
     assert [row["window"] for row in windows] == list(range(1, 25))
     assert [row["label"] for row in windows] == ["coal"] * 12 + ["gangue"] * 12
-    assert {row["channel"] for row in of_kind(rows, "shut")} == {"1", "2"}
+    assert {row["channel"] for row in of_kind(rows, "share")} == {"1", "2"}
     (summary,) = of_kind(rows, "summary")
     assert summary["windows"] == 48
     assert run([*arguments, "--set", "gangue=granite"]) == 65
