@@ -31,14 +31,15 @@ def pulses() -> tuple[NDArray[np.float64], list[str]]:
 def stream(labels: list[str], gap: float, seed: int = 0, noise: float = 25.0) -> NDArray[np.float64]:
     """Return a force [N] with an impact of each label, one every `gap` seconds, the first after half of it."""
     frames, kinds = pulses()
-    rng = np.random.default_rng(seed)
+    rng, sizes = np.random.default_rng(seed), np.random.default_rng([seed, 1])
     step = round(gap * RATE)
     samples = rng.normal(0.0, noise, step * len(labels))
     for number, label in enumerate(labels):
         # The second and third of each label have the more certain answers.
         which = [k for k, kind in enumerate(kinds) if kind == label][rng.integers(3)]
         first = step * number + step // 2 - _BEFORE
-        samples[first : first + _LENGTH] = frames[which]
+        # No two rocks are alike: peaks that are equal stand at the limit of a recorder.
+        samples[first : first + _LENGTH] = frames[which] * sizes.uniform(0.9, 1.1)
     return samples
 
 

@@ -275,7 +275,9 @@ def test_an_array_of_degenerate_numbers_is_refused_or_harmless(audit, tmp_path, 
         numbers = model.arrays[array]
         if numbers.dtype.kind != "f":
             continue
-        (tmp_path / "m.npz").write_bytes(written(model.header, {**model.arrays, array: DEGENERATE[kind](numbers)}))
+        with np.errstate(over="ignore"):  # infinite in single precision
+            degenerate = DEGENERATE[kind](numbers)
+        (tmp_path / "m.npz").write_bytes(written(model.header, {**model.arrays, array: degenerate}))
         outcomes[array, kind] = audit.outcome(tmp_path / "m.npz")
         if outcomes[array, kind] == "another" and array.startswith("beam."):
             with contextlib.suppress(BadData):

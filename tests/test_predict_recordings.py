@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from scipy.io import wavfile
 
+from cgid import synthesise
 from cgid.cli.main import run
 from cgid.errors import BadData
 from cgid.identification.detection.windows import measure_windows
@@ -234,13 +235,24 @@ def test_predict_tells_impacts_shares_and_a_summary(two_channels: Path, capsys: 
     assert text[-1].startswith(f"{two_channels}: 32 impacts: ")
 
 
+def coal_then_gangue() -> np.ndarray:
+    """Return 80 rocks, mostly coal, then 100, mostly gangue, one every 20 ms [N]."""
+    batch, rng = next(iter(synthesise("reference", 240, seed=5))), np.random.default_rng(0)
+    signals = np.asarray(batch.signals, float)
+    coal, gangue = (np.flatnonzero(batch.labels == label).tolist() for label in ("coal", "gangue"))
+    parts = [rng.permutation(coal[:75] + gangue[:5]), rng.permutation(gangue[5:95] + coal[75:85])]
+    quiet = rng.normal(0, signals[:, :50].std(), (180, round(0.01 * RATE)))
+    return np.concatenate([quiet, signals[np.concatenate(parts)]], axis=1).ravel()
+
+
 def test_predict_says_when_to_shut(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    np.save(tmp_path / "s.npy", stream(["coal"] * 14 + ["gangue"] * 14, 0.02).astype(np.float32))
-    arguments = ["predict", str(tmp_path / "s.npy"), "--rate", str(RATE), "--unit", "N", "--set", "window=0.24"]
+    np.save(tmp_path / "s.npy", coal_then_gangue().astype(np.float32))
+    arguments = ["predict", str(tmp_path / "s.npy"), "--rate", str(RATE), "--unit", "N", "--set", "window=1.4"]
+    arguments += ["--set", "trained_seam=true"]
     assert run([*arguments, "--json"]) == 0
     rows = lines_of(capsys)
     (shut,) = of_kind(rows, "shut")
-    assert 0.28 < shut["time_s"] <= 0.56
+    assert 1.6 < shut["time_s"] <= 3.5
     assert 0 < shut["cost"] <= 2 * shut["gangue_share"] - 1 + 1e-6  # the expected share lies nearer to the middle
     assert 0.95 <= shut["evidence"] <= 1
     assert not of_kind(rows, "open")
@@ -336,7 +348,7 @@ def test_model_of_windows_answers_windows(tmp_path: Path, capsys: pytest.Capture
     windows = [row for row in of_kind(rows, "window") if row["channel"] == "1"]
     assert [row["window"] for row in windows] == list(range(1, 25))
     assert [row["label"] for row in windows] == ["coal"] * 12 + ["gangue"] * 12
-    assert {row["channel"] for row in of_kind(rows, "shut")} == {"1", "2"}
+    assert {row["channel"] for row in of_kind(rows, "share")} == {"1", "2"}
     (summary,) = of_kind(rows, "summary")
     assert summary["windows"] == 48
     assert run([*arguments, "--set", "gangue=granite"]) == 65

@@ -136,7 +136,6 @@ class Monitor:
         applied = PredictionSettings(**{"batch": 1, "same_beam": beams, **place.settings, **settings})
         applied = replace(applied, share_step=applied.share_step or applied.shares.window / STEPS)
         model = place.get("model") if model is None else model
-
         loaded = read_model(default_model(self._channels[0].quantity, applied) if model is None else model)
         applied.check(loaded)
         self.sampling_rate: float = require_rate(rate)
