@@ -357,15 +357,15 @@ def test_all_keys_are_on_the_long_page(capsys: pytest.CaptureFixture[str]) -> No
 def test_the_site_of_the_guide_is_one(tmp_path: Path) -> None:
     text = (ROOT / "docs" / "how-to" / "plant.md").read_text()
     (block,) = re.findall(r"```toml\n(.*?)```", text, re.DOTALL)
-    assert len(tomllib.loads(block)["channels"]) == 12
+    assert len(tomllib.loads(block)["channels"]) == 2
     site = Site(_written(tmp_path / "face3.toml", block))
-    assert site.get("cycle_pause") == 120 and site.channels[7]["invert"] is True
-    data = np.random.default_rng(0).normal(0, 1, (12, 4000)).astype(np.int16)
+    assert site.get("cycle_pause") == 120 and site.channels[2]["gain"] == 10
+    data = np.random.default_rng(0).normal(0, 1, (2, 4000)).astype(np.int16)
     np.save(tmp_path / "minute.npy", data)
     recording = cgid.open_recording(tmp_path / "minute.npy", site=site)
     assert {channel.unit for channel in recording.channels} == {"m/s^2"}
     text = site_text(recording, {})
-    assert Site(_written(tmp_path / "again.toml", text)).channels[12]["name"] == "support 52"
+    assert Site(_written(tmp_path / "again.toml", text)).channels[2]["name"] == "support 42"
 
 
 def test_values_replace_those_of_the_file(plant: Path) -> None:

@@ -490,5 +490,5 @@ def test_a_loop_of_shuffled_batches_sees_each_signal_once(made):
     by_lists = np.concatenate([dataset[order[first : first + 64]] for first in range(0, len(order), 64)])
     np.testing.assert_array_equal(one_by_one, by_lists)
     np.testing.assert_array_equal(one_by_one[np.argsort(order)], dataset[:])
-    with pytest.raises(IndexError):
+    with pytest.raises(InvalidValue, match="index"):
         dataset[[0, len(dataset)]]

@@ -57,6 +57,7 @@ def counts(name: str, samples: NDArray[Any], *, whole: bool = True) -> bool:
     begins_again = (samples[1:] == samples.min(initial=np.inf)) & (samples[:-1] == samples.max(initial=-np.inf))
     least = 1 if name and is_name_of_counter(name) else _MIN_COUNTED
     is_counter = step > 0 and (is_step | (steps == 0) | begins_again).all() and np.ptp(samples) >= least * step
+    is_counter = is_counter and np.count_nonzero(is_step) >= least  # 50, 0, 1 are no 50 steps
     return bool(is_counter and not (whole and (step % 1 or samples[0] % 1)))
 
 

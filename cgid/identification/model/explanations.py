@@ -197,7 +197,7 @@ def summary(impacts: Impacts, model: StoredModel, spectrum: Floats, moves: Float
     moved = np.tile(inputs, (len(moves), 1, 1))
     moved[:, :, places] *= np.exp(moves[:, None, :2])
     levels = model.levels(moved.reshape(-1, inputs.shape[1])).reshape(len(moves), -1)
-    out[:, _LEVEL] = np.median(levels, axis=1) + levels.std(axis=1)
+    out[:, _LEVEL] = np.array([_of(row, 0.5) for row in levels]) + levels.std(axis=1)
     novelty = model.novelty(moved.reshape(-1, inputs.shape[1]), np.tile(guards, (len(moves), 1)))
     out[:, _ODDS] = [_log_odds(count, len(inputs)) for count in (novelty.reshape(len(moves), -1) > 1).sum(axis=1)]
     return out
@@ -242,7 +242,11 @@ def _more(impacts: Impacts) -> Floats:
 
 
 def _of(values: Floats, quantiles: Any) -> Any:
-    return np.quantile(values, quantiles) if values.size else np.full(np.shape(quantiles), np.nan)
+    """Return quantiles as `np.quantile`, which would load masked arrays."""
+    ordered = np.sort(values)
+    if not ordered.size or np.isnan(ordered[-1]):
+        return np.full(np.shape(quantiles), np.nan)
+    return np.interp(np.asarray(quantiles) * (ordered.size - 1), np.arange(ordered.size), ordered)
 
 
 def _log_odds(count: float, n: float) -> float:

@@ -169,7 +169,11 @@ class Diagnosis:
             began = {kind: replace(one, begin=time) for kind, one in now.items() if kind not in before}
             found += [replace(one, end=time) for kind, one in before.items() if kind not in now]
             found += began.values()
-            self._standing[name] = {kind: before.get(kind) or began[kind] for kind in now}
+            # Its factor is better known later.
+            self._standing[name] = {
+                kind: began[kind] if kind in began else replace(one, begin=before[kind].begin)
+                for kind, one in now.items()
+            }
         return found
 
     def findings(self) -> list[Finding]:

@@ -124,10 +124,12 @@ class Pipeline:
             blocks = self._sensors.watching(blocks)
         if measured is not None:
             blocks = measured(blocks)
+        # A rate that is refused is no rate that the model does not know.
+        steps = identify_blocks(blocks, self.sampling_rate, self.model, self.names, self.settings, self.source)
         decides = self.watch is not None
         if known := of_model(self.model, self.sampling_rate, self.settings, self.names, decides=decides):
             yield Step([], 0.0, found=self.findings.tell(known))
-        for step in identify_blocks(blocks, self.sampling_rate, self.model, self.names, self.settings, self.source):
+        for step in steps:
             self._found += step.found
             if self.watch is None:
                 self.diagnosis.add(step.answers)
