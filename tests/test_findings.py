@@ -16,11 +16,12 @@ import pytest
 from scipy.signal import lfilter
 
 from cgid import predict
+from cgid._lib.spelling import as_argument, as_option
 from cgid.cli.answer_rows import AnswerLines
 from cgid.cli.hints import NextSteps
 from cgid.cli.main import run
 from cgid.identification.prediction import findings as module
-from cgid.identification.prediction.findings import Finding, Findings, FindingWarning, as_argument, as_option, words
+from cgid.identification.prediction.findings import Finding, Findings, FindingWarning, words
 from cgid.identification.prediction.support import Ground
 from cgid.identification.prediction.telling import warn
 from cgid.plant.modbus import EACH, FINDINGS, registers

@@ -263,9 +263,7 @@ def test_times_of_a_series_must_be_of_the_rate() -> None:
     for index in (np.arange(4000) / 5e4, pd.date_range("2026-01-01", periods=4000, freq="20us")):
         series = pd.Series(samples, index=index)
         for call in (cgid.predict, cgid.extract):
-            with pytest.raises(
-                InvalidValue, match=r"sampling_rate must be that of the times .* 2e-05 s, got 25600 Hz"
-            ):
+            with pytest.raises(InvalidValue, match=r"sampling_rate must be that of the times .* 2e-05 s, got 25600 Hz"):
                 call(series, 25600.0, "N") if call is cgid.predict else call(series, 25600.0)
         with pytest.warns(UserWarning, match="no impact"):
             assert len(cgid.predict(pd.DataFrame({"a": series}), 50_000.0, "N")) == 0

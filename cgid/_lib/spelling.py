@@ -9,6 +9,7 @@ from collections.abc import Callable
 _OPTIONS = {
     "sampling_rate": "--rate",
     "unit": "--unit",
+    "sensitivity": "--sensitivity",
     "channel": "--channel",
     "same_beam": "--same-beam",
     "coal_until": "--coal-until",
@@ -16,15 +17,21 @@ _OPTIONS = {
 
 
 def as_argument(name: str, value: str = "") -> str:
-    """Return a setting as Python's keyword; a value in capitals stands for one.
+    """Return a setting as Python's keyword; a value in capitals stands for one, beams are in lines.
 
     >>> as_argument("unit"), as_argument("unit", "V"), as_argument("invert", "true"), as_argument("mass", "KG")
     ('unit', "unit='V'", 'invert=True', 'mass=KG')
+    >>> as_argument("same_beam", "1+2"), as_argument("coal_until", "30s")
+    ("same_beam=[('1', '2')]", 'coal_until=30')
     """
+    if name == "same_beam" and value:
+        return f"{name}={[tuple(beam.split('+')) for beam in value.splitlines()]!r}"
     if not value or value in ("true", "false"):
         return f"{name}={value.title()}" if value else name
-    is_plain = (value.isupper() and len(value) > 1) or value.replace(".", "", 1).isdigit()
-    return f"{name}={value if is_plain else repr(value)}"
+    number = value.removesuffix("s")  # [s]
+    if number.replace(".", "", 1).isdigit():
+        return f"{name}={number}"
+    return f"{name}={value if value.isupper() and len(value) > 1 else repr(value)}"
 
 
 def as_option(name: str, value: str = "") -> str:
@@ -33,6 +40,8 @@ def as_option(name: str, value: str = "") -> str:
     >>> as_option("unit"), as_option("unit", "m/s^2"), as_option("invert", "true"), as_option("full_scale", "10 V")
     ('--unit', '--unit m/s^2', '--set invert=true', "--set full_scale='10 V'")
     """
+    if name == "same_beam" and value:
+        return " ".join(f"{_OPTIONS[name]} {shlex.quote(beam)}" for beam in value.splitlines())
     plain = value.replace("^", "")  # no sign of shells
     quoted = value if not plain or shlex.quote(plain) == plain else shlex.quote(value)
     if name in _OPTIONS:

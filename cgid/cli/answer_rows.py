@@ -7,11 +7,11 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Any
 
+from cgid._lib.spelling import as_option
 from cgid._lib.terminal import counted
 from cgid.cli.output import finite, print_json, say, warn
 from cgid.cli.table import TableOutput
 from cgid.errors import BadData
-from cgid.identification.prediction.findings import as_option
 from cgid.units import Column
 
 if TYPE_CHECKING:

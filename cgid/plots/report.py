@@ -19,11 +19,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid import __version__
+from cgid._lib.spelling import as_option
 from cgid._lib.terminal import counted, printable
 from cgid._lib.validation import UNKNOWN
 from cgid.identification.model.model import StoredModel
 from cgid.identification.prediction.answers import Answer
-from cgid.identification.prediction.findings import Finding, InWords, as_option
+from cgid.identification.prediction.findings import Finding, InWords
 from cgid.identification.prediction.fraction import MIN_IMPACTS, Share, Switch, unproven
 from cgid.identification.prediction.support import SupportState
 from cgid.measure.overview import Overview

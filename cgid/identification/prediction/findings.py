@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 import re
-import shlex
 import tomllib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -17,55 +16,23 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-__all__ = ["Finding", "FindingWarning", "Findings", "InWords", "SameBeamWarning", "as_argument", "as_option"]
+from cgid._lib.spelling import as_argument
+
+__all__ = ["Finding", "FindingWarning", "Findings", "InWords", "SameBeamWarning"]
 
 #: An option in the words: its name, and its value unless it is only named.
 _OPTION = re.compile(r"<(\w+)(?:=([^>]*))?>")
-#: Arguments of `cgid.predict` that have another name than the key of a site.
-_ARGUMENTS = {"rate": "sampling_rate"}
-#: Keys of a site that have options of their own.
-_OPTIONS = ("rate", "unit", "sensitivity", "same_beam", "coal_until")
 #: Channels that are named in a line.
 _MAX_NAMED = 3
 
-#: Name and value (None where it is only named) of an option -> its words.
-Speak = Callable[[str, str | None], str]
+#: Name and value (empty where it is only named) of a setting -> its words.
+Speak = Callable[[str, str], str]
 
 
 @cache
 def words() -> Mapping[str, Mapping[str, Any]]:
     """Return the words of each kind."""
     return tomllib.loads(Path(__file__).with_name("findings.toml").read_text(encoding="utf-8"))
-
-
-def as_argument(name: str, value: str | None) -> str:
-    """Return an option as Python names it.
-
-    >>> as_argument("same_beam", "1+2"), as_argument("lines", "false"), as_argument("rate", None)
-    ("same_beam=[('1', '2')]", 'lines=False', 'sampling_rate')
-    """
-    name = _ARGUMENTS.get(name, name)
-    if value is None:
-        return name
-    if name == "same_beam":  # beams in lines, their channels joined by "+"
-        value = repr([tuple(beam.split("+")) for beam in value.splitlines()])
-    elif value in ("true", "false"):
-        value = value.title()
-    return f"{name}={value}"
-
-
-def as_option(name: str, value: str | None) -> str:
-    """Return an option as a command line has it.
-
-    >>> as_option("same_beam", "1+2"), as_option("lines", "false"), as_option("rate", None)
-    ('--same-beam 1+2', '--set lines=false', '--rate')
-    """
-    if name == "same_beam" and value is not None:
-        return " ".join(f"--same-beam {shlex.quote(beam)}" for beam in value.splitlines())
-    if name in _OPTIONS:
-        flag = "--" + name.replace("_", "-")
-        return flag if value is None else f"{flag} {shlex.quote(value)}"
-    return name if value is None else shlex.join(["--set", f"{name}={value}"])
 
 
 class InWords(str):
@@ -204,7 +171,7 @@ class Finding:
 
         def option(match: re.Match[str]) -> str:
             name, value = match.groups()
-            fields[f"<{name}>"] = speak(name, value and value.format_map(fields))
+            fields[f"<{name}>"] = speak(name, (value or "").format_map(fields))
             return f"{{<{name}>}}"
 
         return str(_OPTION.sub(option, template).format_map(fields))
