@@ -177,7 +177,7 @@ def summary(impacts: Impacts, model: StoredModel, spectrum: Floats, moves: Float
         *(_of(np.arctanh(0.999 * one) if model.beam else one, 0.5) for one in columns[5:]),
         *([_of(np.log(impacts.misshapen[np.isfinite(impacts.misshapen)] + _NOTHING), 0.5)] if model.beam else []),
         np.nan if alike else np.arctanh(0.99 * np.corrcoef(peak, width)[0, 1]),
-        *(_log_odds(count, n) for count in (n - known.sum(), impacts.flagged.sum(), ends - 1)),
+        *(_log_odds(count, n) for count in (n - known.sum(), impacts.flagged.sum(), max(ends - 1, 0))),
         _log_odds(((n_high > 2) | (n_low > 2)).sum(), n),
         *_of(clear, [0.5, 0.9]),
         _of(np.log(fall / rise), 0.5),
