@@ -9,7 +9,6 @@ from collections.abc import Callable
 _OPTIONS = {
     "sampling_rate": "--rate",
     "unit": "--unit",
-    "sensitivity": "--sensitivity",
     "channel": "--channel",
     "same_beam": "--same-beam",
     "coal_until": "--coal-until",
