@@ -281,6 +281,29 @@ def test_times_of_parquet(tmp_path):
         assert recording.sampling_rate == pytest.approx(rate, rel=1e-4) and len(found) == 1
 
 
+def test_scale_and_start_of_a_column_of_parquet(tmp_path):
+    pa, pq = pytest.importorskip("pyarrow"), pytest.importorskip("pyarrow.parquet")
+    counts, seconds = (np.arange(N) % 97 - 50).astype("i2"), N // 2 / RATE
+
+    def written(scale, *starts):
+        fields = [
+            pa.field(f"c{k}", pa.int16(), metadata={"unit": "N", "scale": scale, "start_time": start})
+            for k, start in enumerate(starts)
+        ]
+        schema = pa.schema(fields, metadata={"sampling_rate": str(RATE)})
+        pq.write_table(pa.table([counts] * len(starts), schema=schema), tmp_path / "a.parquet")
+        return read(tmp_path / "a.parquet")[1]
+
+    for one in written("0.01", "2026-01-01T00:00:00", "2026-01-01T00:00:00"):
+        np.testing.assert_allclose(one, counts * 0.01)
+    later = np.datetime64("2026-01-01T00:00:00", "us") + np.timedelta64(round(1e6 * seconds), "us")
+    first, second = written("0.01", "2026-01-01T00:00:00", str(later))
+    np.testing.assert_allclose(first, counts[N // 2 :] * 0.01)
+    np.testing.assert_allclose(second, counts[: N - N // 2] * 0.01)
+    with pytest.raises(BadData, match="scale of c0"):
+        written("a hundredth", "2026-01-01T00:00:00")
+
+
 # ---- what is no recording ----
 
 

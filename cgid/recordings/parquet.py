@@ -69,7 +69,9 @@ def read_parquet(path: Path, source: str, asked: Asked) -> Blocks:
         words = list(file.words(label))
         return stretches(zip(places_of(np.arange(len(words)), blocks.gaps).tolist(), words, strict=True))
 
-    return replace(blocks, read=read, start_time=blocks.start_time or start[0], labels=labels if label else None)
+    if not any(values for _, _, values in file.columns()):  # else a column may have a scale or a start of its own
+        blocks = replace(blocks, read=read)
+    return replace(blocks, start_time=blocks.start_time or start[0], labels=labels if label else None)
 
 
 def _variable(file: _Parquet, name: str, kind: str, values: dict[str, Value], column: ColumnHeader) -> Variable:

@@ -554,7 +554,8 @@ def _stated_number(values: dict[str, Value], names: Collection[str]) -> float | 
     for name, value, plain, _ in list(_named(values, frozenset(names))):
         if isinstance(value, int | float) or plain != "gain":
             del values[name]
-            return float(value) if isinstance(value, int | float) else np.nan
+            number = _number(value, "", {"": 1.0}.get)  # metadata of Parquet are texts
+            return np.nan if number is None else number
     return None
 
 
