@@ -336,7 +336,7 @@ ANSWERS = {
     "german_date.csv": (25_600, "N", 1, 220, 798.82, ""),
     "fortran_D.txt": (25_600, "N", 1, 360, 1500.0, ""),
     "rate_in_comment.csv": (25_600, None, 1, 360, 152.922, "count only counts"),
-    "counter_channel.csv": ("--rate",),
+    "counter_channel.csv": ("sampling_rate",),
     "lost_rows.csv": (25_600, "N", 1, 360, 1499.66, "20 samples in 1 gap"),
     "lvm_no_header_slow_column.lvm": (200_000, None, 2, 360, 1499.657, "from 4 on"),
     "ext_24in32_right_justified.wav": (25_600, "FS", 1, 360, 0.00292902, "lower bits"),
