@@ -15,6 +15,8 @@ _FIRST_DAMPING, _FELT = 1e-6, 0.6
 _STUCK = 1e4
 #: Minimum fraction of the predicted gain of a good step.
 _MIN_GAIN = 0.7
+#: Information on a parameter of which nothing is known: the square of its variance stays finite.
+_LEAST_INFORMATION = 1e-140
 
 
 def least_squares(
@@ -75,6 +77,6 @@ def solve_scaled(information: Floats, right: Floats, ridge: Floats | float) -> F
 
 def scaled(information: Floats, ridge: Floats | float) -> tuple[Floats, Floats]:
     """Return scales and the information with ones on the diagonal, since peaks are newtons and shapes are ratios."""
-    scale = np.sqrt(np.maximum(np.einsum("nii->ni", information), 1e-300))
+    scale = np.sqrt(np.maximum(np.einsum("nii->ni", information), _LEAST_INFORMATION))
     unit = information / (scale[:, :, None] * scale[:, None, :])
     return scale, unit + ridge * np.eye(information.shape[1])
