@@ -340,7 +340,7 @@ def with_seams(
     plain = np.concatenate([first.window, first.anchor, first.window - first.anchor], axis=1)
     mean, scale = plain.mean(axis=0), np.maximum(plain.std(axis=0), 1e-6)
 
-    def taught(inputs: Callable[[_Draws], Floats], margin: float = 1.0) -> tuple[Committee, list[float]]:
+    def trained(inputs: Callable[[_Draws], Floats], margin: float = 1.0) -> tuple[Committee, list[float]]:
         """Return a committee at the temperature that suits the judges, and the error of each of its networks."""
         networks = [
             _fitted(inputs(own[which, usual]), _class_of(own[which, usual].fraction), seed + more)
@@ -355,9 +355,9 @@ def with_seams(
 
     typical = judges.window[:, -1] >= np.log(_TYPICAL[1][0])
     with threadpool_limits(1):
-        anchored, errors = taught(beside)
-        alone, _ = taught(lambda drawn: beside(drawn)[:, : drawn.window.shape[1]], _MARGIN)
-        sharpened, _ = taught(lambda drawn: inputs_of(drawn.window, drawn.anchor, mean, scale, drawn.lumps))
+        anchored, errors = trained(beside)
+        alone, _ = trained(lambda drawn: beside(drawn)[:, : drawn.window.shape[1]], _MARGIN)
+        sharpened, _ = trained(lambda drawn: inputs_of(drawn.window, drawn.anchor, mean, scale, drawn.lumps))
         sound, others = beside(first), inputs_of(first.window, first.other, mean, scale)
         foreign = _fitted(np.concatenate([sound, others]), np.repeat([0, 1], len(sound)), seed)
     networks = SeamNetworks(

@@ -56,9 +56,10 @@ def counts(name: str, samples: NDArray[Any], *, whole: bool = True) -> bool:
     is_step = np.abs(steps - step) <= (0 if whole else _ALIKE * step)
     begins_again = (samples[1:] == samples.min(initial=np.inf)) & (samples[:-1] == samples.max(initial=-np.inf))
     least = 1 if name and is_name_of_counter(name) else _MIN_COUNTED
-    is_counter = step > 0 and (is_step | (steps == 0) | begins_again).all() and np.ptp(samples) >= least * step
-    is_counter = is_counter and np.count_nonzero(is_step) >= least  # 50, 0, 1 are no 50 steps
-    return bool(is_counter and not (whole and (step % 1 or samples[0] % 1)))
+    # Of so many steps, too: 50, 0, 1 is one.
+    is_long = np.ptp(samples) >= least * step and np.count_nonzero(is_step) >= least
+    is_counter = step > 0 and (is_step | (steps == 0) | begins_again).all()
+    return bool(is_counter and is_long and not (whole and (step % 1 or samples[0] % 1)))
 
 
 class Gaps:

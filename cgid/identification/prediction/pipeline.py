@@ -124,7 +124,7 @@ class Pipeline:
             blocks = self._sensors.watching(blocks)
         if measured is not None:
             blocks = measured(blocks)
-        # A rate that is refused is no rate that the model does not know.
+        # First, since it refuses rates: of these nothing else is said.
         steps = identify_blocks(blocks, self.sampling_rate, self.model, self.names, self.settings, self.source)
         decides = self.watch is not None
         if known := of_model(self.model, self.sampling_rate, self.settings, self.names, decides=decides):

@@ -88,9 +88,10 @@ class Telling(Findings):
             begun = watch.cycles().get(share.channel, share.time) if self._settings.cycle_pause else share.time
             if share.time - begun > _LONGEST_CYCLE:
                 found += self._of_cycle(share.channel, begun, state.time)
-        for name in watch.short_cycles().keys() - self._short:
+        short = watch.short_cycles()
+        for name in short.keys() - self._short:
             self._short.add(name)
-            begun, until = watch.short_cycles()[name]
+            begun, until = short[name]
             fields = {"begun": begun, "until": until, "coal": self._settings.coal_until}
             found.append(Finding(kind="short_cycle", channels=(name,), fields=fields))
         return found
