@@ -26,9 +26,9 @@ if TYPE_CHECKING:
     from cgid.identification.model.model import StoredModel
     from cgid.identification.prediction.answers import Answer
 
-#: A live stream is judged by the latest predictions of each channel, at most so many and so old [s]. Most are unknown
-#: from this fraction of at least so many on, until it falls below the second fraction.
-_RECENT, _OLDEST = 60, 300.0
+#: Of so many latest predictions of a channel in a live stream, most are unknown from this fraction of at least so many
+#: on, until it falls below the second fraction.
+_RECENT = 60
 _MIN_ANSWERS, _MOSTLY, _NO_LONGER = 20, 0.8, 0.5
 #: Impacts from which on their levels are compared with those of the training, and the latest levels kept of a channel.
 MIN_LEVELS, _MAX_LEVELS = 10, 10_000
@@ -74,7 +74,6 @@ class _Channel:
         self.watch = ChannelWatch(model) if watched else None
         self.scale = _Scale(model) if watched else None
         self.n_answers = self.n_unknown = self.n_usable = 0
-        self.recent: deque[tuple[float, bool]] = deque(maxlen=_RECENT)  # time [s], and whether it is unknown
         self.problems: Counter[str] = Counter()
         self.levels: deque[float] = deque(maxlen=_MAX_LEVELS)
         self.n_levels = 0
@@ -90,7 +89,6 @@ class _Channel:
         self.n_usable += bool(answer.probabilities) and not (
             is_soon or answer.overlapping or answer.clipped or answer.cut
         )
-        self.recent.append((answer.time, is_unknown))
         if answer.problem in self.problems or len(self.problems) < _MAX_EXAMPLES:
             self.problems[answer.problem] += is_unknown
         self.evidence.add(answer)
@@ -104,9 +102,10 @@ class _Channel:
 
     def is_mostly_unknown(self, *, before: bool) -> bool:
         """Return whether most of the latest predictions are unknown; if they were `before`, until half are not."""
-        n_unknown = sum(is_unknown for _, is_unknown in self.recent)
-        enough = len(self.recent) >= (1 if before else _MIN_ANSWERS)
-        return enough and n_unknown >= (_NO_LONGER if before else _MOSTLY) * len(self.recent)
+        recent = self.evidence.latest(_RECENT).answers
+        n_unknown = sum(answer.label == UNKNOWN for answer in recent)
+        enough = len(recent) >= (1 if before else _MIN_ANSWERS)
+        return enough and n_unknown >= (_NO_LONGER if before else _MOSTLY) * len(recent)
 
 
 class Diagnosis:
@@ -156,8 +155,6 @@ class Diagnosis:
         found = []
         for name, channel in sorted(self.channels.items()):
             assert channel.watch is not None
-            while channel.recent and channel.recent[0][0] < time - _OLDEST:
-                channel.recent.popleft()
             channel.evidence.forget(time)
             channel.watch.forget(time)
             before = self._standing.get(name, {})
