@@ -20,7 +20,6 @@ _PACKAGE = Path(__file__).parent
 DEFAULT_MODEL = "default.npz"
 ACCELERATION_MODEL = "default-acceleration.npz"
 SAMPLE, ACCELERATION_SAMPLE = "sample.csv", "sample_acceleration.csv"
-FINITE_ELEMENT_IMPACTS = "finite_element.npz"
 MODELS = ("default", "default-acceleration")
 SCENES = (
     "reference",

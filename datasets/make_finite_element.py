@@ -30,11 +30,11 @@ from cgid._lib.workers import workers
 from cgid.errors import BadData, CgidError
 from cgid.physics import STEEL, Elastic, HalfSpace, HertzRangeWarning, Impact, Material, Sphere
 from cgid.physics.contact.bodies import sphere_share
-from cgid.physics.contact.sampled import SampledPulses, shares_of_contact, smoothed
+from cgid.physics.contact.sampled import SampledPulses, shares_of_contact
 from cgid.scene import load_scene
-from cgid.scene.synthesis.given_pulses import MAKING, PARAMETERS, SolvedImpacts
 from cgid.scene.synthesis.impacts import draw
 from studies.finite_element import ElasticPlate, FiniteElementImpact, History
+from studies.finite_element.solved import MAKING, PARAMETERS, SolvedImpacts, smoothed
 from studies.paper.sensitivity import dissipative_constant
 
 HERE = Path(__file__).parent

@@ -12,14 +12,14 @@ from cgid.errors import BadData, InvalidValue
 from cgid.identification.model.model import StoredModel
 from cgid.identification.training import measure
 from cgid.physics import STEEL, Elastic, HalfSpace, HertzRangeWarning, Impact, Material, Sphere, Viscoelastic
-from cgid.physics.contact.sampled import SampledPulses, shares_of_contact, smoothed
-from cgid.scene.synthesis.given_pulses import MAKING, PARAMETERS, SolvedImpacts, radii
+from cgid.physics.contact.sampled import SampledPulses, shares_of_contact
 from cgid.scene.synthesis.impacts import draw
 from studies.finite_element import ElasticPlate, FiniteElementImpact
+from studies.finite_element.solved import MAKING, PARAMETERS, SolvedImpacts, radii, smoothed
 from studies.impactor.estimation import estimate
 from studies.paper.sensitivity import dissipative_constant
 
-PATH = shipped.path_of("datasets", shipped.FINITE_ELEMENT_IMPACTS)
+PATH = shipped.path_of("datasets", "finite_element.npz")
 
 
 @pytest.fixture(scope="module")

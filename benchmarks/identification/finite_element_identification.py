@@ -22,7 +22,8 @@ from cgid.identification.training.metrics import evaluate
 from cgid.measure.fit.template import curve
 from cgid.physics import Elastic, HalfSpace, HuntCrossley, Impact, Material, Sphere, Viscoelastic
 from cgid.physics.contact.sampled import SampledPulses, shares_of_contact
-from cgid.scene import Scene, SolvedImpacts, load_scene, varied
+from cgid.scene import Scene, load_scene, varied
+from studies.finite_element.solved import SolvedImpacts
 from studies.impactor.estimation import estimate
 from studies.paper.sensitivity import dissipative_constant
 
@@ -91,7 +92,7 @@ def main() -> None:
     parser.add_argument("model", nargs="?", type=Path, help="a model file; else the shipped default model")
     parser.add_argument("--sizes", type=int, default=8, help="how often sizes and noise are drawn")
     arguments = parser.parse_args()
-    solved = SolvedImpacts.load(shipped.path_of("datasets", shipped.FINITE_ELEMENT_IMPACTS))
+    solved = SolvedImpacts.load(shipped.path_of("datasets", "finite_element.npz"))
     model = StoredModel.load(arguments.model or shipped.path_of("models", shipped.DEFAULT_MODEL))
     scene = load_scene(shipped.scene_path(solved.made["scene"]))
     kinds = {FINITE_ELEMENTS: solved} | {law: by_law(solved, scene, law) for law in (VISCOELASTIC, FAMILY)}

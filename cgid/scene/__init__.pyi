@@ -6,7 +6,6 @@ from cgid.scene.file.sensor import Sensor as Sensor
 from cgid.scene.output.changes import changed as changed
 from cgid.scene.output.generation import generate as generate
 from cgid.scene.output.recordings import generate_recordings as generate_recordings
-from cgid.scene.synthesis.given_pulses import SolvedImpacts as SolvedImpacts
 from cgid.scene.synthesis.given_pulses import synthesise_given as synthesise_given
 from cgid.scene.synthesis.plan import Plan as Plan
 from cgid.scene.synthesis.plan import plan as plan

@@ -17,8 +17,8 @@ __all__ = ["SampledPulses"]
 
 #: Minimum number of points of a pulse, as a cubic spline needs.
 MIN_POINTS = 4
-#: Points per interval around the largest sample in the peak search, and the degree of the splines.
-_FINER, _CUBIC = 32, 3
+#: Points per interval around the largest sample in the peak search.
+_FINER = 32
 
 
 def shares_of_contact(n_points: int) -> Floats:
@@ -28,33 +28,7 @@ def shares_of_contact(n_points: int) -> Floats:
     return np.asarray((1 - np.cos(np.linspace(0, np.pi, n_points))) / 2)
 
 
-def smoothed(times: ArrayLike, forces: ArrayLike, contact_duration: float, shares: ArrayLike, knots: int = 8) -> Floats:
-    """Return the force [N] of one noisy pulse at fractions of its contact: a cubic spline by least squares."""
-    # Eight knots fit a damped impact within .3 % of its peak, and remove the force steps of a mesh.
-    from scipy.interpolate import BSpline
-
-    since, values = validation.real("times", times, "s"), validation.real("forces", forces, "N")
-    _require_samples(since, values)
-    lasts = validation.number("contact_duration", contact_duration, "s", validation.positive)
-    inside = (since > 0) & (since < lasts)
-    if inside.sum() < 2 * (knots + MIN_POINTS):
-        raise InvalidValue(
-            f"forces must have {2 * (knots + MIN_POINTS)} samples or more within contact for {knots} knots, got "
-            f"{inside.sum()}"
-        )
-    inner = np.linspace(0, np.pi, knots + 2)
-    ends = np.concatenate([[0.0] * _CUBIC, inner, [np.pi] * _CUBIC])
-    basis = BSpline.design_matrix(_angle(since[inside] / lasts), ends, _CUBIC).toarray()
-    # The first and last coefficients are the values at onset and separation: 0.
-    coefficients = np.zeros(basis.shape[1])
-    coefficients[1:-1], _, rank, _ = np.linalg.lstsq(basis[:, 1:-1], values[inside])
-    if rank < coefficients.size - 2:
-        raise InvalidValue(f"times must cover the contact for {knots} knots, and leave a part of it empty")
-    spline = BSpline(ends, coefficients, _CUBIC)
-    return np.asarray(np.maximum(spline(_angle(validation.real("shares", shares))), 0.0))
-
-
-def _angle(fraction: Floats) -> Floats:
+def angle_of(fraction: Floats) -> Floats:
     """Return `arccos(1 - 2 share)`, by Newton's method for half of it, whose sine is the root of the share."""
     late = fraction > 0.5
     sine = np.sqrt(np.where(late, 1 - fraction, fraction))
@@ -64,15 +38,6 @@ def _angle(fraction: Floats) -> Floats:
         sine_now, slope = np.sin(half), np.cos(half)
         half = half - (sine_now - sine) / slope
     return np.where(late, np.pi - 2 * half, 2 * half)
-
-
-def _require_samples(times: Floats, forces: Floats) -> None:
-    if times.ndim != 1 or forces.shape != times.shape:
-        raise InvalidValue(f"forces must be one for each of the times, got shape {forces.shape} for {times.shape}")
-    falls = np.flatnonzero(np.diff(times) <= 0)
-    if falls.size:
-        row = falls[0]
-        raise InvalidValue(f"times must rise, got {times[row + 1]:g} s after {times[row]:g} s at index {row + 1}")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -176,7 +141,7 @@ class SampledPulses:
         since = np.broadcast_to(since, (len(self), since.shape[-1]))
         share = since / self.contact_duration[:, None]
         inside = (share > 0) & (share < 1)
-        angles = _angle(np.clip(share, 0, 1))
+        angles = angle_of(np.clip(share, 0, 1))
         forces = np.zeros(angles.shape)
         for row, angle in enumerate(angles):
             forces[row] = self._curve(row, angle)
@@ -196,11 +161,11 @@ class SampledPulses:
         behind = np.clip(np.ceil(start + length), first, frames.shape[1]).astype(np.intp)
         for row, frame in enumerate(frames):
             share = (np.arange(first[row], behind[row]) - start[row]) / length[row]
-            frame[first[row] : behind[row]] += self._curve(row, _angle(np.clip(share, 0, 1)))
+            frame[first[row] : behind[row]] += self._curve(row, angle_of(np.clip(share, 0, 1)))
 
     @cached_property
     def _angles(self) -> Floats:
-        return _angle(self.shares)
+        return angle_of(self.shares)
 
     @cached_property
     def _coefficients(self) -> Floats:
