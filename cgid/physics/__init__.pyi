@@ -20,12 +20,8 @@ from cgid.physics.contact.laws import WaltonBraun as WaltonBraun
 from cgid.physics.contact.laws import contact_stiffness as contact_stiffness
 from cgid.physics.contact.laws import free_fall_velocity as free_fall_velocity
 from cgid.physics.contact.materials import COAL as COAL
-from cgid.physics.contact.materials import COAL_STRENGTH as COAL_STRENGTH
 from cgid.physics.contact.materials import GANGUE as GANGUE
-from cgid.physics.contact.materials import LIMESTONE_STRENGTH as LIMESTONE_STRENGTH
-from cgid.physics.contact.materials import MUDSTONE_STRENGTH as MUDSTONE_STRENGTH
 from cgid.physics.contact.materials import SANDSTONE as SANDSTONE
-from cgid.physics.contact.materials import SANDSTONE_STRENGTH as SANDSTONE_STRENGTH
 from cgid.physics.contact.materials import SHALE as SHALE
 from cgid.physics.contact.materials import STEEL as STEEL
 from cgid.physics.contact.materials import YANG2018_COAL_1 as YANG2018_COAL_1
@@ -35,7 +31,6 @@ from cgid.physics.contact.materials import YANG2018_GANGUE_4 as YANG2018_GANGUE_
 from cgid.physics.contact.materials import YANG2018_SPHERES as YANG2018_SPHERES
 from cgid.physics.contact.materials import Material as Material
 from cgid.physics.contact.materials import MaterialRange as MaterialRange
-from cgid.physics.contact.materials import StrengthRange as StrengthRange
 from cgid.physics.contact.own_laws import add_laws as add_laws
 from cgid.physics.contact.sampled import SampledPulses as SampledPulses
 from cgid.physics.structure.coupled import ModalImpact as ModalImpact

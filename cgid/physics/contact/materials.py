@@ -13,12 +13,8 @@ from cgid.errors import InvalidValue
 
 __all__ = [
     "COAL",
-    "COAL_STRENGTH",
     "GANGUE",
-    "LIMESTONE_STRENGTH",
-    "MUDSTONE_STRENGTH",
     "SANDSTONE",
-    "SANDSTONE_STRENGTH",
     "SHALE",
     "STEEL",
     "YANG2018_COAL_1",
@@ -27,7 +23,6 @@ __all__ = [
     "YANG2018_GANGUE_4",
     "YANG2018_SPHERES",
     "MaterialRange",
-    "StrengthRange",
 ]
 
 
@@ -135,37 +130,8 @@ def require_material(material: object) -> None:
     validation.instance("material", material, Material)
 
 
-@dataclass(frozen=True, kw_only=True)
-class StrengthRange:
-    """Lowest and highest published uniaxial compressive strength of a rock, with their sources.
-
-    They are sample measurements of dry rock, not bounds.
-
-    Parameters
-    ----------
-    compressive_strength : tuple of two floats [Pa]
-    sources : tuple of str
-
-    Examples
-    --------
-    >>> [round(float(pressure) / 1e6) for pressure in COAL_STRENGTH.yield_pressure]
-    [12, 52]
-    """
-
-    compressive_strength: tuple[float, float]
-    sources: tuple[str, ...]
-
-    @property
-    def yield_pressure(self) -> tuple[float, float]:
-        """Contact pressure at which a sphere of this rock yields [Pa], for `cgid.physics.Thornton`.
-
-        It is 1.6 times the strength (von Mises, Poisson's ratio 0.3; Johnson 1985, Contact Mechanics, section 6.1).
-        """
-        lowest, highest = self.compressive_strength
-        return YIELD_OVER_STRENGTH * lowest, YIELD_OVER_STRENGTH * highest
-
-
-#: Largest contact pressure at first yield over the uniaxial strength.
+#: Largest contact pressure at first yield over the uniaxial strength: von Mises, Poisson's ratio 0.3; Johnson 1985,
+#: Contact Mechanics, section 6.1.
 YIELD_OVER_STRENGTH = 1.6
 
 #: Yang, Zeng & Wan (2018), Shock and Vibration, Tables 1 and 2: two spheres that resemble coal, and two gangue.
@@ -226,38 +192,4 @@ GANGUE = MaterialRange(
     youngs_modulus=(SHALE.youngs_modulus[0], SANDSTONE.youngs_modulus[1]),
     poisson_ratio=(min(SHALE.poisson_ratio), max(SANDSTONE.poisson_ratio)),
     sources=SHALE.sources + SANDSTONE.sources,
-)
-
-_WEATHERED = "Advances in Civil Engineering 2018, article 3210420, Table 1"
-_YANGCHENG = "Shock and Vibration 2015, article 452479, Table 2 (natural specimens)"
-_GOODMAN = "Goodman 1989, Introduction to Rock Mechanics, 2nd ed., Table 3.1"
-
-COAL_STRENGTH = StrengthRange(
-    compressive_strength=(7.25e6, 32.27e6),
-    sources=(
-        f"{_DISTURBED}: 7.25 MPa",
-        f"{_WEATHERED}: 7.65 MPa",
-        f"{_LIU}: 15.98 MPa",
-        f"{_NUCLEAR}: 32.27 MPa",
-    ),
-)
-MUDSTONE_STRENGTH = StrengthRange(
-    compressive_strength=(12.5e6, 59.26e6),
-    sources=(
-        f"{_DISTURBED}: 12.5 MPa",
-        f"{_YANGCHENG}: 23.05 MPa and 24.13 MPa",
-        "Shock and Vibration 2021, article 9059228, six specimens: 31.77 MPa to 59.26 MPa, mean 45.64 MPa",
-    ),
-)
-SANDSTONE_STRENGTH = StrengthRange(
-    compressive_strength=(26.5e6, 73.8e6),
-    sources=(
-        f"{_DISTURBED}, medium sandstone and packsand: 26.5 MPa and 34.3 MPa",
-        f"{_YANGCHENG}, medium and fine sandstone: 30.14 MPa and 31.85 MPa",
-        f"{_GOODMAN}, Berea sandstone: 73.8 MPa",
-    ),
-)
-LIMESTONE_STRENGTH = StrengthRange(
-    compressive_strength=(51.0e6, 245.0e6),
-    sources=(f"{_GOODMAN}, Bedford, Tavernalle and Solenhofen limestone: 51.0 MPa, 97.9 MPa and 245.0 MPa",),
 )
