@@ -173,26 +173,6 @@ class Signal:
         factor, si = units.si_of(self.unit)
         return self if self.unit == si else replace(self, samples=self.samples * factor, unit=si)
 
-    def as_force(self, mass: float) -> Signal:
-        """Return the contact force [N] of an impactor that carries the accelerometer.
-
-        Parameters
-        ----------
-        mass : float
-            Mass of the whole accelerated body [kg]. Force is mass times acceleration only if this body is rigid and
-            nothing but the contact accelerates it.
-
-        Returns
-        -------
-        Signal
-
-        Raises
-        ------
-        InvalidValue
-            The mass is not above 0, or the signal is not an acceleration.
-        """
-        return replace(self, samples=self.samples * force_factor(self.unit, mass, self.name), unit="N")
-
     def inverted(self) -> Signal:
         """Return the signal with the opposite sign.
 

@@ -572,7 +572,6 @@ _COMMANDS = r"""
 65 | train m_overlap.csv -o new.npz | twice.csv
 65 | train m_group.csv --by window --window 0 -o new.npz | --window
 65 | train m_group.csv --by window --set hop=1e-6 -o new.npz | hop
-65 | train m_group.csv --set class_weights=coal:2 -o new.npz | class_weights
 65 | train m_group.csv --by impact --features window_level -o new.npz | features
 65 | train m_group.csv reference --by window -o new.npz | --by impact
 65 | train m_same.csv -o new.npz | at least 2 labels

@@ -44,14 +44,6 @@ def test_unknown_unit_is_refused_with_the_known_ones(unit):
         one(unit=unit)
 
 
-# -- force ----------------------------------------------------------------------------------------------------
-
-
-def test_force_is_mass_times_acceleration():
-    force = one([2.0], unit="g").as_force(0.5)
-    assert (force.samples[0], force.unit, force.quantity) == (9.80665, "N", "force")
-
-
 # -- what a signal is -----------------------------------------------------------------------------------------
 
 

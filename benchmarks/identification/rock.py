@@ -285,7 +285,7 @@ def table_of_strangers(model: StoredModel, n: int) -> Iterator[Line]:
 
 def shock_is_flagged(model: StoredModel, file: Path) -> bool:
     (recorded,) = read_recording(file)
-    answers = identify(suited(recorded.as_force(1.0), model), model)
+    answers = identify(suited(recorded, model, 1.0), model)
     return not any(answer.in_training_range for answer in answers)
 
 

@@ -48,7 +48,7 @@ _OF_RECORDINGS = (
     "--by --window --hop --rate --unit --channel --gain --sensitivity --full-scale --format --invert --dead-time"
 )
 _OF_DATASETS = "--start-error --sensor"
-_OF_TRAINING = "--features --family --class-weights --by --window --hop --start-error --signals"
+_OF_TRAINING = "--features --family --by --window --hop --start-error --signals"
 
 
 def _beside_model(path: Path) -> list[Path]:
@@ -109,7 +109,7 @@ def _beside_model(path: Path) -> list[Path]:
 @reading_options("same_beam")
 @seed_option
 @jobs_option
-@keys(class_weights=None, hop_time=None, start_error=None, scheduler=None)
+@keys(hop_time=None, start_error=None, scheduler=None)
 @click.option("--plots", is_flag=True, help="Plot confusion matrix, reliability diagram and ROC curve (extra plot).")
 @overwrite_option
 @json_option
@@ -161,7 +161,6 @@ def train(
     names = options.pop("names")
     options["features"] = None if names is None else choose([name.strip() for name in names.split(",")])
     options["same_beam"] = reading.same_beam
-    options["class_weights"] = _class_weights(options["class_weights"])
     options["sensors"] = [point_of(text) for text in options["sensors"]]
     recorded = [item for item in data if _recorded(item)]
     others = [item for item in data if item not in recorded]
@@ -262,7 +261,7 @@ def _requested_windows(
 
 
 #: Options for every training.
-_COMMON = ("features", "family", "class_weights", "seed", "workers")
+_COMMON = ("features", "family", "seed", "workers")
 
 
 def _given(options: dict[str, Any], *names: str) -> dict[str, Any]:
@@ -443,21 +442,6 @@ def print_training(training: Any, path: Path, written: list[Path], then: str, as
     chance = metrics["calibration_error_by_chance"]
     say(f"expected calibration error {metrics['expected_calibration_error']:.4f} (by chance alone {chance:.4f})")
     say(f"wrote {', '.join(map(str, written))}; now {then}", err=True)
-
-
-def _class_weights(text: str | None) -> dict[str, float] | str | None:
-    if text is None or text == "balanced":
-        return text
-    weights = {}
-    for part in text.split(","):
-        label, _, number = part.partition("=")
-        try:
-            weights[label.strip()] = float(number)
-        except ValueError:
-            raise InvalidValue(
-                f"class_weights must be balanced, or such as coal=1,gangue=3 for labels, got {text!r}"
-            ) from None
-    return weights
 
 
 def _beam(sources: list[Scene | Dataset], options: dict[str, Any]) -> Any:
