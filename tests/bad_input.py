@@ -793,7 +793,6 @@ _COMMANDS = r"""
 65 | predict good.csv --set gangue=gange | did you mean 'gangue'
 2 | check | --list
 66 | verify nothing.h5 | nothing.h5
-2 | verify nothing.h5 --scene reference | --scene
 65 | verify two.h5 --set laws=exits.py | SystemExit
 65 | check reference.toml --set laws=exits.py | SystemExit
 65 | check reference.toml --set laws=lawless.py | must have a class

@@ -35,10 +35,9 @@ from cgid.physics.contact import own_laws
 from cgid.physics.contact.curves import MAX_WEIGHT
 from cgid.recordings import open_recording
 from cgid.recordings.formats import outside_formats
-from cgid.scene import changed, generate, generate_recordings, synthesise
+from cgid.scene import generate, generate_recordings, synthesise
 from cgid.scene.file import schema
 from cgid.shipped import path_of
-from cgid.store.verification import verify
 from tests.plan_scenes import POPULATION, scene_of
 
 ROOT = Path(__file__).parents[1]
@@ -374,19 +373,6 @@ def test_a_law_that_has_changed_unnoticed_completes_no_dataset(read_cone, tmp_pa
     assert {path.name: path.read_bytes() for path in made().glob("*.h5")} == whole
 
 
-def test_verify_makes_signals_of_a_law_again(read_cone, cone, tmp_path):
-    output, single = tmp_path / "data", tmp_path / "one.h5"
-    generate(scene_of_cones(), output, 300, shard_signals=100)
-    generate(scene_of_cones(), single, 40)
-    command = ["verify", str(output), str(single), "--set", f"laws={cone}"]
-    assert run(command) == 0
-    assert not changed(verify(output))
-    read_cone.write_text("1.001")
-    assert run(command) == 65
-    assert {finding.file.name for finding in changed(verify(output))} == {f"shard-0000{k}.h5" for k in range(3)}
-    assert run(["verify", str(output)]) == 0  # the bytes are whole
-
-
 @pytest.mark.long
 def test_a_law_that_has_changed_completes_no_recordings(read_cone, tmp_path):
     scene = scene_of(
@@ -400,7 +386,6 @@ def test_a_law_that_has_changed_completes_no_recordings(read_cone, tmp_path):
         generate_recordings(scene, output, 2, resume=True)
     read_cone.write_text("1.0")
     generate_recordings(scene, output, 2, resume=True)
-    assert not changed(verify(output))
 
 
 def test_every_command_that_reads_a_scene_takes_its_laws(

@@ -9,7 +9,7 @@ import click
 
 from cgid._lib.terminal import counted
 from cgid.cli.help import Command
-from cgid.cli.options import PATH, SCENE, json_option
+from cgid.cli.options import PATH, json_option
 from cgid.cli.output import FileErrors, print_json, progress_bar, say
 from cgid.cli.reading import ReadingOptions, reading_options_for
 from cgid.errors import BadData, CgidError, MissingOption
@@ -27,39 +27,27 @@ _NO_SUM = "no checksum, "
     example="cgid verify models/default.npz datasets/sample.csv",
 )
 @click.argument("data", type=PATH, nargs=-1, required=True, metavar="DATA...")
-@click.option("--scene", type=SCENE, help="Use this scene file of a dataset, if it names a recorded background.")
 @reading_options_for()
 @json_option
-def verify(data: tuple[str, ...], scene: str | None, as_json: bool, reading: ReadingOptions) -> int:
+def verify(data: tuple[str, ...], as_json: bool, reading: ReadingOptions) -> int:
     """Find damage in DATA: datasets (folders or files), recordings, tables, models; the exit code is 65 then.
 
     The files of a folder are compared with its SHA256SUMS, single files with their own checksums. A recording of
     another program (TDMS, WAV, CSV, ...) has none: it is read to its end, as are all in a folder. For a damaged dataset
     the command is named that makes exactly its damaged and missing files again, to the same bytes. Files that do not
-    belong to a dataset are reported, but are not damage. With --set laws=MODULE the first
-    signals of each file of a dataset with contact laws of one's own are made again, and must be the stored ones within
-    1e-6 of their peaks: what a law's module reads or imports is in no checksum.
+    belong to a dataset are reported, but are not damage.
     """
-    laws = reading.site.get("laws")
-    if scene is not None and not laws:
-        raise click.UsageError("--scene needs --set laws=MODULE, for which it is the source; give both or neither")
     from cgid.cli.info import is_model
-
-    given = None
-    if scene is not None:
-        from cgid.scene import load_scene
-
-        given = load_scene(scene)
 
     errors = FileErrors()
     for path in errors.each(file for one in data for file in _recordings_of(one) or [one]):
         with errors:
             if not _is_file(path):
-                _verify_data(path, given, bool(laws), as_json)
+                _verify_data(path, as_json)
             elif is_model(path):
                 _verify_model(path, as_json)
             elif not _is_foreign(path):
-                _verify_data(path, given, bool(laws), as_json)
+                _verify_data(path, as_json)
             elif not _verify_rows(path, as_json):
                 _verify_foreign(path, reading, as_json)
     return errors.code
@@ -166,23 +154,14 @@ def _read(path: str, reading: ReadingOptions) -> tuple[RecordingFile, int]:
     return recording, n_samples
 
 
-def _verify_data(path: str, scene: Any, laws: bool, as_json: bool) -> None:
+def _verify_data(path: str, as_json: bool) -> None:
     from cgid.store.verification import remedy
     from cgid.store.verification import verify as find
 
     report = find(path)
-    findings, left = report.findings, report.damage
-    if laws and not left:
-        from cgid.scene import changed
-
-        with progress_bar(None, "files", "making again") as progress:
-            left = changed(report, scene, progress)
-        findings += left
-    lines = [_line(finding.file, finding.problem, finding.what) for finding in findings]
+    left = report.damage
+    lines = [_line(finding.file, finding.problem, finding.what) for finding in report.findings]
     _tell(path, report.kind, report.n_files, lines, not left, as_json)
-    if left and left[0].problem == "changed":
-        names = f"{len(left)} of its files do" if len(left) > 1 else f"{left[0].file.name} does"
-        raise BadData(f"{path}: must follow from its scene and laws, {names} not; give the laws that it was made with")
     if left:
         files = f"{len(left)} of its files are" if len(left) > 1 else f"{left[0].file.name} is"
         raise BadData(

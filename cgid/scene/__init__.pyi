@@ -3,7 +3,6 @@ from cgid.scene.file.schema import load_scene as load_scene
 from cgid.scene.file.schema import parse_scene as parse_scene
 from cgid.scene.file.schema import varied as varied
 from cgid.scene.file.sensor import Sensor as Sensor
-from cgid.scene.output.changes import changed as changed
 from cgid.scene.output.generation import generate as generate
 from cgid.scene.output.recordings import generate_recordings as generate_recordings
 from cgid.scene.synthesis.given_pulses import synthesise_given as synthesise_given

@@ -78,9 +78,9 @@ def why_incomplete(folder: Folder, number: int) -> str:
 
 @dataclass(frozen=True, kw_only=True)
 class Finding:
-    """A problem with a file: "damaged", "missing", "unfinished" or "changed"; "leftover" and "foreign" are harmless.
+    """A problem with a file: "damaged", "missing" or "unfinished"; "leftover" and "foreign" are harmless.
 
-    "changed" is what its custom laws do not make any more, see `cgid.scene.changed`. `what` begins with the file.
+    `what` begins with the file.
     """
 
     file: Path
