@@ -574,7 +574,7 @@ _COMMANDS = r"""
 65 | train m_group.csv --by window --set hop=1e-6 -o new.npz | hop
 65 | train m_group.csv --set class_weights=coal:2 -o new.npz | class_weights
 65 | train m_group.csv --by impact --features window_level -o new.npz | features
-65 | train m_group.csv reference --by window -o new.npz | --by impact
+65 | train m_group.csv reference -o new.npz | reference: scenes and datasets
 65 | train m_same.csv -o new.npz | at least 2 labels
 65 | train m_same.csv --from model.npz -o new.npz | every label of the model (coal, gangue)
 65 | predict good.csv --model singular.npz | neighbourhood.whitening
