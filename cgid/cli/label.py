@@ -158,7 +158,7 @@ def _opened(
     from cgid.measure.features.extraction import choose, kind_for, require_supported
 
     cells = {**cells_of(file, folder, reading), "same_beam": beam}
-    annotation = annotation_of({**{name: cell for name, cell in cells.items() if cell}, "label": "x"}, folder, None)
+    annotation = annotation_of({**{name: cell for name, cell in cells.items() if cell}, "label": "x"}, folder)
     opened_file = opened((replace(annotation, label=""),), Stated(**reading.common), hashed=False)
     kind, slicing = kind_for(quantity_of(opened_file.unit)), Slicing(by="impact", dead_time=reading.dead_time)
     names = default_names(kind, sorted(rates), slicing)

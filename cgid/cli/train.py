@@ -131,8 +131,7 @@ def train(
     coal/a.wav, gangue/b.wav. A scene is a .toml file or the name of a shipped one; its signals are not written to disk.
 
     A manifest is a .csv file with the columns path and label (and as needed start, end, group, channel, rate,
-    unit, variable, format, sensitivity, gain, full_scale, invert, same_beam, site), or a .toml file with a
-    [[recording]] for each file, which may list intervals = [{ start, end, label }]. cgid events writes one with a row
+    unit, variable, format, sensitivity, gain, full_scale, invert, same_beam, site). cgid events writes one with a row
     for each impact; fill in the labels. A group (a recording, a day, a
     support) is never on both sides of a split; each group in turn judges what was chosen and trained on the others.
 
@@ -238,7 +237,7 @@ def _manifest(item: str, reading: ReadingOptions) -> Manifest:
             raise BadData(f"{item}: {unlabelled('a recording', item)}")
         about = {"path": item, "chosen": "stretch"}
         rows = [{**about, "start": begin, "end": end, "label": label} for begin, end, label in marks]
-        return Manifest(source=item, annotations=tuple(annotation_of(row, Path(), None) for row in rows))
+        return Manifest(source=item, annotations=tuple(annotation_of(row, Path()) for row in rows))
     manifest = _noted(folder_manifest(item))
     counts = Counter(one.label for one in manifest.annotations)
     counted_labels = ", ".join(f"{label} {count}" for label, count in sorted(counts.items()))
