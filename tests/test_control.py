@@ -351,9 +351,10 @@ def test_the_page_of_labels_shows_the_control_and_the_missing_state(both: bool, 
     control = learning.trainings[NEW].control
     assert control is not None
     assert control["told"] == ("" if both else "background")
-    notes = learning.content()["notes"]
-    assert f"{control['same']:.2f}" in notes[0]
-    missing = [note for note in notes if "1.npy" in note and "3.npy" in note]
+    content = learning.content()
+    assert f"{control['same']:.2f}" in content["control"][0]
+    assert ("others' machines" in (content["results"][NEW]["text"] or "")) is not both
+    missing = [note for note in content["control"] if "1.npy" in note and "3.npy" in note]
     assert bool(missing) is not both
     model = learning.model(NEW)
     assert model is not None
