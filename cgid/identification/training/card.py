@@ -146,7 +146,6 @@ def _blocks(model: StoredModel, pictures: tuple[str, ...]) -> Iterator[str]:
         "limits of vibrations": recorded is None and model.kind == "vibration",
         "limits of recordings": recorded is not None,
         "limits of noise": recorded is not None and "contrast.limit" in model.arrays,
-        "limits of levels": recorded is not None and not _selected(recorded).endswith("level-free"),
     }
     return (block for block in _template() if shown.get(block, True))
 
@@ -199,10 +198,6 @@ def _features(model: StoredModel) -> str:
         return ", ".join(name + own * FEATURES.is_own(name) for name in model.features)
     selected = [plain(row["name"]) for row in model.training.get("recorded", {}).get("candidates", ()) if row["chosen"]]
     return f"{len(model.features)}: {', '.join(selected) or 'many'} (`cgid info` lists them)"
-
-
-def _selected(recorded: Record) -> str:
-    return next(str(row["name"]) for row in recorded["candidates"] if row["chosen"])
 
 
 def _fields_of_recordings(recorded: Record, metrics: Record) -> dict[str, Any]:
