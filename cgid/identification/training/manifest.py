@@ -256,10 +256,6 @@ class Manifest:
         """Number of labelled intervals, such as one for each impact; None if a row is a complete recording."""
         return len(self.annotations) if all(one.end < math.inf for one in self.annotations) else None
 
-    def sample(self, n: int) -> Manifest:
-        """Return a manifest with at most `n` of the rows, evenly spread."""
-        return replace(self, annotations=self.annotations[:: -(-len(self.annotations) // n)])
-
 
 def is_manifest(path: str | Path) -> bool:
     """Return whether a file is a manifest: a .csv that is not a recording."""
