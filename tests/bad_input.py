@@ -404,9 +404,6 @@ def _manifests(folder: Path, good: np.ndarray) -> None:
     _csv(folder / "twice.csv", np.concatenate([good, good]))
     (folder / "m_gone.csv").write_text("path,label\ngone.csv,coal\ngood.csv,gangue\n")
     (folder / "m_device.csv").write_text("path,label\n/dev/null,coal\n")
-    (folder / "m_label.toml").write_text(
-        'labels = ["coal", "gangue"]\n[[recording]]\npath = "good.csv"\nlabel = "cole"\n'
-    )
     (folder / "m_group.csv").write_text("path,label,start_s,end_s\ntwice.csv,coal,0,0.005\ntwice.csv,gangue,0.005,\n")
     (folder / "m_both.csv").write_text("path,label\ngood.csv,coal\ngood.csv,gangue\n")
     (folder / "m_empty.csv").write_text("path,start_s,end_s,label,peak\ngood.csv,0,1,,9\ntwice.csv,0,1,,9\n")
@@ -565,7 +562,6 @@ _COMMANDS = r"""
 65 | train one.h5 -o new.npz | at least 2 labels
 2 | train reference.toml -n 600 --calibration-share 0.9 -o new.npz | --calibration-share is withdrawn
 65 | train m_device.csv -o new.npz | /dev/null
-65 | train m_label.toml -o new.npz | m_label.toml
 65 | train m_group.csv --by impact -o new.npz | at least 2 groups
 65 | train m_both.csv -o new.npz | good.csv
 65 | train m_empty.csv -o new.npz | m_empty.csv: some row must have a label, none of 2 has
@@ -573,7 +569,7 @@ _COMMANDS = r"""
 65 | train m_group.csv --by window --window 0 -o new.npz | --window
 65 | train m_group.csv --by window --set hop=1e-6 -o new.npz | hop
 65 | train m_group.csv --by impact --features window_level -o new.npz | features
-65 | train m_group.csv reference --by window -o new.npz | --by impact
+65 | train m_group.csv reference -o new.npz | reference: scenes and datasets
 65 | train m_same.csv -o new.npz | at least 2 labels
 65 | train m_same.csv --from model.npz -o new.npz | every label of the model (coal, gangue)
 65 | predict good.csv --model singular.npz | neighbourhood.whitening

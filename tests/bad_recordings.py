@@ -39,8 +39,6 @@ def make_recordings(folder: Path) -> None:
     (folder / "broken.raw").write_bytes(np.full(50, np.nan).astype("<f4").tobytes())
     for name, text in _MANIFESTS.items():
         (folder / f"{name}.csv").write_text(text)
-    (folder / "key.toml").write_text('[[recording]]\npaht = "blow.wav"\n')
-    (folder / "words.toml").write_text("recording = 3\n")
     (folder / "long.toml").write_text(f"recording = {'9' * 2000}\n")
     _volts(folder, blow / 300)
 
@@ -197,9 +195,7 @@ RECORDING_CASES: tuple[tuple[str, tuple[str, ...], int, tuple[str, ...]], ...] =
     ("channel that is not there", ("train", "channel.csv", *_MODEL_FREE), 65, ("channel '7'",)),
     ("two manifests that overlap", ("train", "alike.csv", "alike.csv", *_MODEL_FREE), 65, ("must not overlap",)),
     ("sensitivity of another file", ("predict", *_SENSED, "x.wav:1=1 mV/g"), 65, ("name one of the files", "'x.wav'")),
-    ("unknown key of a manifest", ("train", "key.toml", *_MODEL_FREE), 65, ("recording 1", "'paht'")),
     ("number of too many digits", ("train", "long.toml", *_MODEL_FREE), 65, ("long.toml", "digits")),
-    ("manifest of a number", ("train", "words.toml", *_MODEL_FREE), 65, ("words.toml", "[[recording]]")),
     (
         "volts without a sensitivity",
         ("predict", "volts.csv"),

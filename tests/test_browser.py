@@ -112,6 +112,7 @@ def test_a_new_user_labels_by_keys_alone(site: Any, browser: Any, pages: Any) ->
     # The page has the state before it has the impacts, and draws both then.
     until(driver, "document.getElementById('headline').textContent.startsWith('new model')")
     assert driver.find_element("id", "headline").text.startswith("new model: right on ")
+    until(driver, "document.getElementById('control').textContent")  # of one recording: not tried, and why
     pressed(driver, "o")  # by time
     first, last = (int(np.argmin(np.abs(onsets - time_))) for time_ in (8.0, 9.5))
     driver.execute_script(f"select({first}, false)")

@@ -169,10 +169,6 @@ def test_info_says_what_a_table_of_events_holds(tmp_path: Path, capsys: pytest.C
         2,
     ]
     assert f"cgid train {table} -o" in content["next"]
-    (tmp_path / "m.toml").write_text('[[recording]]\npath = "a.wav"\nlabel = "coal"\n')
-    assert run(["info", str(tmp_path / "m.toml"), "--json"]) == 0
-    content = json.loads(capsys.readouterr().out)
-    assert [content[name] for name in ("kind", "rows", "labels")] == ["manifest", 1, {"coal": 1}]
     for scene in (str(ROOT / "datasets" / "caving.toml"), "caving"):
         assert run(["info", scene, "--json"]) == 0
         content = json.loads(capsys.readouterr().out)
@@ -331,7 +327,6 @@ OVER_INPUTS = (
     ("generate scene.toml --parameters-only -n 9 -o {}", "my-modes.csv"),
     ("train m.csv -o {}", "a.npz"),
     ("train m.csv -o {}", "m.csv"),
-    ("train m.toml -o {}", "a.npz"),
     ("train labelled -o {}", "labelled/coal/a.npz"),
     ("train m.csv --from base.npz -o {}", "base.npz"),
     ("export data.h5 -o {}", "data.h5"),
@@ -356,7 +351,6 @@ def test_no_command_writes_over_what_it_reads(
     for name in ("a.npz", "labelled/coal/a.npz", "labelled/gangue/b.npz"):
         np.savez(name, x=np.zeros(9))
     Path("m.csv").write_text("path,label\na.npz,coal\n")
-    Path("m.toml").write_text('[[recording]]\npath = "a.npz"\nlabel = "coal"\n')
     Path("scene.toml").write_text(f'description = "{"long " * 99}"\n[tail_beam]\nmodes = "my-modes.csv"\n')
     path = Path(victim)
     name = victim

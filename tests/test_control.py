@@ -160,14 +160,20 @@ def _one_file(folder: Path) -> Path:
     return _table(folder, "path,rate_Hz,unit,label,start_s,end_s\n" + "\n".join(lines))
 
 
-def _no_quiet_moment(folder: Path) -> Path:
-    path = written(folder, FACE, replace(SOUND, n_files=4, n_rocks=12), 0)
-    rows = record(read_manifest(path), control=False)
-    cut = [  # what was labelled holds the impacts alone
-        f"{k}.npy,{RATE:g},m/s^2,{label},{at - 0.002:.6f},{at + 0.004:.6f}"
-        for k, label, at in zip(rows.file.tolist(), rows.labels.tolist(), rows.time.tolist(), strict=True)
+def _one_by_one(folder: Path, design: Design, *, mixed: bool) -> Path:
+    """Label every second impact; if mixed, one as coal, the next as gangue."""
+    rows = record(read_manifest(written(folder, FACE, design, 0)), control=False)
+    order = np.lexsort((rows.time, rows.file))[::2].tolist()
+    cut = [
+        f"{rows.file[k]}.npy,{RATE:g},m/s^2,{('coal', 'gangue')[n % 2] if mixed else rows.labels[k]},"
+        f"{rows.time[k] - 0.002:.6f},{rows.time[k] + 0.004:.6f}"
+        for n, k in enumerate(order)
     ]
     return _table(folder, "path,rate_Hz,unit,label,start_s,end_s\n" + "\n".join(cut))
+
+
+def _no_quiet_moment(folder: Path) -> Path:
+    return _one_by_one(folder, replace(SOUND, n_files=4, n_rocks=12), mixed=True)
 
 
 def _of_rates(folder: Path) -> Path:
@@ -178,15 +184,25 @@ def _of_rates(folder: Path) -> Path:
     return _table(folder, text)
 
 
+def _four_impacts(folder: Path) -> Path:
+    return written(folder, FACE, replace(SOUND, n_files=4, n_rocks=1), 0)
+
+
 @pytest.mark.parametrize(
     "made",
-    [_one_file, _no_quiet_moment, _of_rates],
-    ids=["both labels in one file", "no quiet moment", "rates that differ by label"],
+    [_one_file, _no_quiet_moment, _of_rates, _four_impacts],
+    ids=["both labels in one file", "no quiet moment", "rates that differ by label", "four impacts"],
 )
 def test_what_cannot_be_tried_is_said(made: Callable[[Path], Path], tmp_path: Path) -> None:
     control = train_on_groups(made(tmp_path)).control
     assert control is not None
     assert (control["told"], bool(control["why"])) == ("", True)
+
+
+def test_impacts_labelled_one_by_one_have_the_silence_between_them(tmp_path: Path) -> None:
+    control = train_on_groups(_one_by_one(tmp_path, replace(LOUD, n_files=4, n_rocks=20), mixed=False)).control
+    assert control is not None
+    assert control.get("before", control)["told"] == "background"
 
 
 def test_three_labels_are_tried(tmp_path: Path) -> None:
@@ -351,9 +367,10 @@ def test_the_page_of_labels_shows_the_control_and_the_missing_state(both: bool, 
     control = learning.trainings[NEW].control
     assert control is not None
     assert control["told"] == ("" if both else "background")
-    notes = learning.content()["notes"]
-    assert f"{control['same']:.2f}" in notes[0]
-    missing = [note for note in notes if "1.npy" in note and "3.npy" in note]
+    content = learning.content()
+    assert f"{control['same']:.2f}" in content["control"][0]
+    assert ("others' machines" in (content["results"][NEW]["text"] or "")) is not both
+    missing = [note for note in content["control"] if "1.npy" in note and "3.npy" in note]
     assert bool(missing) is not both
     model = learning.model(NEW)
     assert model is not None

@@ -55,34 +55,12 @@ def test_recordings_are_their_own_groups_and_last_to_their_ends(tmp_path: Path) 
     assert manifest.labels == ("coal", "gangue")
 
 
-def test_both_formats_say_the_same(tmp_path: Path) -> None:
-    table = "path,label,start_s,end_s,group,unit,channel\n"
-    table += "a.wav,coal,0,1,x,g,1\na.wav,gangue,1,2.5,x,g,1\nb.wav,coal,,,y,g,1\n"
-    toml = """
-        labels = ["coal", "gangue"]
-        unit = "g"
-        channel = "1"
-        [[recording]]
-        path = "a.wav"
-        group = "x"
-        intervals = [{ start = 0, end = 1, label = "coal" }, { start = 1, end = 2.5, label = "gangue" }]
-        [[recording]]
-        path = "b.wav"
-        label = "coal"
-        group = "y"
-    """
-    one = read_manifest(written(tmp_path, table)).annotations
-    assert one == read_manifest(written(tmp_path, toml, "m.toml")).annotations
-    assert len(one) == 3
-
-
 def test_a_scene_is_no_manifest(tmp_path: Path) -> None:
     assert not is_manifest(ROOT / "datasets" / "reference.toml")
     assert not is_manifest("reference")
     assert not is_manifest(tmp_path)
     assert not is_manifest(tmp_path / "gone.toml")
     assert is_manifest(tmp_path / "gone.csv")
-    assert is_manifest(written(tmp_path, '[[recording]]\npath = "a"\n', "m.toml"))
 
 
 def test_a_spreadsheet_may_save_what_we_wrote(tmp_path: Path) -> None:
@@ -157,24 +135,6 @@ MISTAKES = {
     "unit of one row": ("path,label,start_s,end_s,unit\na,b,0,1,\na,c,1,2,g\n", "one unit, got none and g"),
     "path with a zero byte": ("path,label\na\0b,c\n", "path must be the name of a file"),
 }
-TOML_MISTAKES = {
-    "no TOML": ("[[recording]\n", "must be TOML"),
-    "one recording, not a list": ('recording = "a"\n', "as [[recording]]"),
-    "unknown key": ('[[recording]]\npath = "a"\nlable = "b"\n', "recording 1: keys must be out of"),
-    "unknown key for all": ('lable = "b"\n[[recording]]\npath = "a"\nlabel = "b"\n', "keys must be out of"),
-    "unknown key of an interval": ('[[recording]]\npath = "a"\nintervals = [{ from = 1 }]\n', "keys of an interval"),
-    "intervals no list": ('[[recording]]\npath = "a"\nintervals = 3\n', "intervals must be a list"),
-    "label not allowed": (
-        'labels = ["x"]\n[[recording]]\npath = "a"\nlabel = "y"\n',
-        "label must be one of 'x', got 'y'",
-    ),
-    "labels no words": ('labels = [1]\n[[recording]]\npath = "a"\nlabel = "y"\n', "labels must be a list of words"),
-    "path a number": ("[[recording]]\npath = 3\nlabel = 'b'\n", "path must be the name of a file"),
-    "channel a truth": ("[[recording]]\npath = 'a'\nlabel = 'b'\nchannel = true\n", "channel must be"),
-    "start a truth": ("[[recording]]\npath = 'a'\nlabel = 'b'\nstart = true\n", "start must be a number"),
-    "nested without end": ("a = " + "[" * 3000, "must be TOML"),
-    "key of many parts": ("a" + ".a" * 2000 + " = 1", "at most 16 parts"),
-}
 
 
 @pytest.mark.parametrize("name", MISTAKES)
@@ -185,15 +145,6 @@ def test_mistake_in_a_table_is_one_line(name: str, tmp_path: Path) -> None:
     assert says in str(error.value)
     assert len(str(error.value).splitlines()) == 1
     assert str(tmp_path / "m.csv") in str(error.value)
-
-
-@pytest.mark.parametrize("name", TOML_MISTAKES)
-def test_mistake_in_toml_is_one_line(name: str, tmp_path: Path) -> None:
-    content, says = TOML_MISTAKES[name]
-    with pytest.raises(BadData) as error:
-        read_manifest(written(tmp_path, content, "m.toml"))
-    assert says in str(error.value)
-    assert len(str(error.value).splitlines()) == 1
 
 
 def test_every_mistake_is_said_at_once(tmp_path: Path) -> None:
@@ -210,7 +161,6 @@ def test_no_damage_is_more_than_an_error_of_ours(tmp_path: Path) -> None:
     generator = np.random.default_rng(4)
     contents = {
         "m.csv": b"path,label,start_s,end_s,gain,channel\na.wav,coal,0,1,6 dB,1+2\nb.wav,gangue,0.5,2,3,left\n",
-        "m.toml": b'unit = "g"\n[[recording]]\npath = "a"\nintervals = [{ start = 0, end = 1, label = "coal" }]\n',
     }
     for name, content in contents.items():
         for _ in range(400):
@@ -313,9 +263,6 @@ def test_labels_in_other_letters_are_one_label(tmp_path: Path) -> None:
         (tmp_path / "all" / folder / "a.wav").touch()
     with pytest.warns(UserWarning, match="are one label, 'Coal'"):
         assert folder_manifest(tmp_path / "all").labels == ("Coal", "gangue")
-    toml = "".join(f'[[recording]]\npath = "{k}.wav"\nlabel = "{label}"\n' for k, label in enumerate(("A", "a", "a")))
-    with pytest.warns(UserWarning, match="are one label, 'a'"):
-        assert read_manifest(written(tmp_path, toml, "m.toml")).labels == ("a",)
 
 
 def test_labels_that_differ_in_more_stay_apart(tmp_path: Path) -> None:

@@ -39,11 +39,10 @@ from cgid.identification.training.grouped import (
 from cgid.identification.training.impact_table import impact_table
 from cgid.identification.training.manifest import read_manifest
 from cgid.identification.training.recordings import record
-from cgid.identification.training.rows import Rows, Slicing, in_unit, measure, sets_for
+from cgid.identification.training.rows import Rows, Slicing, sets_for
 from cgid.measure.features.extraction import FEATURES, extract_array, supported
 from cgid.measure.spectra import MEL_BANDS
 from cgid.recordings import open_recording
-from cgid.signals import Batch
 from tests import few
 
 RATE = 8000
@@ -440,11 +439,9 @@ def test_each_group_is_left_out_once_and_as_a_whole() -> None:
     for n_groups in (7, 33):
         group = generator.integers(0, n_groups, 400)
         labels = np.where(group % 2, "a", "b")
-        synthetic = np.arange(400) < 50
-        group[synthetic] = -1
         folds = list(leave_groups_out(labels, group, 0))
         assert len(folds) == min(n_groups, 20)
-        assert (np.sum(folds, axis=0) == ~synthetic).all()
+        assert (np.sum(folds, axis=0) == 1).all()
         for fold in folds:
             assert not np.intersect1d(group[fold], group[~fold]).size
 
@@ -663,53 +660,6 @@ def test_few_recordings_are_as_sure_as_they_are_right(real_data: Path, tmp_path:
 
 
 # -- mixed training ---------------------------------------------------------------------------------------
-
-
-def vibrations(labels: np.ndarray, seed: int, gain: float = 1.0, noise: float = 1e-3) -> Batch:
-    """Return single blows: gangue rings higher than coal."""
-    generator, times = np.random.default_rng(seed), np.arange(2048) / 20e3 - 0.01
-    middle = np.where(labels == "gangue", 1250.0, 1000.0) * np.exp(generator.normal(0, 0.1, len(labels)))
-    ringing = np.sin(2 * np.pi * middle[:, None] * times) * np.exp(-times / 0.01) * (times > 0)
-    rustle = generator.normal(0, 1, ringing.shape)
-    return Batch(
-        signals=gain * (ringing * np.exp(generator.normal(0, 0.3, (len(labels), 1))) + noise * rustle),
-        labels=labels,
-        sampling_rate=20e3,
-        unit="m/s^2",
-        pre_trigger=200,
-        specimen=np.arange(len(labels), dtype=np.uint64),
-    )
-
-
-def test_a_scene_teaches_what_four_recordings_do_not(tmp_path: Path) -> None:
-    """Few blows were recorded, with another gain and unit; many synthetic ones help when they are moved."""
-    rows = []
-    for number in range(4):
-        label = ("coal", "gangue")[number % 2]
-        batch = vibrations(np.array([label] * 6), number, gain=0.02 / 9.80665, noise=0.0)
-        blows = np.pad(batch.signals[:, 200:], ((0, 0), (3000, 2000))).ravel()
-        hum = np.random.default_rng(number).normal(0, 0.02e-3 / 9.80665, blows.size)
-        np.save(tmp_path / f"{number}.npy", blows + hum)
-        rows.append(f"{number}.npy,{label},20000,g\n")
-    (tmp_path / "m.csv").write_text("path,label,rate_Hz,unit\n" + "".join(rows))
-    names = ("level_800_hz", "level_1000_hz", "level_1250_hz", "level_1600_hz", "level_total")
-    few = record(read_manifest(tmp_path / "m.csv"), names, slicing=Slicing(by="impact"))
-    assert len(few.labels) == 24
-    scene = vibrations(np.array(["coal", "gangue"] * 200), 99)
-    synthetic = measure(in_unit([scene], few.unit, names), names)
-    assert synthetic.unit == "g"
-    training = train_on_groups(few, features=names, synthetic=synthetic)
-    told = training.model.training["recorded"]["synthetic"]
-    assert told["n"] == 240
-    # A gain of 0.02 is -34 dB; both are in g.
-    assert told["moved_db"]["level_total"] == pytest.approx(20 * np.log10(0.02), abs=2.5)
-    assert training.metrics["n_impacts"] == 24
-    assert training.metrics["accuracy"] >= told["accuracy_without"] - 0.05
-    assert "240 synthetic impacts teach" in write_card(training.model, "m.npz")
-    with pytest.raises(BadData, match="label shale of the scene"):
-        train_on_groups(few, features=names, synthetic=replace(synthetic, labels=np.full(400, "shale")))
-    with pytest.raises(InvalidValue, match="feature peak_amplitude must be left out"):
-        list(in_unit([scene], "V", ["level_total", "peak_amplitude"]))
 
 
 def test_a_manifest_trains_by_its_path_as_by_the_command(tmp_path: Path) -> None:

@@ -23,6 +23,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy import stats
 
 from cgid.errors import BadData, CgidError
 from cgid.identification.training.control import odd_sources
@@ -174,7 +175,11 @@ def tried(design: Design, seed: int, *, judged: bool = True) -> dict[str, Any]:
         training = train_on_groups(manifest, features=design.features)
         row = {"design": design.name, "cpu": time.process_time() - begin, "stated": training.metrics["accuracy"]}
         row |= {"control": dict(training.control or {})}
-        if judged:
+        if not judged:
+            names = None if design.features is None else list(design.features)
+            rows = record(read_manifest(manifest), names, augment=True, control=False)
+            row["without"] = train_on_groups(rows, features=design.features).metrics["accuracy"]
+        else:
             test = replace(design, n_files=6, n_rocks=24, both=False)
             models = {"": training.model}
             if (before := training.unmended) is not None:
@@ -230,20 +235,28 @@ def told(row: dict[str, Any]) -> str:
     return control.get("before", control).get("told", "")
 
 
+def rate(n: int, of: int) -> str:
+    """Return a share with its 95 % interval (Clopper and Pearson 1934)."""
+    if not of:
+        return "none"
+    found = stats.binomtest(n, of).proportion_ci(0.95)
+    return f"{n} of {of} ({n / of:.3f}, {found.low:.3f} to {found.high:.3f})"
+
+
 def number(control: dict[str, Any], name: str) -> float:
     """Return a number of a control, of the path how many more its other one turns wrong."""
     found = control.get(name, np.nan)
     return float(np.subtract(*found)) if name == "path" and np.ndim(found) else float(found)
 
 
-def table_of_confounded(designs: Sequence[Design], n_seeds: int) -> None:
+def table_of_confounded(designs: Sequence[Design], seeds: Sequence[int]) -> None:
     """Print what is told of confounded designs."""
     columns = "un", "sw", "mended un", "mended sw", "stated"
     print("design | seed | told | own | same | other | path | expected | " + " | ".join(columns), flush=True)
     rows = []
     for design in designs:
-        for seed in range(n_seeds):
-            row = tried(design, 1000 + seed)
+        for seed in seeds:
+            row = tried(design, seed)
             control = row["control"].get("before", row["control"])
             numbers = [number(control, name) for name in ("own", "same", "other", "path", "expected")]
             shown = [f"{x:.2f}" for x in (*numbers, *(row.get(name, np.nan) for name in columns))]
@@ -251,7 +264,7 @@ def table_of_confounded(designs: Sequence[Design], n_seeds: int) -> None:
             rows.append(row)
     for name, low, high in (("harm < .10", -1.0, 0.10), (".10 to .25", 0.10, 0.25), ("> .25", 0.25, 2.0)):
         some = [row for row in rows if low <= row["un"] - row["sw"] < high]
-        print(f"{name}: told {sum(bool(told(row)) for row in some)} of {len(some)}")
+        print(f"{name}: told {rate(sum(bool(told(row)) for row in some), len(some))}")
     if mended := [row for row in rows if "mended sw" in row]:
         swapped = [row["mended sw"] for row in mended]
         less = [row["un"] - row["mended un"] for row in mended]
@@ -267,6 +280,7 @@ def table_of_confounded(designs: Sequence[Design], n_seeds: int) -> None:
 def table_of_sound(n: int, seed: int) -> None:
     """Print the false alarms of sound designs."""
     n_told = n_tried = 0
+    moved = []
     for k, design in enumerate(sound(n)):
         try:
             row = tried(design, seed + k, judged=False)
@@ -276,9 +290,13 @@ def table_of_sound(n: int, seed: int) -> None:
         control = row["control"]
         n_tried += "same" in control
         n_told += bool(told(row))
+        moved.append(row["stated"] - row["without"])
         shown = [f"{number(control, name):.2f}" for name in ("own", "same", "other", "path")]
-        print(k, design.name, told(row) or "-", *shown, f"{row['cpu']:.1f} s", sep=" | ", flush=True)
-    print(f"told {n_told} of {n_tried}")
+        shown += [f"{moved[-1]:+.3f}", f"{row['cpu']:.1f} s"]
+        print(k, design.name, told(row) or "-", *shown, sep=" | ", flush=True)
+    print(f"told {rate(n_told, n_tried)}")
+    n_moved = sum(abs(one) > 0.01 for one in moved)
+    print(f"accuracy less that without the control: mean {np.mean(moved):+.4f}, {n_moved} of {len(moved)} beyond .01")
 
 
 def table_of_sources(n: int) -> None:
@@ -320,12 +338,11 @@ def main() -> None:
     parser.add_argument("what", choices=("additive", "path", "sound", "sources"))
     parser.add_argument("-n", type=int, default=300)
     parser.add_argument("--seeds", type=int, default=3)
-    parser.add_argument("--seed", type=int, default=50_000)
+    parser.add_argument("--seed", type=int, default=50_000, help="the first")
     given = parser.parse_args()
-    if given.what == "additive":
-        table_of_confounded(additive(), given.seeds)
-    elif given.what == "path":
-        table_of_confounded(paths(), given.seeds)
+    if given.what in ("additive", "path"):
+        designs = additive() if given.what == "additive" else paths()
+        table_of_confounded(designs, range(given.seed, given.seed + given.seeds))
     elif given.what == "sound":
         table_of_sound(given.n, given.seed)
     else:

@@ -14,18 +14,17 @@ if TYPE_CHECKING:
     from cgid.identification.training.manifest import Manifest
     from cgid.identification.training.recordings import Reading
 
-#: Number of impacts checked for a fit to the model before all are measured.
-_LOOK = 20
-
 
 def correct_model(
     manifest: Manifest, base: str, path: Path, reading: ReadingOptions, how: Reading, *, plots: bool, as_json: bool
 ) -> int:
     """Write a model corrected by labelled impacts, and report its accuracy."""
     from cgid.identification.model.model import StoredModel
+    from cgid.identification.model.model_file import CONTROL
     from cgid.identification.training import Training
     from cgid.identification.training.card import correction_section, write_model
-    from cgid.identification.training.correction import advice, correct, require_correctable, require_known
+    from cgid.identification.training.control import control_notes
+    from cgid.identification.training.correction import correct, require_correctable
     from cgid.identification.training.metrics import drawn_text
     from cgid.identification.training.recordings import record
     from cgid.identification.training.rows import Slicing
@@ -33,9 +32,6 @@ def correct_model(
     model = StoredModel.load(model_path(base))
     require_correctable(model)
     slicing = Slicing(by="impact", dead_time=reading.dead_time)
-    if (manifest.n_intervals or 0) > _LOOK:
-        sample = record(manifest.sample(_LOOK), slicing=slicing, reading=how, model=model)
-        require_known(model, sample, manifest.n_intervals or 0)
     with progress_bar(manifest.n_intervals, "impacts", "measuring") as progress:
         rows = record(manifest, slicing=slicing, reading=how, model=model, progress=progress)
     for warning in rows.warnings:
@@ -51,8 +47,10 @@ def correct_model(
         training, path, plots=plots, further=[correction_section(correction.model.training["correction"])]
     )
     summary = correction.model.training["correction"]
+    for note in control_notes(summary[CONTROL]):
+        say(f"cgid: {note}", err=True)
     if as_json:
-        print_json({"model": str(path), "advice": advice(correction), **summary})
+        print_json({"model": str(path), **summary})
     else:
         heard = "" if summary["n_rocks"] == summary["n"] else f" of {summary['n_rocks']} rocks"
         if "drawn" in summary:
@@ -62,8 +60,6 @@ def correct_model(
         say(f"moved {correction.shift}")
         if summary["n_unknown"]:
             say(f"unknown {summary['n_unknown']} more, out of distribution for the model and not used")
-        for line in advice(correction):
-            say(f"cgid: hint: {line}", err=True)
         then = prediction_by(path, correction.model, manifest, reading)
         say(f"wrote {', '.join(map(str, written))}; now {then}", err=True)
     return rows.failures[0].exit_code if rows.failures else 0

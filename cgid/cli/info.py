@@ -186,11 +186,10 @@ def _model(file: str) -> dict[str, Any]:
 
 
 def _manifest(file: str) -> dict[str, Any]:
-    """Return the content of a manifest, a table of `cgid events` or a scene; empty for any other file."""
-    from cgid.identification.training.manifest import is_manifest, labels_in, read_manifest
+    """Return the content of a manifest or a scene; empty for any other file."""
+    from cgid.identification.training.manifest import is_manifest, labels_in
 
-    is_toml = file.lower().endswith(".toml") and Path(file).is_file()
-    if is_toml and not is_manifest(file):
+    if file.lower().endswith(".toml") and Path(file).is_file():
         from cgid.physics.contact.own_laws import sources
         from cgid.scene import load_scene
 
@@ -198,16 +197,13 @@ def _manifest(file: str) -> dict[str, Any]:
         about = {"kind": "scene", "file": file, "name": scene.name, "description": scene.description}
         laws = [word for source in sources() for word in ("--set", f"laws={source}")]
         return {**about, "scene_sha256": scene.sha256, "next": shlex.join(["cgid", "check", file, *laws])}
-    if is_toml:
-        rows = [(str(one.path), one.label) for one in read_manifest(file).annotations]
-    else:
-        rows = (labels_in(Path(file)) if file.lower().endswith(".csv") and is_manifest(file) else None) or []
+    rows = labels_in(Path(file)) if is_manifest(file) else None
     if not rows:
         return {}
     labels = Counter(label for _, label in rows if label)
     train = shlex.join(["cgid", "train", file, "-o", "mine.npz"])
     return {
-        "kind": "manifest" if is_toml else "table of events",
+        "kind": "table of events",
         "file": file,
         "rows": len(rows),
         "recordings": len({path for path, _ in rows}),

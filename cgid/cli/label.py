@@ -16,7 +16,7 @@ from cgid.cli.events import cells_of, require_trainable
 from cgid.cli.help import Command
 from cgid.cli.options import MODEL, OUTPUT, PATH, require_no_input_written
 from cgid.cli.output import say, warn
-from cgid.cli.reading import CHAIN, ReadingOptions, beam_words, given_options, reading_options
+from cgid.cli.reading import CHAIN, ReadingOptions, reading_options
 from cgid.errors import CannotCreate, CgidError, InvalidValue
 from cgid.units import quantity_of
 
@@ -77,17 +77,12 @@ def label(
     require_no_input_written(every)
     reading.require_files(every)
     rates = require_trainable(every, reading, reading.has_beams)
-    flags = [*given_options()[0], *beam_words(reading.same_beam)]
     base = _base(model, every[0], reading)
     parts = [(file, *part) for file in every for part in _beams_of(file, reading)]
     recordings = [_opened(file, path.parent, of, beam, base, rates) for file, of, beam in parts]
     table = LabelTable(path)
     try:
-
-        def report(number: int, name: str) -> list[str]:
-            return ["predict", parts[number][0], *flags, *(["--model", name] if name else [])]
-
-        bench = Workbench(table, recordings, base, labels=names, saved_as=model_path, report=report)
+        bench = Workbench(table, recordings, base, labels=names, saved_as=model_path)
         try:
             server, address = serve(bench, Address("127.0.0.1", port or _PORT), warn)
         except CannotCreate:
@@ -158,7 +153,7 @@ def _opened(
     from cgid.measure.features.extraction import choose, kind_for, require_supported
 
     cells = {**cells_of(file, folder, reading), "same_beam": beam}
-    annotation = annotation_of({**{name: cell for name, cell in cells.items() if cell}, "label": "x"}, folder, None)
+    annotation = annotation_of({**{name: cell for name, cell in cells.items() if cell}, "label": "x"}, folder)
     opened_file = opened((replace(annotation, label=""),), Stated(**reading.common), hashed=False)
     kind, slicing = kind_for(quantity_of(opened_file.unit)), Slicing(by="impact", dead_time=reading.dead_time)
     names = default_names(kind, sorted(rates), slicing)

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+import shlex
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import replace
-from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -131,12 +131,9 @@ def train(
     coal/a.wav, gangue/b.wav. A scene is a .toml file or the name of a shipped one; its signals are not written to disk.
 
     A manifest is a .csv file with the columns path and label (and as needed start, end, group, channel, rate,
-    unit, variable, format, sensitivity, gain, full_scale, invert, same_beam, site), or a .toml file with a
-    [[recording]] for each file, which may list intervals = [{ start, end, label }]. cgid events writes one with a row
+    unit, variable, format, sensitivity, gain, full_scale, invert, same_beam, site). cgid events writes one with a row
     for each impact; fill in the labels. A group (a recording, a day, a
     support) is never on both sides of a split; each group in turn judges what was chosen and trained on the others.
-    Scenes and datasets given with recordings are used for training, too, with their level and spectrum moved to those
-    of the recordings.
 
     With --from, ten to fifty labelled impacts correct an existing model: its bias, its slope and the gain of the
     sensor, as far as they give evidence. It reports the accuracy on this beam; its interval counts rocks, and groups
@@ -164,6 +161,12 @@ def train(
     options["sensors"] = [point_of(text) for text in options["sensors"]]
     recorded = [item for item in data if _recorded(item)]
     others = [item for item in data if item not in recorded]
+    if recorded and others:
+        raise InvalidValue(
+            f"{others[0]}: scenes and datasets must be trained on apart from recordings; leave it out, or correct its "
+            f"model: cgid train {shlex.quote(others[0])} -o first.npz, then cgid train {shlex.quote(recorded[0])} "
+            f"--from first.npz -o {shlex.quote(output)}"
+        )
     if recorded:
         refuse(context, _OF_DATASETS, "groups of a manifest are left out one by one")
     else:
@@ -172,11 +175,11 @@ def train(
     from cgid.identification.training.manifest import joined
 
     if options["by"] is None:
-        options["by"] = _requested_windows(context, others, options["features"], reading)
+        options["by"] = _requested_windows(context, options["features"], reading)
     manifest = joined([_manifest(item, reading) for item in recorded]) if recorded else None
     with workers(options.pop("jobs"), options.pop("scheduler")) as options["workers"]:
         if manifest is not None:
-            training, failures = _from_recordings(manifest, others, reading, options)
+            training, failures = _from_recordings(manifest, reading, options)
         else:
             training, failures = _from_signals(others, options)
     written = write_model(training, path, plots=plots, overwrite=overwrite)
@@ -233,7 +236,7 @@ def _manifest(item: str, reading: ReadingOptions) -> Manifest:
             raise BadData(f"{item}: {unlabelled('a recording', item)}")
         about = {"path": item, "chosen": "stretch"}
         rows = [{**about, "start": begin, "end": end, "label": label} for begin, end, label in marks]
-        return Manifest(source=item, annotations=tuple(annotation_of(row, Path(), None) for row in rows))
+        return Manifest(source=item, annotations=tuple(annotation_of(row, Path()) for row in rows))
     manifest = _noted(folder_manifest(item))
     counts = Counter(one.label for one in manifest.annotations)
     counted_labels = ", ".join(f"{label} {count}" for label, count in sorted(counts.items()))
@@ -249,7 +252,7 @@ def _noted(manifest: Manifest) -> Manifest:
 
 
 def _requested_windows(
-    context: click.Context, others: list[str], features: Any, reading: ReadingOptions
+    context: click.Context, features: Any, reading: ReadingOptions
 ) -> Literal["window", "impact"] | None:
     """Return the slicing given by other options; None to choose from the recordings."""
     if features is not None:
@@ -257,7 +260,7 @@ def _requested_windows(
     given = given_flags(context)
     if "window_time" in given or "hop_time" in given:
         return "window"
-    return "impact" if reading.dead_time is not None or others else None
+    return "impact" if reading.dead_time is not None else None
 
 
 #: Options for every training.
@@ -338,9 +341,7 @@ def _behind(training: Any, scene: Scene | None, points: list[tuple[float, float]
     return replace(training, model=replace(model, arrays=arrays | beam.arrays))
 
 
-def _from_recordings(
-    manifest: Manifest, others: list[str], reading: ReadingOptions, options: dict[str, Any]
-) -> tuple[Any, list[Any]]:
+def _from_recordings(manifest: Manifest, reading: ReadingOptions, options: dict[str, Any]) -> tuple[Any, list[Any]]:
     """Return the training on recordings, and the errors of unreadable ones."""
     from cgid.identification.training import train_on_groups
     from cgid.identification.training.grouped import MAX_FOLDS
@@ -360,7 +361,6 @@ def _from_recordings(
             augment=True,
             progress=progress,
         )
-    rows, synthetic = _with_synthetic(others, rows, options) if others else (rows, None)
     for note in rows.notes:
         say(f"cgid: {note}", err=True)
     for warning in rows.warnings:
@@ -368,36 +368,10 @@ def _from_recordings(
     given = _given(options, *_COMMON)
     n_folds = min(len(rows.groups), MAX_FOLDS) if len(rows.groups) > 1 else None
     with progress_bar(n_folds, "groups left out", "judging") as progress:
-        training = train_on_groups(rows, synthetic=synthetic, progress=progress, **given)
+        training = train_on_groups(rows, progress=progress, **given)
     for warning in training.model.training["recorded"]["warnings"][len(rows.warnings) :]:
         warn(warning)
     return training, list(rows.failures)
-
-
-def _with_synthetic(data: list[str], recorded: Any, options: dict[str, Any]) -> tuple[Any, Any]:
-    """Return recorded impacts, and those of datasets and scenes, with the features that both can have."""
-    from cgid.identification.training.rows import in_unit, measure
-    from cgid.measure.features.extraction import supported
-
-    if recorded.kind == "window":
-        raise InvalidValue(
-            f"{data[0]}: scenes contain single impacts; give --by impact to train on both, or leave them out"
-        )
-    batches = _batches(_sources(data), options)
-    first = next(batches, None)
-    if first is None:
-        raise BadData(f"{data[0]}: there must be signals to train on; there are none")
-    if options["features"] is None:
-        names = supported(recorded.names, first.sampling_rate, first.signals.shape[1])
-        if not names:
-            raise BadData(
-                f"{data[0]}: frames of {first.signals.shape[1]} samples at {first.sampling_rate:g} Hz have no feature "
-                "of the recordings; make longer ones"
-            )
-        recorded = recorded.only(names)
-    with progress_bar(None, "signals", "measuring") as progress:
-        alike = in_unit(chain([first], batches), recorded.unit, recorded.names)
-        return recorded, measure(alike, recorded.names, progress, workers=options["workers"])
 
 
 def print_training(training: Any, path: Path, written: list[Path], then: str, as_json: bool) -> None:
@@ -410,10 +384,6 @@ def print_training(training: Any, path: Path, written: list[Path], then: str, as
     if about["n_left_out"]:
         few = counted(about["n_left_out"], training.model.subject)
         warn(f"{few} could not be measured and {'was' if about['n_left_out'] == 1 else 'were'} excluded")
-    without = about.get("recorded", {}).get("synthetic", {}).get("accuracy_without")
-    if without is not None and without > metrics["accuracy"]:
-        summary = f"{metrics['accuracy']:.4f} accuracy on the recorded impacts, without them {without:.4f}"
-        warn(f"with synthetic impacts {summary}; leave the scenes out")
     warn_of_chance(training.model)
     for note in (*control_notes(training.control or {}), untold_scale(about.get("level_range", {}))):
         if note:

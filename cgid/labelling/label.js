@@ -307,6 +307,7 @@ function showLearning() {
   const learning = page.state.learning, best = learning.best, result = learning.results[best] || learning.results.new || learning.results.corrected;
   const interval = one => `${percent(one.accuracy)} (${one.accuracy_interval_95.map(x => (100 * x).toFixed(0)).join("–")})`;
   $("headline").textContent = !result ? say("none") : result.text ? `${say(best)}: ${result.text}` : `${say(best)}: ${interval(result)}; ${say("alone")}`;
+  $("control").textContent = learning.control.join("\n");
   const lines = [];
   for (const [name, one] of Object.entries(learning.results)) {
     lines.push(`${say(name)}: ${say("right")} ${interval(one)}, n = ${one.n}`);
@@ -318,10 +319,6 @@ function showLearning() {
   if (result) drawReliability(result.reliability);
   $("save").textContent = say("save " + (result && learning.results[best] ? best : "new"));
   $("save").disabled = !result;
-  const report = page.state.report;
-  $("report").textContent = say("report") + (report.state === "running" ? " …" : ""); $("report").disabled = report.state === "running";
-  if (report.state === "failed") page.error = report.error;
-  if (report.state === "ready" && !$("download").textContent) fetchReport();
 }
 function drawReliability(bins) {
   const [c, width, height] = canvas($("reliability")), x = scale(.4, 1, 42, width - 20), y = scale(0, 1, height - 32, 18);
@@ -330,13 +327,6 @@ function drawReliability(bins) {
   c.textAlign = "center"; c.fillText(say("sure"), width / 2, height - 4); for (const level of [.4, .7, 1]) c.fillText(percent(level), x(level), height - 18);
   c.fillStyle = colour("--mark");
   for (const [confidence, right, n] of bins) { c.beginPath(); c.arc(x(Math.max(confidence, .4)), y(right), 2 + Math.sqrt(n), 0, 7); c.fill(); }
-}
-async function fetchReport() {
-  const answer = await ask("report");
-  if (!answer.ok) return;
-  const link = $("download");
-  link.href = URL.createObjectURL(new Blob([await answer.blob()], { type: "application/octet-stream" }));
-  link.download = recording().name + ".html"; link.textContent = say("download");
 }
 function buttons() {
   document.documentElement.lang = language;
@@ -433,7 +423,6 @@ function begin() {
   $("language").onclick = () => { language = language === "en" ? "zh" : "en"; kept("language", language); buttons(); show(); if (page.state) showLearning(); };
   $("recording").onchange = () => { Object.assign(page, { r: Number($("recording").value), impacts: [], stretches: [], version: -1, selected: -1, queue: [], view: null, learned: -1, saved: {} }); seen = ""; $("recording").blur(); zoomTo(0, recording().duration); };
   $("save").onclick = async () => { const learning = page.state.learning, answer = await ask("save", { which: learning.results[learning.best] ? learning.best : "new" }); page.error = answer.ok ? "" : await reason(answer); refresh().catch(fail); };
-  $("report").onclick = async () => { $("download").textContent = ""; const answer = await ask("make-report", { r: page.r }); page.error = answer.ok ? "" : await reason(answer); showStatus(); };
   let size = 0;
   addEventListener("resize", () => { clearTimeout(size); size = setTimeout(() => { fetchView(); show(); if (page.state) { showLearning(); if (page.fraction) drawShare($("fraction"), page.fraction.shares, page.fraction.threshold, page.fraction.turns); } }, 150); });
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => { buttons(); show(); });

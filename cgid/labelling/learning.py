@@ -155,11 +155,15 @@ class Learning:
         for name, training in self.trainings.items():
             metrics = training.metrics
             drawn = metrics.get("drawn") or training.model.training.get("correction", {}).get("drawn")
+            text, control = None if drawn is None else drawn_text(drawn), training.control or {}
+            if control.get("told"):
+                here, elsewhere = f"{metrics['accuracy']:.2f}", f"{control['expected']:.1f}"
+                text = f"right on {here} in these recordings, on about {elsewhere} in others' machines"
             results[name] = {
                 "labels": list(training.model.labels),
                 "n": len(training.test_labels),
                 "drawn": drawn,
-                "text": None if drawn is None else drawn_text(drawn),
+                "text": text,
                 **{key: metrics[key] for key in ("accuracy", "accuracy_interval_95", "confusion", "reliability")},
             }
         return {
@@ -168,7 +172,8 @@ class Learning:
             "best": self.best,
             "results": results,
             "why": self.why,
-            "notes": [*self.control, *self.notes],
+            "control": self.control,
+            "notes": self.notes,
             "has_base": self.base is not None,
         }
 

@@ -3,11 +3,7 @@
 from __future__ import annotations
 
 import json
-import os
 import secrets
-import subprocess
-import sys
-import tempfile
 import threading
 import time
 import warnings
@@ -19,7 +15,6 @@ from typing import Any
 import numpy as np
 
 from cgid._lib import validation
-from cgid._lib.terminal import printable
 from cgid.errors import CgidError, InvalidValue, Stopped
 from cgid.identification.model.model import StoredModel
 from cgid.identification.training.manifest import Manifest, read_manifest
@@ -51,9 +46,8 @@ class Workbench:
         *,
         labels: Sequence[str],
         saved_as: Path,
-        report: Callable[[int, str], list[str]],
     ) -> None:
-        self.table, self.recordings, self._saved_as, self._report_of = table, recordings, saved_as, report
+        self.table, self.recordings, self._saved_as = table, recordings, saved_as
         self._ended = threading.Event()
         self.learning = Learning(base, self._ended.is_set)
         self._labels = list(dict.fromkeys(labels))
@@ -61,7 +55,6 @@ class Workbench:
         self._rows: dict[int, dict[int, Cells]] = {}
         self._sent: dict[int, dict[int, tuple[int, list[Any]]]] = {}
         self._saved: list[str] = []
-        self._report: dict[str, Any] = {"state": "none"}
         self._lock = threading.Lock()
         self._threads = [
             threading.Thread(target=run, name=run.__name__, daemon=True)
@@ -241,7 +234,6 @@ class Workbench:
                 "problem": problem,
                 "learning": self.learning.content(),
                 "saved": self._saved,
-                "report": {key: self._report[key] for key in ("state", "error") if key in self._report},
             }
         )
 
@@ -306,40 +298,12 @@ class Workbench:
         self._saved = [one.name for one in written]
         return of_json({"saved": self._saved})
 
-    def make_report(self, request: Request) -> PageAnswer:
-        """Begin to make the report of a recording by the saved model, or by the one that is corrected."""
-        number = _whole(request.body, "r", len(self.recordings))
-        if self._report["state"] == "running":
-            raise InvalidValue("a report is being made, wait for it")
-        self._report = {"state": "running"}
-        threading.Thread(target=self._run_report, args=(number,), name="report", daemon=True).start()
-        return of_json({})
-
-    def _run_report(self, number: int) -> None:
-        with tempfile.TemporaryDirectory() as folder:
-            page = Path(folder, "report.html")
-            model = str(self._saved_as) if self._saved else ""
-            command = [sys.executable, "-P", "-m", "cgid", *self._report_of(number, model), "--report", str(page)]
-            environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
-            done = subprocess.run(command, capture_output=True, text=True, check=False, env=environment)
-            if done.returncode == 0 and page.exists():
-                self._report = {"state": "ready", "content": page.read_bytes()}
-            else:
-                lines = printable(done.stderr).strip().splitlines() or ["it failed"]
-                self._report = {"state": "failed", "error": lines[-1][:500]}
-
-    def report(self, _: Request) -> PageAnswer:
-        """Return the report that was made."""
-        if self._report["state"] != "ready":
-            raise InvalidValue("there is no report yet; make it first")
-        return PageAnswer(self._report["content"], "application/octet-stream")
-
     def routes(self) -> dict[str, Route]:
         """Return the routes of the page."""
         files = {f"/{name}": of_file(_FOLDER / name) for name in ("label.js", "label.css", "words.json")}
         asked = {"state": self.state, "impacts": self.impacts, "view": self.view, "impact": self.detail}
-        asked |= {"sound": self.sound, "fraction": self.fraction, "report": self.report}
-        posted = {"label": self.label, "save": self.save, "make-report": self.make_report}
+        asked |= {"sound": self.sound, "fraction": self.fraction}
+        posted = {"label": self.label, "save": self.save}
         return {
             **COMMON,
             **files,

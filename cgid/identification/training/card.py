@@ -141,13 +141,11 @@ def _blocks(model: StoredModel, pictures: tuple[str, ...]) -> Iterator[str]:
         "no sets": recorded is None and not metrics["prediction_sets"],
         "sets": metrics["prediction_sets"],
         "calibration of recordings": recorded is not None,
-        "adaptation": recorded is not None and "synthetic" in recorded,
         "correction": False,  # a section of its own
         "limits of specimens": recorded is None,
         "limits of vibrations": recorded is None and model.kind == "vibration",
         "limits of recordings": recorded is not None,
         "limits of noise": recorded is not None and "contrast.limit" in model.arrays,
-        "limits of levels": recorded is not None and not _selected(recorded).endswith("level-free"),
     }
     return (block for block in _template() if shown.get(block, True))
 
@@ -202,10 +200,6 @@ def _features(model: StoredModel) -> str:
     return f"{len(model.features)}: {', '.join(selected) or 'many'} (`cgid info` lists them)"
 
 
-def _selected(recorded: Record) -> str:
-    return next(str(row["name"]) for row in recorded["candidates"] if row["chosen"])
-
-
 def _fields_of_recordings(recorded: Record, metrics: Record) -> dict[str, Any]:
     weights, recordings = recorded["class_weights"], metrics.get("recordings", {"rows": ()})
     if isinstance(weights, Mapping):
@@ -240,17 +234,13 @@ def _fields_of_recordings(recorded: Record, metrics: Record) -> dict[str, Any]:
         )
         for row in recorded["candidates"]
     )
-    synthetic = recorded.get("synthetic", {"moved_db": {}})
-    moved = ((plain(name), f"{by:+.1f}") for name, by in synthetic["moved_db"].items())
     return {
         "recorded": recorded,
-        "synthetic": synthetic,
         "weights": weights,
         "failures": counted(len(recorded["failures"]), "recording"),
         "shares": _table(("decision on", "right", "95 % interval", "number"), shares),
         "votes": _table(("recording", "label", "vote", "rows", "right"), votes),
         "candidates": _table(("features", "family", "number", "accuracy", "taken in folds"), candidates),
-        "moved": _table(("feature", "moved by [dB]"), moved),
     }
 
 

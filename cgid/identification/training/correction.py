@@ -53,8 +53,6 @@ _INTERCEPTS = {
 _REPORTED = ("accuracy", "accuracy_interval_95", "recall", "confusion", "log_loss", "expected_calibration_error")
 #: Maximum number of folds of held-out impacts: up to this number of impacts each is one.
 _MAX_FOLDS = 50
-#: Half width of an acceptable interval.
-_NARROW = 0.05
 
 
 @dataclass(frozen=True)
@@ -204,16 +202,10 @@ def require_correctable(model: StoredModel) -> None:
         raise InvalidValue("--from must name a model of impacts, this one is for windows; train it again with more")
 
 
-def require_known(model: StoredModel, rows: Rows, n_labelled: int) -> None:
-    """Raise `BadData` if no impact of a sample of so many is within the training of the model."""
-    if not (model.novelty(rows.columns(model.features), rows.columns(model.guards)) <= 1).any():
-        raise _too_few_known(0, len(rows.labels), f" that were tried of {n_labelled}")
-
-
-def _too_few_known(n_known: int, n: int, tried: str = "") -> BadData:
+def _too_few_known(n_known: int, n: int) -> BadData:
     return BadData(
         f"labelled impacts must be within the training of the model, {MIN_LABELLED} at least, got {n_known} of {n}"
-        f"{tried}; train without --from, or calibrate the beam first (cgid calibrate RECORDING --channel CHANNEL "
+        "; train without --from, or calibrate the beam first (cgid calibrate RECORDING --channel CHANNEL "
         "--scene YOUR_BEAM.toml -o site.toml)"
     )
 
@@ -240,25 +232,6 @@ def _require_labels(labels: NDArray[np.str_], model: StoredModel, where: str = "
             f"labelled impacts{where} must have every label of the model ({', '.join(model.labels)}), none is "
             f"{lacking[0]}; label some"
         )
-
-
-def advice(correction: Correction) -> list[str]:
-    """Return ways to raise the accuracy and narrow its interval, one line each."""
-    accuracy = float(correction.after["accuracy"])
-    low, high = correction.after["accuracy_interval_95"]
-    lines = []
-    summary = correction.model.training["correction"]
-    if high - low > 2 * _NARROW and 1 < summary["n_groups"] < summary["n_rocks"]:
-        lines.append(f"impacts of more days or supports would narrow the interval, which counts {summary['n_groups']}")
-    elif high - low > 2 * _NARROW:
-        p = min(max(accuracy, 0.5), 0.95)
-        n_required = int(np.ceil(p * (1 - p) * (1.96 / _NARROW) ** 2 / 10) * 10)
-        lines.append(f"{n_required} labelled impacts would narrow the interval to +- {_NARROW:g}")
-    lines.append(
-        "more labels hardly raise the accuracy, since they correct a threshold; a model of this beam and its rocks "
-        "does (cgid calibrate, then cgid train SITE.toml)"
-    )
-    return lines
 
 
 # -- learning ---------------------------------------------------------------------------------------------

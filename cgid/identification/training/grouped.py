@@ -41,7 +41,7 @@ from cgid.identification.training.classifier import (
 )
 from cgid.identification.training.control import OTHER, in_backgrounds
 from cgid.identification.training.metrics import paired_difference
-from cgid.identification.training.rows import Rows, Sets, adapted, linear_columns
+from cgid.identification.training.rows import Rows, Sets, linear_columns
 
 #: Maximum number of folds: up to this number of groups each is a fold; more groups share this many folds, in the inner
 #: loop a quarter of it, since it is run for each fold of the outer one.
@@ -169,22 +169,21 @@ def leave_groups_out(
     labels: NDArray[np.str_], group: NDArray[np.integer], seed: int, n_folds: int = MAX_FOLDS
 ) -> Iterator[NDArray[np.bool_]]:
     """Yield a mask of the rows of each fold: one group, or several if there are many groups."""
-    recorded = np.flatnonzero(group >= 0)
-    groups = np.unique(group[recorded])
+    groups = np.unique(group)
     if len(groups) <= MAX_FOLDS:
         for one in groups:
             yield group == one
         return
     # StratifiedGroupKFold allows no more folds than the most frequent label has rows.
-    n_folds = min(n_folds, int(np.unique(labels[recorded], return_counts=True)[1].max()))
+    n_folds = min(n_folds, int(np.unique(labels, return_counts=True)[1].max()))
     splitter = StratifiedGroupKFold(n_folds, shuffle=True, random_state=seed)
     with warnings.catch_warnings():
         # A rare label may be missing in some folds.
         warnings.simplefilter("ignore", UserWarning)
-        folds = list(splitter.split(recorded, labels[recorded], group[recorded]))
+        folds = list(splitter.split(labels, labels, group))
     for _, test in folds:
         left_out = np.zeros(len(labels), bool)
-        left_out[recorded[test]] = True
+        left_out[test] = True
         yield left_out
 
 
@@ -252,8 +251,7 @@ def smallest_as_good(
 
 def groups_of_labels(rows: Rows) -> dict[str, int]:
     """Return the number of groups in which each label was recorded."""
-    labels, group = rows.labels[rows.group >= 0], rows.group[rows.group >= 0]
-    return {str(label): len(np.unique(group[labels == label])) for label in np.unique(labels)}
+    return {str(label): len(np.unique(rows.group[rows.labels == label])) for label in np.unique(rows.labels)}
 
 
 def warnings_of_few(rows: Rows) -> list[str]:
@@ -452,7 +450,7 @@ def _fitted(
     """Return a candidate trained on the chosen rows, or on all."""
     clear = training_set.rows.is_clear
     used = clear if selected is None else selected & clear
-    rows = adapted(training_set.rows.only(candidate.features, used))
+    rows = training_set.rows.only(candidate.features, used)
     inputs, labels = rows.columns(candidate.features), rows.labels
     if training_set.copies:
         # The silence of a group that is left out does not train.

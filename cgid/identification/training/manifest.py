@@ -1,8 +1,7 @@
 """The manifest of labelled recordings: labels of files or intervals, and the groups they belong to.
 
-A CSV file has one row per interval, with any of `COLUMNS` and the user's own; a TOML file has one `[[recording]]` per
-file, and top-level values apply to all. A folder whose subfolders are labels is a manifest, too. Paths are relative to
-the manifest.
+A CSV file has one row per interval, with any of `COLUMNS` and the user's own. A folder whose subfolders are labels is a
+manifest, too. Paths are relative to the manifest.
 """
 
 from __future__ import annotations
@@ -20,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from cgid._lib import validation
-from cgid._lib.files import parse_toml, read_regular
+from cgid._lib.files import read_regular
 from cgid._lib.terminal import counted, spreadsheet_cell, text_of_cell
 from cgid._lib.validation import shown
 from cgid.errors import BadData, CannotCreate, CgidError, InvalidValue, NoInput
@@ -43,17 +42,15 @@ INFORMATIVE = ("time_s", "peak", "peak_unit", "flags", "content", "note", "by")
 #: Columns of numbers, which a spreadsheet may write with a decimal comma.
 _NUMBERS = ("start", "end", "gain", "rate", "sensitivity", "full_scale")
 #: Names of manifests in a folder.
-_NAMES = ("manifest.csv", "events.csv", "manifest.toml")
+_NAMES = ("manifest.csv", "events.csv")
 #: Maximum number of characters of a label or group.
 _MAX_WORD_LENGTH = 100
-#: Largest size [bytes] and number of keys of a manifest.
-MAX_FILE_SIZE, _MAX_KEYS = 16 << 20, 1_000_000
+#: Largest size of a manifest [bytes].
+MAX_FILE_SIZE = 16 << 20
 #: Length of the beginning of a CSV file that shows whether it is a recording [bytes].
 _HEAD = 1 << 14
 #: A row of numbers and times, in any way that recordings are read.
 _NUMBERS_ONLY = re.compile(r"(?=.*\d)(?:[\d\s.,;:+/\"'-]|[ed][+-]?\d|[ap]m|[tz]|nan|inf)+", re.IGNORECASE)
-#: Keys that may apply to all recordings of a TOML manifest.
-_SHARED = tuple(name for name in COLUMNS if name not in ("path", "label", "start", "end"))
 #: Columns for a complete recording, and the attributes of annotations for them.
 _OF_RECORDINGS = {
     **{
@@ -82,7 +79,7 @@ class Annotation:
     group: str = ""  # unit that splits keep together, such as a day or a support; default: the recording
     start: float = 0.0  # `start`, `end`: [s]; `end` is infinite for the end of the recording
     end: float = math.inf
-    channels: tuple[int | str, ...] | None = None  # numbers from 1, or names, of the channels of a row; None for all
+    channels: tuple[str, ...] | None = None  # numbers from 1, or names, of the channels of a row; None for all
     gain: float | None = None  # divisor of the samples of the interval, None if not stated
     # gain that differs between the channels, or is that of a charge amplifier; for the complete recording
     recording_gain: tuple[str, ...] | None = None
@@ -111,23 +108,21 @@ class Annotation:
         return f"{self.written}{channels} from {start:g} to {until}"
 
 
-def annotation_of(row: Mapping[str, Any], folder: Path, labels: tuple[str, ...] | None) -> Annotation:
-    """Return a checked row; paths are relative to `folder`, and `labels` are the allowed ones, None for any."""
+def annotation_of(row: Mapping[str, Any], folder: Path) -> Annotation:
+    """Return a checked row; paths are relative to `folder`."""
     path = row.get("path")
-    if not isinstance(path, str) or not path or "\0" in path:
+    if not path or "\0" in path:
         raise InvalidValue(f"path must be the name of a file, got {shown(path)}")
     label = _word("label", row.get("label", ""))
     if not label:
         raise InvalidValue("every recording or interval must have a label; add it, or remove the row")
     validation.label("label", label)
-    if labels is not None and label not in labels:
-        validation.choice("label", label, tuple(labels))
     start, end = _number("start", row.get("start", 0.0), " in s"), _number("end", row.get("end", math.inf), " in s")
     if not 0 <= start < end:
         raise InvalidValue(f"start and end must rise from 0 s, got {start:g} and {end:g} s")
     rate, unit, variable, format_name = (row.get(name) for name in ("rate", "unit", "variable", "format"))
     if unit is not None:
-        quantity_of(unit if isinstance(unit, str) else repr(unit))
+        quantity_of(unit)
     gain, sensitivity, full_scale = (_of_channels(row.get(name)) for name in ("gain", "sensitivity", "full_scale"))
     Chain.of(sensitivity, gain, full_scale)
     one_gain = Gain.of(gain[0]) if gain is not None and len(gain) == 1 and "=" not in gain[0] else None
@@ -142,7 +137,7 @@ def annotation_of(row: Mapping[str, Any], folder: Path, labels: tuple[str, ...] 
         channels=_channels(row.get("channel")),
         gain=one_gain.value if one_gain is not None and is_factor else None,
         recording_gain=None if is_factor else gain,
-        invert=_truth("invert", row.get("invert", False)),
+        invert=_truth("invert", row.get("invert", "no")),
         sampling_rate=None if rate is None else _positive("rate", rate, "Hz"),
         unit=unit,
         variable=None if variable is None else _word("variable", variable),
@@ -156,54 +151,49 @@ def annotation_of(row: Mapping[str, Any], folder: Path, labels: tuple[str, ...] 
     )
 
 
-def _word(name: str, value: Any) -> str:
-    text = str(value).strip() if isinstance(value, str | int) and not isinstance(value, bool) else None
-    if text is None or len(text) > _MAX_WORD_LENGTH or not (text.isprintable()):
+def _word(name: str, value: str) -> str:
+    text = value.strip()
+    if len(text) > _MAX_WORD_LENGTH or not text.isprintable():
         raise InvalidValue(f"{name} must be a word of at most {_MAX_WORD_LENGTH} characters, got {shown(value)}")
     return text
 
 
-def _number(name: str, value: Any, what: str) -> float:
+def _number(name: str, value: str | float, what: str) -> float:
     try:
-        number = math.nan if isinstance(value, bool) else float(value)
-    except (TypeError, ValueError, OverflowError):
+        number = float(value)
+    except ValueError:
         number = math.nan
     if math.isnan(number):
         raise InvalidValue(f"{name} must be a number{what}, got {shown(value)}")
     return number
 
 
-def _positive(name: str, value: Any, unit: str) -> float:
+def _positive(name: str, value: str, unit: str) -> float:
     number = _number(name, value, f" in {unit}")
     if not 0 < number < math.inf:
         raise InvalidValue(f"{name} must be above 0 and finite, got {number:g} {unit}")
     return number
 
 
-def _of_channels(value: Any) -> tuple[str, ...] | None:
-    """Return the values of a cell: one for all channels, or several NAME=VALUE, in a list or with ; between them."""
-    if value is None:
-        return None
-    listed = value.split(";") if isinstance(value, str) else value if isinstance(value, list) else [value]
-    return tuple(str(one).strip() if not isinstance(one, bool) else repr(one) for one in listed)
+def _of_channels(value: str | None) -> tuple[str, ...] | None:
+    """Return the values of a cell: one for all channels, or several NAME=VALUE with ; between them."""
+    return None if value is None else tuple(one.strip() for one in value.split(";"))
 
 
-def _truth(name: str, value: Any) -> bool:
+def _truth(name: str, value: str) -> bool:
     words = {"yes": True, "true": True, "1": True, "no": False, "false": False, "0": False}
-    truth = value if isinstance(value, bool) else words.get(str(value).lower())
+    truth = words.get(value.lower())
     if truth is None:
         raise InvalidValue(f"{name} must be yes or no, got {shown(value)}")
     return truth
 
 
-def _channels(value: Any) -> tuple[int | str, ...] | None:
-    """Return the channels of a number or name, a list of these, or a string such as "1+2"."""
+def _channels(value: str | None) -> tuple[str, ...] | None:
+    """Return the channels of a cell such as 1+2."""
     if value is None:
         return None
-    listed = value.split("+") if isinstance(value, str) else value if isinstance(value, list) else [value]
-    good = all(isinstance(one, int | str) and not isinstance(one, bool) and str(one).strip() for one in listed)
-    channels = tuple(one.strip() if isinstance(one, str) else one for one in listed) if good else ()
-    if not channels or len({str(one) for one in channels}) != len(channels):
+    channels = tuple(one.strip() for one in value.split("+"))
+    if not all(channels) or len(set(channels)) != len(channels):
         raise InvalidValue(f"channel must be a name or a number from 1, or different ones (1+2), got {shown(value)}")
     return channels
 
@@ -266,22 +256,11 @@ class Manifest:
         """Number of labelled intervals, such as one for each impact; None if a row is a complete recording."""
         return len(self.annotations) if all(one.end < math.inf for one in self.annotations) else None
 
-    def sample(self, n: int) -> Manifest:
-        """Return a manifest with at most `n` of the rows, evenly spread."""
-        return replace(self, annotations=self.annotations[:: -(-len(self.annotations) // n)])
-
 
 def is_manifest(path: str | Path) -> bool:
-    """Return whether a file is a manifest: a .csv that is not a recording, or a .toml with recordings."""
+    """Return whether a file is a manifest: a .csv that is not a recording."""
     path = Path(path)
-    if path.suffix.lower() == ".csv":
-        return not (path.is_file() and _is_table_of_numbers(path))
-    if path.suffix.lower() != ".toml" or not path.is_file():
-        return False
-    try:
-        return "recording" in _toml(path)
-    except CgidError:
-        return False
+    return path.suffix.lower() == ".csv" and not (path.is_file() and _is_table_of_numbers(path))
 
 
 def _is_table_of_numbers(path: Path) -> bool:
@@ -307,7 +286,7 @@ def read_manifest(path: str | Path, text: str | None = None) -> Manifest:
     With `text`, that is what the CSV file is taken to contain.
     """
     path = Path(path)
-    rows, labels = _csv_rows(path, text) if path.suffix.lower() == ".csv" else _toml_rows(path)
+    rows = _csv_rows(path, text)
     annotations, mistakes = [], []
     kept, empty = resolved(str(path), rows)
     if rows and not kept:
@@ -317,7 +296,7 @@ def read_manifest(path: str | Path, text: str | None = None) -> Manifest:
         )
     for where, row in kept:
         try:
-            annotations.append(annotation_of(row, path.parent, labels))
+            annotations.append(annotation_of(row, path.parent))
         except InvalidValue as error:
             mistakes.append(f"{path}: {where}: {error}")
     mistakes += [f"{path}: {text}" for text in contradictions(annotations)]
@@ -355,8 +334,8 @@ def _csv_table(path: Path, text: str | None = None) -> tuple[list[list[str]], st
     return table, separator
 
 
-def _csv_rows(path: Path, text: str | None = None) -> tuple[list[Row], tuple[str, ...] | None]:
-    """Return the rows of a CSV manifest with their line numbers, and None: it lists no labels."""
+def _csv_rows(path: Path, text: str | None = None) -> list[Row]:
+    """Return the rows of a CSV manifest with their line numbers."""
     table, separator = _csv_table(path, text)
     by_title = {_TITLES.get(name, name).lower(): name for name in (*COLUMNS, *INFORMATIVE)}
     names: list[str] = []
@@ -383,7 +362,7 @@ def _csv_rows(path: Path, text: str | None = None) -> tuple[list[Row], tuple[str
         if separator != ",":
             row |= {name: _with_points(row[name]) for name in _NUMBERS if name in row}
         rows.append((f"row {number}", row))
-    return rows, None
+    return rows
 
 
 def _is_own(title: str, titles: Sequence[str], allowed: Sequence[str]) -> bool:
@@ -404,41 +383,6 @@ def _with_points(cell: str) -> str:
     """
     parts = (part.rpartition("=") for part in cell.split(";"))
     return ";".join(f"{name}{equals}{value.replace(',', '.')}" for name, equals, value in parts)
-
-
-def _toml(path: Path) -> dict[str, Any]:
-    try:
-        return parse_toml(_text(path), _MAX_KEYS)
-    except CgidError:
-        raise
-    except ValueError as error:
-        raise BadData(f"{path}: a manifest must be TOML: {error}; correct it there") from None
-
-
-def _toml_rows(path: Path) -> tuple[list[Row], tuple[str, ...] | None]:
-    """Return the rows of a TOML manifest with their positions in the file, and the allowed labels."""
-    content = _toml(path)
-    recordings = content.get("recording")
-    if not isinstance(recordings, list) or not all(isinstance(one, dict) for one in recordings):
-        raise BadData(f"{path}: a manifest must list its recordings as [[recording]]; see cgid train --help")
-    _check_names(list(content), (*_SHARED, "labels", "recording"), f"{path}: keys")
-    labels = content.get("labels")
-    if labels is not None and not (isinstance(labels, list) and all(isinstance(one, str) for one in labels)):
-        raise BadData(f'{path}: labels must be a list of words, such as ["coal", "gangue"], got {shown(labels)}')
-    shared = {name: content[name] for name in _SHARED if name in content}
-    rows: list[Row] = []
-    for number, recording in enumerate(recordings, 1):
-        where = f"recording {number}"
-        _check_names(list(recording), (*COLUMNS, "intervals"), f"{path}: {where}: keys", required="path")
-        intervals = recording.pop("intervals", [{}])
-        if not isinstance(intervals, list) or not all(isinstance(one, dict) for one in intervals):
-            raise BadData(
-                f"{path}: {where}: intervals must be a list of {{ start, end, label }}, got {intervals!r:.80}"
-            )
-        for interval in intervals:
-            _check_names(list(interval), ("start", "end", "label"), f"{path}: {where}: keys of an interval")
-            rows.append((where, {**shared, **recording, **interval}))
-    return rows, None if labels is None else tuple(labels)
 
 
 def _check_names(names: Sequence[str], allowed: tuple[str, ...], what: str, required: str | None = None) -> None:
@@ -473,7 +417,7 @@ def folder_manifest(folder: str | Path) -> Manifest:
     annotations = []
     for row in rows:
         try:
-            annotations.append(annotation_of(row, folder, None))
+            annotations.append(annotation_of(row, folder))
         except InvalidValue as error:
             raise BadData(f"{folder}: {row['path']}: {error}") from None
     return Manifest(source=str(folder), annotations=_in_one_spelling(str(folder), annotations))
@@ -605,25 +549,24 @@ def named_recordings(item: Path) -> list[Path]:
         return recordings_in(item)
     found: list[Path] = []
     for path in manifests:
-        rows = [cells for cells in _csv_table(path)[0] if any(cells)] if path.suffix.lower() == ".csv" else []
-        titles = [cell.strip().lower() for cell in rows[0]] if rows else []
-        if "path" in titles:
-            column = titles.index("path")
-            found += [path.parent / text_of_cell(row[column].strip()) for row in rows[1:] if len(row) > column]
-        elif not rows:
-            found += [path.parent / str(row.get("path")) for _, row in _toml_rows(path)[0]]
+        found += [path.parent / file for (file,) in _columns_in(path, "path") or ()]
     return found
 
 
 def labels_in(path: Path) -> list[tuple[str, str]] | None:
-    """Return file and label of each row of a manifest in CSV; None for any other table; raises `BadData`."""
+    """Return file and label of each row of a manifest; None for any other table; raises `BadData`."""
+    return _columns_in(path, "path", "label")
+
+
+def _columns_in(path: Path, *names: str) -> list[Any] | None:
+    """Return the cells of some columns of a CSV table, row by row; None if it lacks one; raises `BadData`."""
     table = [cells for cells in _csv_table(path)[0] if any(cells)]
     titles = [cell.strip().lower() for cell in table[0]] if table else []
-    if not {"path", "label"} <= set(titles):
+    if not set(names) <= set(titles):
         return None
-    path_at, label_at = titles.index("path"), titles.index("label")
-    rows = (cells for cells in table[1:] if len(cells) > max(path_at, label_at))
-    return [(text_of_cell(cells[path_at].strip()), text_of_cell(cells[label_at].strip())) for cells in rows]
+    places = [titles.index(name) for name in names]
+    rows = (cells for cells in table[1:] if len(cells) > max(places))
+    return [tuple(text_of_cell(cells[at].strip()) for at in places) for cells in rows]
 
 
 def require_labels_kept(path: Path, rows: Sequence[Mapping[str, Any]] = ()) -> None:

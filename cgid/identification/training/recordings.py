@@ -124,6 +124,13 @@ class AnnotatedFile:
         k = bisect_right([one.start for one in self.annotations], time) - 1
         return self.annotations[k] if k >= 0 and time < self.annotations[k].end else None
 
+    def annotation_around(self, time: float) -> Annotation | None:
+        """Return the annotation that contains a time [s], also the last one if the next has its label and group."""
+        k = bisect_right([one.start for one in self.annotations], time) - 1
+        around = self.annotations[max(k, 0) : k + 2]
+        is_between = len(around) == 2 and len({(one.label, one.group) for one in around}) == 1
+        return around[0] if k >= 0 and is_between else self.annotation_at(time)
+
     def blocks(self) -> Iterator[NDArray[Any]]:
         """Yield the samples, nan in gaps; raise `BadData` at the end if an annotation starts after it."""
         count = 0

@@ -43,7 +43,7 @@ from cgid.measure.frames import frames_of
 from cgid.measure.modal.beam import Beam
 from cgid.measure.spectra import THIRD_OCTAVES
 from cgid.signals import Batch
-from cgid.units import UNITS, quantity_of
+from cgid.units import quantity_of
 
 __all__ = ["Rows", "measure"]
 
@@ -62,8 +62,6 @@ DEFAULT_VIBRATION_FEATURES = (
 #: Features of a model with a beam, and its guards.
 BEAM_FEATURES = BEAM_PULSE
 BEAM_GUARDS = ("beam_unexplained", "beam_surely_unexplained")
-#: Synthetic rows of a label per recorded one; more would outweigh the measurements.
-MAX_SYNTHETIC = 10
 #: Share of signals that a training leaves out without a word.
 MAX_LEFT_OUT = 0.1
 
@@ -95,8 +93,7 @@ class Rows:
         Values, channel by channel.
     labels : ndarray of str, (n_rows,)
     group : ndarray of int, (n_rows,)
-        Unit that splits keep together: the specimen of a synthetic impact, or a number in `groups`; below 0 for
-        synthetic rows among recorded ones, which are never in a test.
+        Unit that splits keep together: the specimen of a synthetic impact, or a number in `groups`.
     source : ndarray of int, (n_rows,)
         Number in `sources` of the scene, dataset or annotated interval of each row.
     sources, groups : tuple of str
@@ -228,8 +225,8 @@ class Rows:
 
     @property
     def is_recorded(self) -> NDArray[np.bool_]:
-        """Mask of the recorded rows, without synthetic ones and noisy copies; only these are in tests."""
-        return np.asarray((self.group >= 0) & (self.snr == np.inf) if len(self.snr) else self.group >= 0)
+        """Mask of the recorded rows, without noisy copies; only these are in tests."""
+        return np.asarray(self.snr == np.inf) if len(self.snr) else np.ones(len(self.labels), bool)
 
     @property
     def is_clear(self) -> NDArray[np.bool_]:
@@ -435,94 +432,3 @@ def _measured(settings: tuple[tuple[str, ...], Beam | None], batch: Batch) -> tu
 def through(beam: Beam) -> ThroughBeam:
     """Return the tables of a beam, made once in each process."""
     return ThroughBeam(beam)
-
-
-# -- synthetic rows among recorded ones -------------------------------------------------------------------
-#
-# A scene models the bodies, but not the gain and response of the recording sensor on its support. So the mean of each
-# level, over the labels in common, is shifted to that of the recordings. Only training rows determine the shifts.
-
-
-def is_level(feature: str) -> bool:
-    """Return whether a feature is a level, to which a gain or a response adds a constant.
-
-    >>> is_level("level_1000_hz"), is_level("relative_level_1000_hz"), is_level("decay_time")
-    (True, True, False)
-    """
-    return FEATURES[feature].unit.startswith("log10") or "relative_" in feature
-
-
-def in_unit(batches: Iterable[Batch], unit: str, features: Iterable[str]) -> Iterator[Batch]:
-    """Yield synthetic batches in the unit of the recordings; the quantity may differ if only levels are measured."""
-    for batch in batches:
-        factor = 1.0
-        if quantity_of(batch.unit) == quantity_of(unit):
-            units = UNITS[quantity_of(unit)]
-            factor = units[batch.unit] / units[unit]
-        else:
-            fixed = [name for name in features if "U" in FEATURES[name].unit and not is_level(name)]
-            if fixed:
-                raise InvalidValue(
-                    f"feature {', '.join(fixed)} must be left out, it cannot be converted from "
-                    f"{quantity_of(batch.unit)} [{batch.unit}] of the scene to {quantity_of(unit)} [{unit}] of the "
-                    "recordings; name others by --features, or state the recordings' unit by --unit"
-                )
-        yield replace(batch, signals=batch.signals * factor, unit=unit)
-
-
-def mixed(recorded: Rows, synthetic: Rows, seed: int) -> Rows:
-    """Join recorded and synthetic rows, these in group -1; raises `BadData` if a synthetic label was not recorded."""
-    labels = np.unique(recorded.labels)
-    unknown = np.setdiff1d(synthetic.labels, labels)
-    if unknown.size:
-        raise BadData(
-            f"label {unknown[0]} of the scene must be one of the recordings' ({', '.join(labels)}), it is not; name "
-            "them alike in the manifest, or record it"
-        )
-    selected = thinned(synthetic.labels, recorded.labels, seed)
-    n, shape = int(selected.sum()), recorded.background.shape[1:]
-    return Rows(
-        names=recorded.names,
-        features=np.concatenate([recorded.features, synthetic.features[selected]]),
-        labels=np.concatenate([recorded.labels, synthetic.labels[selected]]),
-        group=np.concatenate([recorded.group, np.full(n, -1)]),
-        background=np.concatenate([recorded.background, np.full((n * bool(shape), *shape), np.nan)]),
-        levels_of_sources=recorded.levels_of_sources,
-        n_channels=recorded.n_channels,
-    )
-
-
-def adapted(rows: Rows) -> Rows:
-    """Return the rows with the levels of synthetic rows shifted to those of the recorded ones."""
-    synthetic = rows.group < 0
-    if not synthetic.any():
-        return rows
-    features = rows.features.copy()
-    features[synthetic] += shift(rows.names, features, rows.labels, synthetic)
-    return replace(rows, features=features)
-
-
-def shift(names: tuple[str, ...], features: Floats, labels: NDArray[np.str_], synthetic: NDArray[np.bool_]) -> Floats:
-    """Return the shift that `adapted` adds to synthetic rows, (n_features,); 0 for features that are not levels."""
-    both = np.intersect1d(labels[synthetic], labels[~synthetic])
-    if not both.size:
-        raise BadData(
-            f"scenes and recordings must have a label in common, got {', '.join(np.unique(labels[synthetic]))} and "
-            f"{', '.join(np.unique(labels[~synthetic]))}; name them alike in the manifest"
-        )
-    # By label, so that another mixture of materials does not look like another response.
-    differences = [
-        features[~synthetic & (labels == label)].mean(axis=0) - features[synthetic & (labels == label)].mean(axis=0)
-        for label in both
-    ]
-    return np.where([is_level(name) for name in names], np.mean(differences, axis=0), 0.0)
-
-
-def thinned(labels: NDArray[np.str_], recorded: NDArray[np.str_], seed: int) -> NDArray[np.bool_]:
-    """Return a mask of the synthetic rows to keep: at most `MAX_SYNTHETIC` per recorded row of the same label."""
-    order = np.random.default_rng(seed).permutation(len(labels))
-    selected = np.zeros(len(labels), bool)
-    for label in np.unique(recorded):
-        of_label = order[labels[order] == label]
-        selected[of_label[: MAX_SYNTHETIC * int(np.sum(recorded == label))]] = True
-    return selected

@@ -57,12 +57,9 @@ from cgid.identification.training.rows import (
     Rows,
     default_guards,
     features_for,
-    is_level,
     linear_columns,
     measure,
-    mixed,
     sets_for,
-    shift,
 )
 from cgid.measure.features.extraction import Named, any_through_beam, choose, name_of
 from cgid.measure.features.pulses import MAX_UNEXPLAINED
@@ -274,7 +271,6 @@ def train_on_groups(
     *,
     features: Iterable[Named] | None = None,
     family: str | ClassifierMixin = "linear",
-    synthetic: Rows | None = None,
     class_weights: Weights = None,
     site: Site | str | Path | None = None,
     seed: int = 0,
@@ -294,9 +290,6 @@ def train_on_groups(
     family : {"logistic", "network", "linear"} or classifier
         A classifier of scikit-learn's kind may stand here, as in `cgid.ImpactClassifier`. Linear scores can
         be saved as a model file, any other is for this Python.
-    synthetic : Rows, optional
-        Impacts of scenes or datasets, with the features and unit of the recorded ones. They are used only for training;
-        their levels are shifted to those of the recordings.
     class_weights : dict or "balanced", optional
         Weights of the labels, as in `cgid.identification.training.ImpactClassifier`.
     site : Site, str or Path, optional
@@ -344,21 +337,19 @@ def train_on_groups(
             # How long each material was labelled says nothing of how often it falls.
             class_weights = "balanced"
     rows = _in_one_spelling(rows)
-    if synthetic is not None:
-        synthetic = _in_one_spelling(synthetic, tuple(np.unique(rows.labels).tolist()))
     _require_labels(rows, class_weights)
-    record = {"seed": seed, "sources": [*rows.digests, *(() if synthetic is None else synthetic.digests)]}
+    record = {"seed": seed, "sources": [*rows.digests]}
     record |= {"one_recording": is_of_one, **({"same_beam": [*rows.same_beam]} if rows.same_beam else {})}
     sets = {"asked for": names} if names else sets_for(rows.kind, rows.sampling_rates[0])
     candidates = candidates_for(sets, rows.names, family)
     again, rows = rows.again, replace(rows, again=None)
     training_set = TrainingSet(rows=rows, candidates=candidates, weights=class_weights, seed=seed)
-    training = _left_out(training_set, synthetic, progress, workers, record)
+    training = _left_out(training_set, progress, workers, record)
     # Another gain or filter cannot be taken out.
-    if again is None or is_of_one or synthetic is not None or told(training) != "background":
+    if again is None or is_of_one or told(training) != "background":
         return training
     with suppress(BadData):  # nothing may be left without the tones
-        mended = _left_out(_mended(training_set, again()), None, None, workers, record | {MENDED: True})
+        mended = _left_out(_mended(training_set, again()), None, workers, record | {MENDED: True})
         if not told(mended):
             control = {**mended.model.training[CONTROL], "before": training.model.training[CONTROL]}
             model = replace(mended.model, training={**mended.model.training, CONTROL: control})
@@ -433,12 +424,10 @@ def _measured(
     return rows, names, guards
 
 
-def _in_one_spelling(rows: Rows, labels: Sequence[str] = ()) -> Rows:
-    """Return the rows with one spelling of labels that differ only in case or blanks: that of `labels`, if any."""
+def _in_one_spelling(rows: Rows) -> Rows:
+    """Return the rows with one spelling of labels that differ only in case or blanks."""
     used = validation.one_spelling("data", rows.labels.tolist())
-    found, number = np.unique(rows.labels, return_inverse=True)
-    spelled = [validation.as_spelled(used.get(label, label), labels) for label in found.tolist()]
-    return replace(rows, labels=np.array(spelled, np.str_)[number])
+    return replace(rows, labels=np.array([used.get(label, label) for label in rows.labels.tolist()], np.str_))
 
 
 def _require_labels(rows: Rows, class_weights: Weights) -> None:
@@ -643,18 +632,13 @@ def _guard_limits(guards: tuple[str, ...], values: Floats, widened: float) -> di
 
 def _left_out(
     training_set: TrainingSet,
-    synthetic: Rows | None,
     progress: Callable[[int], object] | None,
     workers: Workers,
     record: Mapping[str, Any],
 ) -> Training:
     """Fit on all rows; each group tests the candidate selected and trained on the others."""
-    rows, adaptation = training_set.rows, {}
+    rows = training_set.rows
     assert rows.slicing is not None
-    if synthetic is not None:
-        together = replace(training_set, rows=mixed(rows, synthetic, training_set.seed))
-        adaptation = _adaptation(training_set, together.rows, workers)
-        training_set = together
     judged = cross_validate(training_set, progress, workers)
     selection = choose_candidate(training_set, workers)
     recorded_rows, counts = rows[rows.is_recorded], groups_of_labels(rows)
@@ -678,7 +662,6 @@ def _left_out(
         "failures": [str(error) for error in rows.failures],
         "warnings": [*rows.warnings, *warnings_of_few(recorded_rows), *odd_sources(rows.levels_of_sources)],
         "levels_of_sources": [*rows.levels_of_sources],
-        **adaptation,
     }
     return _trained(
         rows,
@@ -690,7 +673,7 @@ def _left_out(
             "n_train": len(recorded_rows.labels),
             "recorded": recorded,
             **({CONTROL: control} if rows.levels_of_sources else {}),
-            LEVEL_RANGE: level_range(rows, levels[: len(rows.labels)]),
+            LEVEL_RANGE: level_range(rows, levels),
             **({VOTE_CORRELATION: selection.vote_correlation} if rows.kind == "window" else {}),
         },
         features=features,
@@ -698,22 +681,6 @@ def _left_out(
         contrast=noise_guard(training_set, selection, workers),
         floor=rows.floor[[rows.names.index(name) for name in features]] if len(rows.floor) else None,
     )
-
-
-def _adaptation(recorded: TrainingSet, together: Rows, workers: Workers) -> dict[str, Any]:
-    """Return the number of synthetic impacts, the shifts of their levels, and the accuracy without them."""
-    moved = shift(together.names, together.features, together.labels, together.group < 0)
-    alone = cross_validate(recorded, workers=workers).probabilities
-    labels = recorded.rows.labels
-    answers = np.unique(labels)[np.argmax(alone, axis=1)]
-    names = zip(together.names, moved.tolist(), strict=True)
-    return {
-        "synthetic": {
-            "n": int(np.sum(together.group < 0)),
-            "moved_db": {name: 10 * by for name, by in names if is_level(name)},
-            "accuracy_without": float(np.mean(answers == labels)),
-        }
-    }
 
 
 def _comparison(candidates: Sequence[Candidate], selection: Selection, selected: Sequence[int]) -> list[dict[str, Any]]:
