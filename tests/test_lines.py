@@ -133,7 +133,7 @@ def test_without_tones_nothing_changes() -> None:
     np.testing.assert_array_equal(without(rung), rung)
 
 
-@pytest.mark.parametrize("damping", [0.02, 0.005])
+@pytest.mark.parametrize("damping", [0.02, 0.005, 0.002])
 def test_the_ring_down_of_narrow_modes_is_no_tone(damping: float) -> None:
     rung = np.stack([noise(60, seed) + rings(round(60 * RATE), 8.0, seed, damping)[0] for seed in (3, 4)])
     np.testing.assert_array_equal(without(rung), rung)
@@ -351,15 +351,3 @@ def test_a_machine_whose_tones_wander_is_heard(seed: int) -> None:
     assert heard(147.0, 412.0, 1030.0)[0] <= HEARD_AFTER + FRAME_TIME
     # One alone is one that stays for longer.
     assert heard(412.0)[0] <= HEARD_AFTER + 3 * FRAME_TIME
-
-
-def test_a_mode_that_rings_long_is_no_tone() -> None:
-    """Forty equally loud modes of .1 % damping, on which four rocks fall a second."""
-    rng, n, n_modes, n_rocks = np.random.default_rng(5), round(20 * RATE), 40, 80
-    poles = (-0.001 + 1j) * 2 * np.pi * np.exp(rng.uniform(np.log(60), np.log(6000), n_modes)) / RATE
-    first, state, samples = np.sort(rng.integers(0, n, n_rocks)), np.zeros(n_modes, complex), noise(20, 5)
-    for begin, end in zip(first.tolist(), [*first[1:].tolist(), n], strict=True):
-        state = state + 20 * rng.lognormal(0, 0.8) * rng.normal(size=n_modes)
-        samples[begin:end] += (np.exp(np.outer(np.arange(end - begin), poles)) @ state).imag
-        state = state * np.exp((end - begin) * poles)
-    np.testing.assert_array_equal(without(samples[None])[0], samples)

@@ -31,19 +31,22 @@ _CONTRAST_AROUND, _AROUND, _BESIDE, _RANK = 8.0, 64.0, (6.0, 10.0), 1
 _CONTRAST_NOW, _CONTRAST, _N_MEAN = 300.0, 32.0, 3
 #: It is not below this frequency, and what is as near as this goes with it [Hz].
 _LOWEST, _WIDTH = 20.0, 4.0
-#: A line is steady where in all but one of so many successive frames (2.25 s) the power around it (`_WIDTH`) is this
-#: share of the mean at least. It is a tone if the change of its advance of phase from frame to frame is steady, too, by
-#: the length of its mean direction; with tones it is .99. In streams of forty equally loud modes of .1 % damping the
-#: power of a mode may stay for 2 s, and its phase, if few rocks fall on it (benchmarks/beam/lines.py --heard).
-_N_STEADY, _STEADY, _COHERENT = 8, 0.85, 0.99
-#: A tone that wanders keeps no phase: it is one where it stays steady for so many frames (3.25 s), which no mode does.
-_N_LASTING = 12
+#: A line is a tone where in so many successive frames (2.25 s) its power is steady, as all but one have this share of
+#: the mean at least, and so is the change of its advance of phase from frame to frame, by the length of its mean
+#: direction; with tones it is .99. Without tones, `caving` has one in 0 of 48 minutes with dampings of 2 to .1 %;
+#: forty modes, all as loud, on which rocks fall for 40 s, in 0 of 24 with .5 % or more, 8 of 12 with .2 %, 12 of 12
+#: with .1 % (benchmarks/beam/lines.py --heard). With .99 it is 2 of 16, but a hum of .1 g is heard 5 s later; if it
+#: must be seen again after 1 and 2 s, 0 of 16 and 4 s later.
+_N_STEADY, _STEADY, _COHERENT = 8, 0.7, 0.96
+#: A tone that wanders keeps no phase, but the power around it (`_WIDTH`): this share of its mean in all but one of so
+#: many frames (3.25 s), or of `_N_STEADY` where so many lines, this far apart [Hz], do. One tone of 1 g or more does;
+#: no mode of those streams without tones does, nor three of them.
+_LASTING, _N_LASTING = 0.85, 12
+_N_DISTINCT, _APART = 3, 24.0
 #: After a minute of frames without any tone, no machine runs.
 _N_SILENT = 240
 #: Where a machine runs, whether it still does is looked at after so many frames (a second).
 _AGAIN = 4
-#: So many steady lines this far apart [Hz] are a machine, too: several tones that wander are heard sooner than one.
-_N_DISTINCT, _APART = 3, 24.0
 #: In a recording with a machine from the start, lines go from the frame that begins so late on [s].
 HEARD_AFTER = (_N_STEADY - 1) * FRAME_TIME / 2
 #: Lines with less than this share of the power are not worth it.
@@ -110,14 +113,14 @@ class _Channel:
                 tone[number] = found[np.arange(at.size), best] * (1 - 2 * (at % 2))
                 around = self.spectra[number].take(at[:, None] + near, mode="clip")
                 power[number] = np.square(np.abs(around)).sum(axis=1)
-            is_steady, tone = _is_steady(power[-_N_STEADY:]), tone[-_N_STEADY:]
-            n_distinct = np.count_nonzero(np.diff(distinct[is_steady], prepend=-apart) >= apart)
+            tone, lasting = tone[-_N_STEADY:], distinct[_least(power[-_N_STEADY:]) >= _LASTING]
+            n_distinct = np.count_nonzero(np.diff(lasting, prepend=-apart) >= apart)
             size, advance = np.square(np.abs(tone)), tone[1:] * tone[:-1].conj()
             change = np.exp(1j * np.angle(advance[1:] * advance[:-1].conj()))
             alike = 2 * np.abs(np.sum(change * np.sqrt(size[2:] * size[:-2]), axis=0))
-            is_tone = is_steady & (alike >= _COHERENT * (size[2:] + size[:-2]).sum(axis=0))
+            is_tone = (_least(size) >= _STEADY) & (alike >= _COHERENT * (size[2:] + size[:-2]).sum(axis=0))
             if len(power) == _N_LASTING:
-                is_tone |= _is_steady(power)
+                is_tone |= _least(power) >= _LASTING
             if is_tone.any() or n_distinct >= _N_DISTINCT:
                 self.silent = 0
         self.is_out = self.is_out and self.silent <= _N_SILENT
@@ -315,9 +318,9 @@ class Lines:
         return high[power[high] > contrast * np.partition(beside, _RANK, axis=1)[:, _RANK]]
 
 
-def _is_steady(power: Floats) -> NDArray[np.bool_]:
-    """Return which lines keep their power, (n_frames, n_lines)."""
-    return np.asarray(np.partition(power, 1, axis=0)[1] >= _STEADY * power.mean(axis=0))
+def _least(power: Floats) -> Floats:
+    """Return the share of its mean power that each line keeps in all but one of the frames, (n_frames, n_lines)."""
+    return np.asarray(np.partition(power, 1, axis=0)[1] / power.mean(axis=0))
 
 
 def _level(samples: NDArray[Any], nothing: float) -> None:
