@@ -195,7 +195,7 @@ def _between(recording: RecordingFile, begin: float, end: float | None) -> Itera
             f"{recording.sampling_rate:g} Hz; set them further apart"
         )
     passed = 0
-    for block in recording.blocks():
+    for block in recording.blocks_with_gaps():
         part = block[:, max(first - passed, 0) : None if last is None else max(last - passed, 0)]
         passed += block.shape[1]
         if part.shape[1]:
