@@ -25,7 +25,6 @@ def make_recordings(folder: Path) -> None:
     np.save(folder / "sample.npy", np.array([3.0]))
     np.save(folder / "nothing.npy", np.zeros((2, 0)))
     np.save(folder / "limits.npy", np.where(np.random.default_rng(1).random(9000) > 0.5, 500.0, -500.0))
-    np.save(folder / "hole.npy", np.where(np.arange(blow.size) == 77, np.nan, blow))
     np.save(folder / "begun.npy", blow[6500:])
     np.save(folder / "names.npy", np.array(["coal", "gangue"]))
     np.save(folder / "cube.npy", np.zeros((3, 4, 5)))
@@ -97,7 +96,6 @@ RECORDING_CASES: tuple[tuple[str, tuple[str, ...], int, tuple[str, ...]], ...] =
         65,
         ("begun.npy", "cut off by its start", "before it"),
     ),
-    ("hole in a recording", ("plot", "hole.npy", *_SAID, "-o", "new.png"), 65, ("hole.npy", "sample 77 is nan")),
     ("words for numbers", ("predict", "names.npy", *_SAID), 65, ("names.npy", "real numbers", "<U")),
     ("three axes", ("features", "cube.npy", *_SAID), 65, ("cube.npy", "(3, 4, 5)")),
     ("several arrays", ("predict", "several.npz"), 65, ("a (12800), b (500)", "--set variable=NAME")),

@@ -1,5 +1,6 @@
 """One ear: the same impacts, whatever asks for them and at whatever rate they were recorded."""
 
+import ast
 import json
 import re
 from pathlib import Path
@@ -37,6 +38,34 @@ def test_nothing_but_the_ear_owns_a_detector() -> None:
     others = [path for path in package.rglob("*.py") if path.parent.name != "detection"]
     assert len(others) > 100
     assert [path.name for path in others if "ImpactDetector(" in path.read_text()] == []
+
+
+def rates_in(node: ast.AST) -> int:
+    """Return how many names of sampling rates are in an expression."""
+    names = (one.id if isinstance(one, ast.Name) else getattr(one, "attr", "") for one in ast.walk(node))
+    return sum(bool(re.fullmatch(r"_?((sampling|own|recorded|stated|given)_)?rates?", name)) for name in names)
+
+
+def compared_alone(text: str) -> list[str]:
+    """Return the comparisons of two rates that no function with a tolerance makes."""
+    found = []
+    for node in ast.walk(ast.parse(text)):
+        if isinstance(node, ast.Compare):
+            sides = [node.left, *node.comparators]
+            equal = isinstance(node.ops[0], ast.Eq | ast.NotEq) and all(map(rates_in, sides))
+            near = any(ast.unparse(one).startswith(("abs(", "np.abs(")) and rates_in(one) > 1 for one in sides)
+            if equal or near:
+                found.append(ast.unparse(node))
+    return found
+
+
+def test_one_tolerance_says_which_rates_are_the_same() -> None:
+    assert compared_alone("a.rate == b.sampling_rate") == ["a.rate == b.sampling_rate"]
+    assert compared_alone("abs(one.rate / own.rate - 1) < 0.01") != []
+    package = Path(cgid.__file__).parent
+    found = {path.name: alone for path in package.rglob("*.py") if (alone := compared_alone(path.read_text()))}
+    # Whether rates are stated at all.
+    assert found == {"variables.py": ["(rate is None) != (rates[0][0] is None)"]}
 
 
 def brought(samples: NDArray[np.floating], rate: float, size: int | None = None) -> tuple[NDArray[np.floating], float]:

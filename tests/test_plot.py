@@ -20,7 +20,7 @@ from cgid.plots import picture, share_figure
 from cgid.plots.answers import drawn_figure
 from cgid.plots.figure import COLOURS, FORMATS, colours_of
 from cgid.plots.recording import Mark, overview_figure
-from cgid.recordings import Channel
+from cgid.recordings import Channel, open_recording
 from cgid.scene import generate
 
 MAGIC = {".png": b"\x89PNG", ".svg": b"<?xml", ".pdf": b"%PDF"}
@@ -176,6 +176,16 @@ def test_plot_finds_the_impacts(wav: Path, tmp_path: Path, capsys: pytest.Captur
     assert (told["impacts"], told["from_s"], told["channels"]) == (1, 0.6, ["1"])
     assert told["duration_s"] == pytest.approx(0.4)
     assert (tmp_path / "b.SVG").read_bytes().startswith(MAGIC[".svg"])
+
+
+def test_plot_draws_what_gaps_leave(wav: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    samples = open_recording(wav, full_scale="1 g").signals()[0].samples.copy()
+    samples[25_000:27_000] = np.nan
+    np.save(tmp_path / "gap.npy", samples)
+    told = ["plot", str(tmp_path / "gap.npy"), "--rate", str(RATE), "--unit", "g", "-o", str(tmp_path / "a.png")]
+    assert run([*told, "--json"]) == 0
+    out, err = capsys.readouterr()
+    assert json.loads(out)["impacts"] == 3 and "2000 samples" in err
 
 
 def test_plot_draws_one_signal_of_a_dataset(tmp_path: Path, reference_scene: Any, capsys: Any) -> None:

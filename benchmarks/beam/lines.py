@@ -3,7 +3,7 @@
     python benchmarks/beam/lines.py [--streams 4] [--first 0] [--rows none "3 g" ...]
     python benchmarks/beam/lines.py --from-begin         # with --set lines=false and with --set lines=true
     python benchmarks/beam/lines.py --seams wet hard     # beside 25 s of coal, with tones taken out
-    python benchmarks/beam/lines.py --narrow 0.02 0.002  # beams of these dampings, without any tone
+    python benchmarks/beam/lines.py --heard              # machines, and beams that ring long without any
 
 Streams of one minute are made without `cgid`: rocks fall on a sloping beam of finite elements (`independent_beam`) and
 bounce down from it, each contact integrated with the modes; to the samples come the rumble of a conveyor, and tones,
@@ -20,11 +20,13 @@ import time
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 from itertools import product
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.signal import lfilter
 
 from benchmarks.beam.anchor import SEAMS, SPAN
 from benchmarks.beam.anchor import stream as stream_of
@@ -131,11 +133,19 @@ def wave(frequency: Floats, rng: np.random.Generator) -> Floats:
     return np.sin(2 * np.pi * (np.cumsum(frequency) / RATE + rng.random()))
 
 
-def tones(n: int, rng: np.random.Generator, *, level: float, moving: float = 2.0, count: int = 6) -> Floats:
-    """Return tones between 40 Hz and 3 kHz, the strongest of `level` [g], that move by so many Hz."""
+def tones(
+    n: int,
+    rng: np.random.Generator,
+    *,
+    level: float,
+    moving: float = 2.0,
+    count: int = 6,
+    turns: tuple[float, float] = (8.0, 16.0),
+) -> Floats:
+    """Return tones between 40 Hz and 3 kHz, the strongest of `level` [g], that move by so many Hz in so long [s]."""
     at, out = np.arange(n) / RATE, np.zeros(n)
     for k, frequency in enumerate(np.exp(rng.uniform(np.log(40), np.log(3000), count))):
-        turn = 2 * np.pi * (at / rng.uniform(8, 16) + rng.random())
+        turn = 2 * np.pi * (at / rng.uniform(*turns) + rng.random())
         out += level * G * 0.75**k * wave(frequency + moving / 2 * np.sin(turn), rng)
     return out
 
@@ -336,23 +346,73 @@ def in_seam(name: str, row: str, model: Model, first: int) -> str:
     return f"| {name} | {row} | {found} | {np.mean(widths):.2f} | {shut} | {dict(bases)} |"
 
 
-# -- narrow modes, no machine ------------------------------------------------------------------------------
+# -- when a machine is heard -------------------------------------------------------------------------------
+
+#: Tones of a machine, by how much they move [Hz], and in what time [s].
+MACHINES = {
+    "one tone": (1, 0.0, (8.0, 16.0)),
+    "one tone that wanders": (1, 4.0, (1.2, 1.8)),
+    "two pumps that wander": (2, 4.0, (1.2, 1.8)),
+    "six tones": (6, 0.0, (8.0, 16.0)),
+    "six tones that wander": (6, 4.0, (1.2, 1.8)),
+}
+#: Damping ratios of beams without a machine; modes and length [s] of the streams of equally loud ones.
+DAMPING, N_MODES, LENGTH = (0.02, 0.005, 0.002, 0.001), 40, 40.0
 
 
-def narrow(damping: float, n: int, seed: int) -> str:
-    """Return how many samples of minutes of `caving` without hum change, and the processor time of a minute [s]."""
-    changed, cost = [], []
-    for number, scene in enumerate(variations(load_scene(shipped.scene_path("caving")), n, seed)):
-        content = json.loads(scene.text)
-        content["tail_beam"]["damping_ratio"] = damping
-        del content["background"]["hum"]
-        signal, _ = record(parse_scene(content | {"name": "narrow modes"}), seed, number)
-        samples, begun = signal.samples.astype(np.float32)[None], time.process_time()
-        lines = Lines(1, signal.sampling_rate)
-        left = np.concatenate([lines.feed(samples), lines.finish()], axis=1)
-        cost.append(time.process_time() - begun)
-        changed.append(bool((left != samples).any()))
-    return f"| {damping:g} | {sum(changed)} of {n} | {np.mean(cost):.2f} |"
+def on_beam(damping: float, rate: float, number: int) -> Floats:
+    """Return a minute of `caving` without hum: a beam of this damping ratio, so many rocks a second."""
+    (scene,) = variations(load_scene(shipped.scene_path("caving")), 1, 59_100 + number)
+    content = json.loads(scene.text)
+    content["tail_beam"]["damping_ratio"] = damping
+    content["stream"]["arrivals"]["rate"] = rate
+    del content["background"]["hum"]
+    return np.asarray(record(parse_scene(content | {"name": "no hum"}), 59_100, number)[0].samples)
+
+
+def of_modes(damping: float, rate: float, number: int) -> Floats:
+    """Return what modes between 60 Hz and 6 kHz that are all as loud answer to impacts at random, and noise."""
+    rng, n = np.random.default_rng([59_100 + number, 62]), round(LENGTH * RATE)
+    first, out = rng.integers(0, n, rng.poisson(rate * LENGTH)), rng.standard_normal(n)
+    strength = 20 * rng.lognormal(0, 0.8, len(first))
+    for frequency in np.exp(rng.uniform(np.log(60), np.log(6000), N_MODES)):
+        struck = np.zeros(n)
+        np.add.at(struck, first, strength * rng.standard_normal(len(first)))
+        turn = np.exp((1j - damping) * 2 * np.pi * frequency / RATE)
+        out += lfilter([1.0], [1.0, -turn], struck).imag
+    return out
+
+
+def heard(samples: Floats) -> float:
+    """Return from when on lines are taken out of samples [s], nan if never."""
+    lines, blocks = Lines(1, RATE), samples.astype(np.float32)[None]
+    changed = np.flatnonzero(np.concatenate([lines.feed(blocks), lines.finish()], axis=1) != blocks)
+    return changed[0] / RATE if changed.size else np.nan
+
+
+def hearing(n: int, first: int, rates: tuple[float, ...] = (4.0, 8.0, 16.0)) -> None:
+    """Print how many machines are heard in streams, and when; and in how many without any."""
+    print("| stream | " + " | ".join(f"{rate:g} rocks a second" for rate in rates) + " |\n|---|---|---|---|")
+
+    def row(name: str, stream: Callable[[float, int], Floats]) -> None:
+        cells = []
+        for rate in rates:
+            at = np.array([heard(stream(rate, first + number)) for number in range(n)])
+            when = f", {np.nanmedian(at):.1f} s, at most {np.nanmax(at):.1f}" if np.isfinite(at).any() else ""
+            cells.append(f"{np.isfinite(at).sum()} of {n}{when}")
+        print(f"| {name} | " + " | ".join(cells) + " |", flush=True)
+
+    def with_machine(rate: float, number: int, *, count: int, moving: float, turns: Any, level: float) -> Floats:
+        samples, rng = on_beam(0.02, rate, number), np.random.default_rng([59_100 + number, 63])
+        return samples + tones(len(samples), rng, level=level, moving=moving, count=count, turns=turns)
+
+    for damping in DAMPING:
+        row(f"caving, {100 * damping:g} % damping", partial(on_beam, damping))
+    for damping in DAMPING:
+        row(f"{N_MODES} modes as loud, {100 * damping:g} %", partial(of_modes, damping))
+    for (name, (count, moving, turns)), level in product(MACHINES.items(), (3.0, 0.3)):
+        machine = partial(with_machine, count=count, moving=moving, turns=turns, level=level)
+        row(f"{name}, {level:g} g", machine)
 
 
 def noise_for(row: str, seed: int, n: int) -> Floats:
@@ -367,12 +427,10 @@ def main() -> None:
     parser.add_argument("--rows", nargs="+", default=list(ROWS), choices=ROWS)
     parser.add_argument("--from-begin", action="store_true", help="with --set lines=true in place of the default")
     parser.add_argument("--seams", nargs="+", choices=SEAMS, metavar="SEAM", help="in these seams, beside their coal")
-    parser.add_argument("--narrow", nargs="+", type=float, metavar="RATIO", help="damping of beams without any tone")
+    parser.add_argument("--heard", action="store_true", help="when machines are heard, and where none runs")
     given = parser.parse_args()
-    if given.narrow:
-        print("| damping ratio | streams that change | s a minute |\n|---|---|---|")
-        for damping in given.narrow:
-            print(narrow(damping, given.streams, 59_100 + given.first), flush=True)
+    if given.heard:
+        hearing(given.streams, given.first)
         return
     if given.seams:
         model = load_model("default-acceleration")

@@ -33,15 +33,20 @@ _CONTRAST_NOW, _CONTRAST, _N_MEAN = 300.0, 32.0, 3
 _LOWEST, _WIDTH = 20.0, 4.0
 #: A line is a tone where in so many successive frames (2.25 s) its power is steady, as all but one have this share of
 #: the mean at least, and so is the change of its advance of phase from frame to frame, by the length of its mean
-#: direction; with tones it is .99. Without tones, streams of 40 s of forty equally loud modes have one in 0 of 24 with
-#: .5 % of damping or more, 8 of 12 with .2 %, 12 of 12 with .1 %. After a minute of frames without any, none runs.
-_N_STEADY, _STEADY, _COHERENT, _N_SILENT = 8, 0.7, 0.96, 240
+#: direction; with tones it is .99. Without tones, `caving` has one in 0 of 48 minutes with dampings of 2 to .1 %;
+#: forty modes, all as loud, on which rocks fall for 40 s, in 0 of 24 with .5 % or more, 8 of 12 with .2 %, 12 of 12
+#: with .1 % (benchmarks/beam/lines.py --heard). With .99 it is 2 of 16, but a hum of .1 g is heard 5 s later; if it
+#: must be seen again after 1 and 2 s, 0 of 16 and 4 s later.
+_N_STEADY, _STEADY, _COHERENT = 8, 0.7, 0.96
+#: A tone that wanders keeps no phase, but the power around it (`_WIDTH`): this share of its mean in all but one of so
+#: many frames (3.25 s), or of `_N_STEADY` where so many lines, this far apart [Hz], do. One tone of 1 g or more does;
+#: no mode of those streams without tones does, nor three of them.
+_LASTING, _N_LASTING = 0.85, 12
+_N_DISTINCT, _APART = 3, 24.0
+#: After a minute of frames without any tone, no machine runs.
+_N_SILENT = 240
 #: Where a machine runs, whether it still does is looked at after so many frames (a second).
 _AGAIN = 4
-#: Tones that wander keep no phase: so many distinct lines, this far apart [Hz], that keep this share of their mean
-#: power in all but one of the frames are a machine, too. The three steadiest lines keep .88 of it in streams with
-#: wandering tones, at most .68 without tones where modes have .1 % of damping or more.
-_N_DISTINCT, _APART, _LASTING = 3, 24.0, 0.75
 #: In a recording with a machine from the start, lines go from the frame that begins so late on [s].
 HEARD_AFTER = (_N_STEADY - 1) * FRAME_TIME / 2
 #: Lines with less than this share of the power are not worth it.
@@ -72,7 +77,7 @@ class _Channel:
 
     mean: Floats | None = None
     n_frames: int = 0
-    spectra: deque[NDArray[np.complex64]] = field(default_factory=lambda: deque(maxlen=_N_STEADY))
+    spectra: deque[NDArray[np.complex64]] = field(default_factory=lambda: deque(maxlen=_N_LASTING))
     silent: float = np.inf  # frames since the last tone
     tone: float = 0.0  # the strongest when lines were first taken out [Hz]; nan once told
     is_out: bool = False  # whether lines were taken out since the last silence
@@ -95,23 +100,27 @@ class _Channel:
         """
         self.spectra.append(spectrum.astype(np.complex64))
         self.silent += 1
-        if lines.size and len(self.spectra) == _N_STEADY and self.silent >= _AGAIN:
-            near, at = np.arange(-width, width + 1), lines
-            tone = np.empty((_N_STEADY, lines.size), np.complex64)
-            for number in reversed(range(_N_STEADY)):
+        if lines.size and len(self.spectra) >= _N_STEADY and self.silent >= _AGAIN:
+            near, at = np.arange(-width, width + 1), np.unique(lines)
+            tone = np.empty((len(self.spectra), at.size), np.complex64)
+            power = np.empty(tone.shape)
+            distinct = at
+            for number in reversed(range(len(tone))):
                 found = self.spectra[number].take(at[:, None] + near, mode="clip")
                 best = np.abs(found).argmax(axis=1)
                 at = at + near[best]
                 # The phase in the middle of the frame does not depend on the frequency.
                 tone[number] = found[np.arange(at.size), best] * (1 - 2 * (at % 2))
-            power = np.square(np.abs(tone))
-            kept = np.partition(power, 1, axis=0)[1] / power.mean(axis=0)
-            lasting = np.sort(lines[kept >= _LASTING])
+                around = self.spectra[number].take(at[:, None] + near, mode="clip")
+                power[number] = np.square(np.abs(around)).sum(axis=1)
+            tone, lasting = tone[-_N_STEADY:], distinct[_least(power[-_N_STEADY:]) >= _LASTING]
             n_distinct = np.count_nonzero(np.diff(lasting, prepend=-apart) >= apart)
-            advance = tone[1:] * tone[:-1].conj()
+            size, advance = np.square(np.abs(tone)), tone[1:] * tone[:-1].conj()
             change = np.exp(1j * np.angle(advance[1:] * advance[:-1].conj()))
-            alike = 2 * np.abs(np.sum(change * np.sqrt(power[2:] * power[:-2]), axis=0))
-            is_tone = (kept >= _STEADY) & (alike >= _COHERENT * (power[2:] + power[:-2]).sum(axis=0))
+            alike = 2 * np.abs(np.sum(change * np.sqrt(size[2:] * size[:-2]), axis=0))
+            is_tone = (_least(size) >= _STEADY) & (alike >= _COHERENT * (size[2:] + size[:-2]).sum(axis=0))
+            if len(power) == _N_LASTING:
+                is_tone |= _least(power) >= _LASTING
             if is_tone.any() or n_distinct >= _N_DISTINCT:
                 self.silent = 0
         self.is_out = self.is_out and self.silent <= _N_SILENT
@@ -307,6 +316,11 @@ class Lines:
         high = high[high >= self._first]
         beside = power.take(high[:, None] + self._beside, mode="clip")
         return high[power[high] > contrast * np.partition(beside, _RANK, axis=1)[:, _RANK]]
+
+
+def _least(power: Floats) -> Floats:
+    """Return the share of its mean power that each line keeps in all but one of the frames, (n_frames, n_lines)."""
+    return np.asarray(np.partition(power, 1, axis=0)[1] / power.mean(axis=0))
 
 
 def _level(samples: NDArray[Any], nothing: float) -> None:

@@ -53,6 +53,8 @@ class Ear:
     ----------
     rate : float
         Sampling rate of what is heard [Hz].
+    is_brought : bool
+        Whether that is another than the recording's.
     """
 
     def __init__(
@@ -67,10 +69,10 @@ class Ear:
         lines: bool | None = None,
         beam: ThroughBeam | None = None,
     ) -> None:
-        self.rate, self.lines = sampling_rate, None
+        self.rate, self.is_brought, self.lines = sampling_rate, False, None
         self._stages: list[OneRate | Lines] = []
         if beam is not None and sampling_rate <= FASTEST and (brought := beam.brings(sampling_rate, n_channels)):
-            self.rate, self._stages = brought.rate, [brought]
+            self.rate, self.is_brought, self._stages = brought.rate, True, [brought]
         self._detector = detector = ImpactDetector(
             self.rate, n_channels, kind=kind, dead_time=dead_time, joint=joint, gaps=True
         )

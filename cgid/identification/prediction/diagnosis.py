@@ -196,7 +196,10 @@ class Diagnosis:
         """Return what explains the impacts of a channel: one finding a fault."""
         if explained.faults:
             odds, others = explained.odds, tuple(map(str, explained.others))
-            return [self._finding(str(one), name, explained.factor, odds, others) for one in explained.faults]
+            # At a rate that the training does not cover, forces are too small, whatever the scale.
+            is_covered = not self._rate < np.inf or self.model.covers(self._rate)
+            faults = [one for one in explained.faults if is_covered or one != Fault.SCALE]
+            return [self._finding(str(one), name, explained.factor, odds, others) for one in faults]
         if self.model.explanations is not None and self.model.beam is not None:
             return []  # on a beam, levels are those of a seam
         # Levels of impacts that the model does not know mean nothing.

@@ -150,7 +150,7 @@ def _impacts(
         together = Together(ear.rate, ((row,) for row in range(len(channels)))) if len(channels) > 1 else None
         quiet = _Quiet(ear.rate, len(channels)) if kind == "vibration" else None
         lines, n_heard = ear.lines, 0
-        if ear.rate != sampling_rate:
+        if ear.is_brought:
             rates = {"rate": sampling_rate, "heard": ear.rate}
             yield Step([], 0.0, found=[Finding(kind="resampled", fields=rates)])
         for events, until, block in map(ear.feed, chain(blocks, [None])):

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from cgid._lib.validation import Floats
+from cgid._lib.validation import Floats, rates_agree
 from cgid.errors import BadData
 from cgid.identification.detection.events import SAME_IMPACT
 from cgid.identification.detection.silence import SILENT_POWER
@@ -189,7 +189,7 @@ class Background:
         found = [
             one
             for one in self.sources
-            if one.pieces and (one.label != own.label) == other and abs(one.rate / own.rate - 1) < 0.01
+            if one.pieces and (one.label != own.label) == other and rates_agree(one.rate, own.rate)
         ]
         of_others = [one for one in found if one.group != own.group]
         if of_others or other:
