@@ -43,7 +43,15 @@ from numpy.typing import NDArray
 from cgid._lib import validation
 from cgid._lib.validation import Floats
 from cgid.errors import InvalidValue
-from cgid.identification.model.anchor import Anchor, Basis, Impacts, SeamNetworks, class_edges, impacts_of
+from cgid.identification.model.anchor import (
+    MIN_WINDOW,
+    Anchor,
+    Basis,
+    Impacts,
+    SeamNetworks,
+    class_edges,
+    impacts_of,
+)
 from cgid.identification.model.confusion import (
     MIN_TESTED,
     SUREST,
@@ -67,8 +75,6 @@ LAPSE = 120.0
 #: So long after the first impact [s], a window must hold so many identified ones: without this, 4 of 20 streams of the
 #: benchmark of seams were shut by chance, most of them in their first seconds.
 FIRST, OF_FIRST = 25.0, 60
-#: Minimum number of identified impacts of a window for the networks of seams, whose windows have 5 rocks and more.
-MIN_WINDOW = 3
 #: The end of a window in which impacts are expected as before: this part of it, at most so long [s].
 _END = 0.2
 _LONGEST_END = 2.0
@@ -295,9 +301,7 @@ class ShareWindow:
         is_enough = inside.logits.size >= MIN_WINDOW
         if basis == Basis.ANCHOR and is_enough:
             assert self.anchor is not None
-            if self.anchor.summary is None:
-                self.anchor.summary = self._seams.summary(self.anchor.impacts)
-            anchor = self.anchor.summary
+            anchor = self.anchor.summarised(self._seams)
             if self._seams.foreignness(window, anchor)[0] > 0:
                 self.anchor.is_foreign, anchor, basis = True, None, Basis.FOREIGN
             elif self._lumps is not None:
@@ -310,11 +314,10 @@ class ShareWindow:
         assert self._seams is not None and self._lumps is not None
         if basis != Basis.ANCHOR:
             return Basis.FEW_LUMPS if basis == Basis.TOO_FEW else Basis.ANCHOR, None
-        if self._lumps.summary is None:
-            self._lumps.summary = self._seams.summary(self._lumps.impacts)
-        if self._seams.gangue_of(self._lumps.summary, anchor)[0] < self._seams.lumps_limit:
+        summary = self._lumps.summarised(self._seams)
+        if self._seams.gangue_of(summary, anchor)[0] < self._seams.lumps_limit:
             return Basis.WRONG_LUMPS, None
-        return Basis.LUMPS, self._lumps.summary
+        return Basis.LUMPS, summary
 
     def _confusion(self, basis: Basis) -> Confusion | NoConfusion:
         """Return the confusion, with the predictions for the coal of the anchor in place of those of the training."""

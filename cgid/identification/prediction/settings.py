@@ -185,7 +185,8 @@ class WatchingSettings:
         Cost of one drawn gangue rock, in lost coal rocks; None: 1.
     cost_late, cost_early : float, optional
         Loss for each second of drawing above the limit and unit of fraction above it, and for each second shut below it
-        and unit below; None: `COST_LATE`, `COST_EARLY`. SHUT and OPEN are at the least expected loss.
+        and unit below; None: `COST_LATE`, `COST_EARLY`. SHUT is at the least expected loss; OPEN also needs an interval
+        below the limit.
     hold : float, optional [s]
         Least time between SHUT and OPEN; None: a window.
     coal_until : float, optional [s]
