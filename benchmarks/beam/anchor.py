@@ -135,17 +135,18 @@ SEAMS = {
     "small, low falls": seam(radius=(0.008, 0.04), fall=(0.2, 1.2)),
     "gangue larger": seam(gangue_radius=(0.015, 0.12)),
 } | {f"random {k}": random_seam(k) for k in range(10)}
+SEAMS["hard coal from 3 m"] = seam(4.5, 22.0, (0.07, 0.22), fall=(3.0, 3.5))
 
 
 # -- streams ----------------------------------------------------------------------------------------------
 
 
 def stream(
-    one: Seam, duration: float, gangue: float, seed: int, law: str = "sphere"
+    one: Seam, duration: float, gangue: float, seed: int, law: str = "sphere", arrivals: float = ARRIVALS
 ) -> tuple[Floats, Floats, NDArray[Any], NDArray[Any]]:
     """Return samples, time [s] and rock of the impacts of a stream, and which rocks are gangue."""
     rng = np.random.default_rng([seed, 1])
-    n = rng.poisson(ARRIVALS * duration)
+    n = rng.poisson(arrivals * duration)
     is_gangue = rng.random(n) < gangue
     parts = one.coal.draw(n, rng, one.fall), one.gangue.draw(n, rng, one.fall)
     state = {name: np.where(is_gangue, parts[1][name], parts[0][name]) for name in parts[0]}
@@ -477,6 +478,9 @@ def scales(model: Model, n_seams: int) -> None:
                 first = min(times, default=np.inf)
                 heard = np.searchsorted([answer.time for answer in answers], first) if np.isfinite(first) else np.inf
                 kinds = {change.kind for change in changes}
+                kinds |= {"foreign coal" for one in reports if one.state.share.basis == Basis.FOREIGN}
+                if Ground.WRONG_SCALE in grounds and "scale" not in kinds:
+                    kinds.add("levels beside the coal")
                 rows.setdefault((name, stated), []).append((float(heard), kinds, grounds))
     print("| factor | stated | told | as the scale | of these, impacts, median (most) | withdrawn | told as |")
     print("|---|---|---|---|---|---|---|")
