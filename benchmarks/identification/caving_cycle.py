@@ -15,7 +15,7 @@ other streams, other random seams and other courses than the table.
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -72,6 +72,7 @@ def step(model: Model, site: Site, high: float, rng: np.random.Generator) -> Cyc
         lambda time: np.where(time <= SPAN, 0.0, np.where(time <= crossing, LOW, high)),
         crossing,
         rng,
+        STATED[:1],
     )
 
 
@@ -82,8 +83,9 @@ def followed(
     fraction: Callable[[Floats], Floats],
     crossing: float,
     rng: np.random.Generator,
+    by: Sequence[str] = STATED,
 ) -> Cycle:
-    """Draw the rocks of a cycle with a fraction by time, and follow them."""
+    """Draw the rocks of a cycle with a fraction by time, and follow them by what is stated."""
     time = np.sort(rng.uniform(0.0, duration, rng.poisson(ARRIVALS * duration)))
     is_gangue = rng.random(time.size) < fraction(time)
     rocks = np.empty(time.size, object)
@@ -100,9 +102,9 @@ def followed(
             seams=None if stated == "trained seam" else model.seams,
             anchor=Anchor(SPAN) if stated == "25 s of coal" else None,
         )
-        for stated in STATED
+        for stated in by
     }
-    shares: dict[str, list[Share]] = {stated: [] for stated in STATED}
+    shares: dict[str, list[Share]] = {stated: [] for stated in by}
     first = np.searchsorted(time, np.arange(duration + 1.0), side="right")
     for second, (begin, end) in enumerate(zip(np.append(0, first), first, strict=False)):
         for stated, watch in watches.items():
@@ -118,7 +120,7 @@ def by_cost(stated: str, ratio: float | None = None) -> Callable[[Cycle], float]
     """Return the rule of the least expected loss, with the default costs or another early one."""
 
     def rule(one: Cycle) -> float:
-        decision = ShutDecision() if ratio is None else ShutDecision(cost_late=1.0, cost_early=ratio)
+        decision = ShutDecision() if ratio is None else ShutDecision(cost_early=ratio)
         turns = (decision.watch(share) for share in one.shares[stated])
         return next((turn.time for turn in turns if turn is not None and turn.shut), np.inf)
 
