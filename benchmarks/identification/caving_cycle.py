@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import beta
 
-from benchmarks.beam.anchor import ARRIVALS, SEAMS, SEED, SPAN, WINDOW, Site, random_seam
+from benchmarks.beam.anchor import ARRIVALS, SEAMS, SEAMS_OF_TABLES, SEED, SPAN, WINDOW, Site, random_seam
 from cgid import load_model
 from cgid.identification.model.anchor import Anchor
 from cgid.identification.model.model import Model
@@ -210,7 +210,7 @@ def main() -> None:
     parser.add_argument("model", nargs="?", default="default-acceleration")
     parser.add_argument("--cache", type=Path, help="folder that keeps the predictions for streams")
     parser.add_argument("--cycles", type=int, default=20, help="of each seam")
-    parser.add_argument("--seams", nargs="+", choices=SEAMS, default=list(SEAMS), metavar="SEAM")
+    parser.add_argument("--seams", nargs="+", choices=SEAMS, default=SEAMS_OF_TABLES, metavar="SEAM")
     parser.add_argument("--settle", action="store_true", help="try costs on other streams")
     parser.add_argument("--crossings", action="store_true", help="the fraction steps up")
     given = parser.parse_args()
