@@ -758,11 +758,8 @@ _COMMANDS = r"""
 66 | train referense -o new.npz | did you mean 'reference'
 66 | check reference.tml | reference.tml
 66 | predict good.csv --model defualt | model
-65 | predict good.csv --set cost_late=-1 | cost_late
 65 | monitor - --set cost_early=-0.5 | cost_early
 65 | predict good.csv --set cost_early=nan | cost_early
-65 | monitor - --set cost_late=inf | cost_late
-65 | monitor - --set cost_late=0 --set cost_early=0 | cost_early
 65 | monitor - --set hold=-3 | hold
 65 | predict good.csv --set hold=inf | hold
 65 | monitor - --set hold=1e9 | hold

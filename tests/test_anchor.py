@@ -14,9 +14,11 @@ import pytest
 from cgid.cli.main import run
 from cgid.errors import BadData, InvalidValue
 from cgid.identification.model.anchor import (
+    FULL,
     MIN_ANCHOR,
     N_CLASSES,
     N_SUMMARY,
+    SHIFT,
     Anchor,
     Basis,
     Committee,
@@ -116,15 +118,13 @@ def test_networks_return_from_a_model_file() -> None:
     )
 
 
-def test_a_committee_is_the_mean_of_its_networks_and_one_network_of_an_earlier_version_is_itself() -> None:
+def test_a_committee_is_the_mean_of_its_networks() -> None:
     own = networks()
     window = own.summary(drawn(30))
     inputs = ((window - own.mean[: window.size]) / own.scale[: window.size]).clip(-6, 6)[None]
     each = [softmax(one.scores(inputs)) for one in own.alone.networks]
     assert len(each) == 3 and np.abs(each[0] - each[1]).max() > 1e-3
     assert own.density(window) == pytest.approx(np.mean(each, axis=0))
-    single = Committee(own.alone.networks[1].arrays, window.size, N_CLASSES)
-    assert single.density(inputs).tolist() == each[1].tolist()
 
 
 def without_networks(model: StoredModel) -> dict[str, np.ndarray]:
@@ -145,7 +145,7 @@ def with_arrays(model: StoredModel, arrays: dict[str, np.ndarray]) -> StoredMode
         ("alone.weights_1", np.zeros((3, 7, 6)), "weights_1 must have shape"),
         ("alone.weights_1", np.zeros((2, 58, 6)), "one number of networks"),
         ("anchored.biases_3", None, "biases_3 is missing"),
-        ("lumps_limit", None, "must be given together"),
+        ("lumps_limit", None, "seams.lumps_limit is missing"),
         ("sharpened.weights_1", np.zeros((3, 7, 6)), "weights_1 must have shape"),
         ("cells", np.full((5, 3), np.nan), "finite"),
         ("more", np.zeros(3), "seams.more"),
@@ -232,7 +232,33 @@ def test_a_cycle_may_begin_when_it_is_said() -> None:
     anchor.begin_at(40.0)
     anchor.add(35.0, 0.1, None)
     anchor.add(41.0, 0.1, None)
-    assert len(anchor.impacts.logits) == 1 and anchor.has(50.0) and not anchor.has(50.1)
+    assert len(anchor.impacts.logits) == 11 + 1 and anchor.has(50.0) and not anchor.has(50.1)
+
+
+def test_coal_of_earlier_cycles_fills_up_a_short_one_of_the_same_seam_and_shift() -> None:
+    anchor, own = Anchor(3.0, cycle_pause=60.0), replace(networks(), limit=1e3)
+
+    def cycle(begin: float, n: int, probability: float = 0.1, end: float = 8.0) -> int:
+        for time in (*np.linspace(0.0, min(end, 3.0), n), *([end] if end > 3 else [])):
+            anchor.add(begin + float(time), probability, PULSE)
+        return len(anchor.impacts.logits)
+
+    assert [cycle(0.0, 8), cycle(100.0, 4), cycle(200.0, 1)] == [8, 12, 13]
+    assert [anchor.basis(time) for time in (202.0, 203.0)] == [Basis.PENDING, Basis.ANCHOR]
+    # No more than make it full, of coal of this cycle all; none of a cycle shorter than its coal, or of another shift.
+    assert [cycle(300.0, FULL + 50), cycle(400.0, 20), cycle(500.0, 20, end=2.0), cycle(600.0, 1)] == [
+        *(FULL + 50, FULL, FULL, FULL)
+    ]
+    assert anchor.short == (500.0, 502.0)
+    assert cycle(SHIFT + 550.0, 2) == 3
+    # Coal that the networks take for that of another seam counts no more, nor does coal that did not fit its windows.
+    summary = own.summary(anchor.impacts)
+    assert anchor.summarised(own).tolist() == summary.tolist()
+    assert cycle(SHIFT + 650.0, 5) == 7
+    only = replace(own, limit=-1e3)
+    assert anchor.summarised(only)[-1] == pytest.approx(np.log(5)) and len(anchor.impacts.logits) == 5
+    anchor.is_foreign = True
+    assert cycle(SHIFT + 750.0, 2) == 2
 
 
 def test_what_an_anchor_forgets_is_not_in_its_coal() -> None:
@@ -471,11 +497,10 @@ def test_lumps_need_stated_coal_and_a_model_that_knows_them(folder: Path) -> Non
         with pytest.raises(InvalidValue, match="spans of gangue must be begin and end each"):
             PredictionSettings(lumps=bad, coal_until=3.0)
     model = StoredModel.load(folder / "any.npz")
-    older = {name: one for name, one in model.arrays.items() if "sharpened" not in name and "lumps" not in name}
     settings = PredictionSettings(lumps=((1.0, 2.0),), coal_until=1.0)
     CavingWatch(model, ["1"], settings)
     with pytest.raises(InvalidValue, match="lumps must be left out, this model"):
-        CavingWatch(with_arrays(model, older), ["1"], settings)
+        CavingWatch(with_arrays(model, without_networks(model)), ["1"], settings)
 
 
 def test_a_table_without_coal_of_the_recording_is_refused(

@@ -1,19 +1,23 @@
 """The fraction of gangue in seams that nobody described, with and without an anchor, judged without `cgid`.
 
     python benchmarks/beam/anchor.py [MODEL] [--windows 60] [--cycles 20] [--cache FOLDER] [--seams shipped wet ...]
+    python benchmarks/beam/anchor.py --streams 100  # of ten minutes below the limit: false SHUT; then a crossing
+    python benchmarks/beam/anchor.py --scales 100   # sound streams of that many random seams, and some at other scales
 
 Rocks of each seam fall on the beam of finite elements of `independent_beam`, roll down it, bounce, overlap, and end on
 a recorder with noise. `cgid` looks through the modes that it computes from the scene's dimensions. A seam is one stream
 of coal and one of as much gangue; windows of 10 s with 8 rocks a second are drawn from their rocks, each with all its
-predictions, and so are anchors, from other rocks of coal, and labelled lumps of gangue. Nothing was settled with these
-seeds.
+predictions, and so are anchors, from other rocks of coal, and labelled lumps of gangue. A stream of ten minutes draws
+its rocks in the same way, no rock twice before all have come; `CavingWatch`, which `monitor` uses, looks each second.
+Nothing was settled with these seeds.
 """
 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
-from dataclasses import dataclass
+import pickle
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -24,9 +28,13 @@ from benchmarks.beam.independent_beam import NOISE, RATE, Rocks, digitised, gene
 from cgid import load_model
 from cgid.identification.model.anchor import MIN_LUMPS, Anchor, Basis
 from cgid.identification.model.model import Model
+from cgid.identification.prediction.answers import Answer
+from cgid.identification.prediction.diagnosis import Diagnosis
+from cgid.identification.prediction.findings import Finding
 from cgid.identification.prediction.fraction import Share, ShareWindow, ShutDecision, answers_of
 from cgid.identification.prediction.settings import PredictionSettings
 from cgid.identification.prediction.stream import identify_blocks
+from cgid.identification.prediction.support import CavingWatch, Ground, SupportReport
 
 Floats = NDArray[np.float64]
 VARIANT = "0.001 mindlin"
@@ -37,6 +45,12 @@ SPAN = 25.0
 #: Labelled lumps fall for so long after the coal [s].
 LUMPS = 5.0
 WINDOW, FRACTIONS = 10.0, (0.0, 0.1, 0.2, 0.35, 0.5, 0.65, 0.8)
+#: Long streams: fractions below the limit, how long they last [s], then the fraction above it and how long.
+BELOW, LONG, ABOVE, AFTER, SOON = (0.1, 0.2, 0.35), 600.0, 0.9, 40.0, 10.0
+#: How many streams are watched with findings, too.
+OF_FINDINGS = 6
+#: Scales: coal and mixture [s], its fraction, factors, and how many seams have each.
+FIRST, REST, MIXED, FACTORS, OF_FACTOR = 20.0, 25.0, 0.4, (0.1, 0.2, 1 / 3, 0.5, 2.0, 3.0, 5.0, 10.0), 4
 _STEEL = 210e9 / (1 - 0.3**2)
 _SLOPE, _GRAVITY = np.radians(20.0), 9.80665
 
@@ -121,17 +135,20 @@ SEAMS = {
     "small, low falls": seam(radius=(0.008, 0.04), fall=(0.2, 1.2)),
     "gangue larger": seam(gangue_radius=(0.015, 0.12)),
 } | {f"random {k}": random_seam(k) for k in range(10)}
+#: Seams of the tables by default: without one beyond what fits into a recorder of 500 g.
+SEAMS_OF_TABLES = list(SEAMS)
+SEAMS["hard coal from 3 m"] = seam(4.5, 22.0, (0.035, 0.11), fall=(3.0, 3.5))
 
 
 # -- streams ----------------------------------------------------------------------------------------------
 
 
 def stream(
-    one: Seam, duration: float, gangue: float, seed: int, law: str = "sphere"
+    one: Seam, duration: float, gangue: float, seed: int, law: str = "sphere", arrivals: float = ARRIVALS
 ) -> tuple[Floats, Floats, NDArray[Any], NDArray[Any]]:
     """Return samples, time [s] and rock of the impacts of a stream, and which rocks are gangue."""
     rng = np.random.default_rng([seed, 1])
-    n = rng.poisson(ARRIVALS * duration)
+    n = rng.poisson(arrivals * duration)
     is_gangue = rng.random(n) < gangue
     parts = one.coal.draw(n, rng, one.fall), one.gangue.draw(n, rng, one.fall)
     state = {name: np.where(is_gangue, parts[1][name], parts[0][name]) for name in parts[0]}
@@ -172,46 +189,57 @@ def stream(
 
 @dataclass(frozen=True)
 class Told:
-    """The predictions of a model for a stream, and the rock of each."""
+    """The answers of a model for a stream, the rock of each, and first contact [s] and label of each rock."""
 
-    probability: Floats  # nan if unknown
-    pulse: Floats  # (n, 3), nan if not measured
+    answers: list[Answer]
     rock: NDArray[np.intp]
-    is_gangue: NDArray[np.bool_]  # of each rock
+    begin: Floats
+    is_gangue: NDArray[np.bool_]
 
     @classmethod
     def of(cls, one: Seam, duration: float, gangue: float, seed: int, model: Model, cache: Path | None) -> Told:
-        """Make a stream and return the predictions for it, or read them."""
-        file = None if cache is None else cache / f"{seed}.npz"
+        """Make a stream and return the answers for it, or read them."""
+        file = None if cache is None else cache / f"{seed}.pickle"
         if file is not None and file.exists():
-            return cls(**np.load(file))
+            return cls(**pickle.loads(file.read_bytes()))
         samples, time, rock, is_gangue = stream(one, duration, gangue, seed)
-        steps = identify_blocks([samples[None]], RATE, model, ("1",), PredictionSettings())
-        answers = [answer for step in steps for answer in step.answers]
+        answers = answered(samples, model)
         at = np.array([answer.time for answer in answers])
         after = np.clip(np.searchsorted(time, at), 1, time.size - 1)
         nearest = np.where(at - time[after - 1] < time[after] - at, after - 1, after)
-        told = cls(
-            np.array([a.probabilities["gangue"] if a.novelty <= 1 else np.nan for a in answers]),
-            np.array([a.pulse or (np.nan,) * 3 for a in answers]),
-            rock[nearest],
-            is_gangue,
-        )
+        begin = np.full(is_gangue.size, np.nan)
+        begin[rock[::-1]] = time[::-1]
+        told = cls(answers, rock[nearest], begin, is_gangue)
         if file is not None:
-            np.savez(file, **vars(told))
+            file.parent.mkdir(parents=True, exist_ok=True)
+            file.write_bytes(pickle.dumps(vars(told)))
         return told
 
+    def by_rock(self, *, gangue: bool) -> list[list[Answer]]:
+        """Return the answers for each rock of a label, at times since its first contact."""
+        found: list[list[Answer]] = [[] for _ in self.is_gangue]
+        for answer, rock in zip(self.answers, self.rock.tolist(), strict=True):
+            found[rock].append(replace(answer, time=answer.time - self.begin[rock]))
+        return [own for own, is_gangue in zip(found, self.is_gangue, strict=True) if is_gangue == gangue]
 
-def by_rock(told: Told, *, gangue: bool) -> list[Floats]:
-    """Return probability and pulse of the impacts of each rock of a label, (n, 4)."""
-    rows = np.column_stack([told.probability, told.pulse])
-    return [rows[told.rock == rock] for rock in np.flatnonzero(told.is_gangue == gangue)]
+
+def answered(samples: Floats, model: Model, **stated: Any) -> list[Answer]:
+    """Return the answers for samples as `cgid predict` gives them."""
+    steps = identify_blocks([samples[None]], RATE, model, ("1",), PredictionSettings(**stated))
+    return [answer for step in steps for answer in step.answers]
+
+
+def table_of(answers: Sequence[Answer]) -> Floats:
+    """Return probability of gangue, nan if unknown, and pulse of answers, nan if not measured, (n, 4)."""
+    rows = [(a.probabilities["gangue"] if a.novelty <= 1 else np.nan, *(a.pulse or (np.nan,) * 3)) for a in answers]
+    return np.array(rows).reshape(-1, 4)
 
 
 @dataclass(frozen=True)
 class Site:
-    """The impacts of each rock of a seam: of coal for anchors, of coal and gangue for windows."""
+    """The answers for each rock of a seam, of coal for anchors, of coal and gangue for windows, and their numbers."""
 
+    answers: tuple[list[list[Answer]], ...]
     anchor: list[Floats]
     coal: list[Floats]
     gangue: list[Floats]
@@ -220,9 +248,10 @@ class Site:
     def of(cls, one: Seam, seed: int, model: Model, cache: Path | None) -> Site:
         """Make the streams of a seam, and split the rocks of coal, so that no anchor has a rock of its windows."""
         coal, both = Told.of(one, COAL, 0.0, seed, model, cache), Told.of(one, BOTH, 0.5, seed + 1, model, cache)
-        own = by_rock(coal, gangue=False)
+        own = coal.by_rock(gangue=False)
         half = len(own) // 2
-        return cls(own[:half], own[half:] + by_rock(both, gangue=False), by_rock(both, gangue=True))
+        parts = own[:half], own[half:] + both.by_rock(gangue=False), both.by_rock(gangue=True)
+        return cls(parts, *([table_of(rock) for rock in part] for part in parts))
 
     def drawn(self, seconds: float, gangue: float, rng: np.random.Generator, *, anchor: bool = False) -> Floats:
         """Return the impacts of rocks that come in some seconds, no rock twice."""
@@ -278,7 +307,7 @@ TITLES = "RMS | bias | hold | width | false SHUT | SHUT above .6 | told foreign"
 
 
 def figures(pairs: Sequence[tuple[Share, float]]) -> str:
-    """Return the figures of shares beside the true fractions, with SHUT at the default costs."""
+    """Return the figures of shares beside the true fractions, with SHUT by the costs alone."""
     error = np.array([share.share - truth for share, truth in pairs])
     holds = np.mean([share.low <= truth <= share.high for share, truth in pairs])
     width = np.mean([share.high - share.low for share, _ in pairs])
@@ -350,18 +379,145 @@ def cycles(model: Model, sites: dict[str, Site], n_cycles: int) -> None:
         print(f"| {what} | {sum(found)} of {len(found)} |")
 
 
+# -- whole streams ----------------------------------------------------------------------------------------
+
+
+def long_stream(site: Site, fraction: Callable[[Floats], Floats], duration: float, seed: Sequence[int]) -> list[Answer]:
+    """Return the answers of a stream that begins with `SPAN` of coal and has a fraction by time."""
+    rng = np.random.default_rng(seed)
+    time = np.sort(rng.uniform(0.0, duration, rng.poisson(ARRIVALS * duration)))
+    is_gangue = (rng.random(time.size) < fraction(time)) & (time > SPAN)
+    answers = []
+    for own, some in zip(site.answers, (time <= SPAN, (time > SPAN) & ~is_gangue, is_gangue), strict=True):
+        turns = [rng.permutation(len(own)) for _ in range(np.sum(some) // len(own) + 1)]
+        for at, rock in zip(time[some].tolist(), np.concatenate(turns).tolist(), strict=False):
+            answers += [replace(answer, time=at + answer.time, end=np.nan) for answer in own[rock]]
+    return sorted(answers, key=lambda answer: answer.time)
+
+
+class _NoFindings(Diagnosis):
+    """Finds nothing, so nothing is withdrawn; most of the time of a watch is that of findings."""
+
+    def add(self, answers: Iterable[Answer]) -> None:
+        """Count nothing."""
+
+
+def watched(
+    model: Model, answers: Iterable[Answer], duration: float, *, findings: bool = True, **stated: Any
+) -> tuple[list[SupportReport], list[Finding]]:
+    """Return the reports and findings of a watch that looks each second."""
+    settings = PredictionSettings(share_time=WINDOW, share_step=1.0, **stated)
+    watch = CavingWatch(model, ("1",), settings, diagnosis=Diagnosis(model) if findings else _NoFindings(model))
+    return watch.feed(answers, duration), watch.take_changes()
+
+
+STATED: dict[str, dict[str, Any]] = {
+    "25 s of coal": {"coal_until": SPAN, "findings": False},
+    "nothing": {"findings": False},
+    "25 s of coal, with findings": {"coal_until": SPAN},
+    "nothing, with findings": {},
+}
+
+
+def long_streams(model: Model, sites: dict[str, Site], n_streams: int) -> None:
+    """Print how many streams below the limit are shut, and how soon a crossing is told.
+
+    Findings can only withdraw decisions, so they are made for the first streams alone: most of the time is theirs.
+    """
+    names, crossing = list(sites), SPAN + LONG
+    found: dict[tuple[str, str], list[tuple[str, list[float], float, bool]]] = {}
+    for k in range(n_streams):
+        name, low = names[k % len(names)], BELOW[(k // len(names)) % len(BELOW)]
+        answers = long_stream(
+            sites[name], lambda time, low=low: np.where(time < crossing, low, ABOVE), crossing + AFTER, [SEED, k, 4]
+        )
+        for stated, given in STATED.items():
+            if k >= OF_FINDINGS and given.get("findings", True):
+                continue
+            reports, _ = watched(model, answers, crossing + AFTER, **given)
+            turns = [(one.kind, one.state.time) for one in reports if one.kind in ("shut", "open")]
+            early = [time for kind, time in turns if kind == "shut" and time < crossing]
+            is_shut = next((kind == "shut" for kind, time in reversed(turns) if time < crossing), False)
+            late = next((time - crossing for kind, time in turns if kind == "shut" and time >= crossing), np.inf)
+            withdrawn = any(one.state.ground != Ground.SEEN for one in reports)
+            found.setdefault((stated, f"{low:g}"), []).append((name, early, np.nan if is_shut else late, withdrawn))
+            for group in ("all", name):
+                found.setdefault((stated, group), []).append(found[stated, f"{low:g}"][-1])
+    titles = "shut below the limit | of these at [s] | crossings told in 10 s | in 40 s | withdrawn"
+    print(f"| stated | streams | {titles} |\n|---|---|---|---|---|---|---|")
+    for (stated, group), rows in found.items():
+        shut, late = [early[0] for _, early, _, _ in rows if early], np.array([one[2] for one in rows])
+        late = late[~np.isnan(late)]
+        cells = (
+            f"{len(shut)} of {len(rows)}", " ".join(f"{one:.0f}" for one in sorted(shut)),
+            f"{np.sum(late <= SOON)} of {late.size}", f"{np.sum(late <= AFTER)} of {late.size}",
+            f"{sum(one[3] for one in rows)} of {len(rows)}",
+        )  # fmt: skip
+        print(f"| {stated} | {group} | {' | '.join(cells)} |", flush=True)
+
+
+def scales(model: Model, n_seams: int) -> None:
+    """Print what sound streams of random seams are told, and streams whose scale is wrong by a factor, or their coal's.
+
+    A stream is `FIRST` of coal and then a mixture.
+    """
+    rows: dict[tuple[str, str], list[tuple[float, set[str], set[Ground]]]] = {}
+    for number in range(n_seams):
+        one, seed = random_seam(100 + number), 1000 * SEED + 20_000 + 10 * number
+        coal, mixed = stream(one, FIRST, 0.0, seed)[0], stream(one, REST, MIXED, seed + 1)[0]
+        samples = np.concatenate([coal[: round(FIRST * RATE)], mixed[: round(REST * RATE)]])
+        factors = {"1": 1.0}
+        if number < OF_FACTOR:
+            factors |= {f"{factor:.2g}": factor for factor in FACTORS}
+            factors |= {"3 in the coal": np.where(np.arange(samples.size) < FIRST * RATE, 3.0, 1.0)}
+        for name, factor in factors.items():
+            answers = answered(digitised(factor * samples), model)
+            for stated, given in {"20 s of coal": {"coal_until": FIRST}, "nothing": {}}.items():
+                reports, changes = watched(model, answers, FIRST + REST, **given)
+                grounds = {one.state.ground for one in reports} - {Ground.SEEN}
+                times = [change.begin for change in changes if np.isfinite(change.begin)]
+                times += [one.state.time for one in reports if one.state.ground != Ground.SEEN]
+                first = min(times, default=np.inf)
+                heard = np.searchsorted([answer.time for answer in answers], first) if np.isfinite(first) else np.inf
+                kinds = {change.kind for change in changes}
+                kinds |= {"foreign coal" for one in reports if one.state.share.basis == Basis.FOREIGN}
+                if Ground.WRONG_SCALE in grounds and "scale" not in kinds:
+                    kinds.add("levels beside the coal")
+                rows.setdefault((name, stated), []).append((float(heard), kinds, grounds))
+    print("| factor | stated | told | as the scale | of these, impacts, median (most) | withdrawn | told as |")
+    print("|---|---|---|---|---|---|---|")
+    for (name, stated), own in rows.items():
+        n = len(own)
+        told = [one[0] for one in own if np.isfinite(one[0])]
+        scale = sum("scale" in kinds or Ground.WRONG_SCALE in grounds for _, kinds, grounds in own)
+        names = sorted({kind for _, kinds, _ in own for kind in kinds} | {str(g) for *_, gs in own for g in gs})
+        counted = ", ".join(f"{one} {sum(one in k or one in map(str, g) for _, k, g in own)}" for one in names)
+        after = f"{np.median(told):.0f} ({max(told):.0f})" if told else "-"
+        withdrawn = sum(bool(grounds) for *_, grounds in own)
+        cells = f"{len(told)} of {n} | {scale} | {after} | {withdrawn} of {n} | {counted}"
+        print(f"| {name} | {stated} | {cells} |", flush=True)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("model", nargs="?", default="default-acceleration")
     parser.add_argument("--cache", type=Path, help="folder that keeps the predictions for streams")
     parser.add_argument("--windows", type=int, default=60, help="of each seam")
     parser.add_argument("--cycles", type=int, default=20, help="of each seam")
-    parser.add_argument("--seams", nargs="+", choices=SEAMS, default=list(SEAMS), metavar="SEAM")
+    parser.add_argument("--seams", nargs="+", choices=SEAMS, default=SEAMS_OF_TABLES, metavar="SEAM")
+    parser.add_argument("--streams", type=int, default=0, metavar="N", help="N streams of ten minutes instead")
+    parser.add_argument("--scales", type=int, default=0, metavar="N", help="streams of N random seams instead")
     given = parser.parse_args()
     model, sites = load_model(given.model), {}
+    if given.scales:
+        scales(model, given.scales)
+        return
     for name in given.seams:
         seed = 1000 * SEED + 10 * list(SEAMS).index(name)
         sites[name] = Site.of(SEAMS[name], seed, model, given.cache)
+    if given.streams:
+        long_streams(model, sites, given.streams)
+        return
     single_windows(model, sites, given.windows)
     cycles(model, sites, given.cycles)
 

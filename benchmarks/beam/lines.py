@@ -4,6 +4,7 @@
     python benchmarks/beam/lines.py --from-begin         # with --set lines=false and with --set lines=true
     python benchmarks/beam/lines.py --seams wet hard     # beside 25 s of coal, with tones taken out
     python benchmarks/beam/lines.py --heard              # machines, and beams that ring long without any
+    python benchmarks/beam/lines.py --seams wet hard --rows "30 times the background" "20 rocks a second"
 
 Streams of one minute are made without `cgid`: rocks fall on a sloping beam of finite elements (`independent_beam`) and
 bounce down from it, each contact integrated with the modes; to the samples come the rumble of a conveyor, and tones,
@@ -210,6 +211,11 @@ ROWS: dict[str, Callable[[int, np.random.Generator], Floats]] = {
     "bursts 1 g": lambda n, rng: bursts(n, rng, level=1.0),
     "blasts 10 g": lambda n, rng: blasts(n, rng, level=10.0),
 }
+#: Rows of the table of seams alone: factors of the background, and rocks a second.
+LOUDER = {f"{factor} times the background": float(factor) for factor in (3, 10, 30)}
+RATES = {f"{rate} rocks a second": float(rate) for rate in (4, 20)}
+#: White noise of the recorder, which grows with the background: 100 ug/sqrt(Hz) [m/s^2].
+WHITE = 1e-4 * G * np.sqrt(RATE / 2)
 
 
 # -- answers ----------------------------------------------------------------------------------------------
@@ -319,15 +325,22 @@ TITLES = (
 AFTER, AFTER_TIME = (0.2, 0.65), 50.0
 
 
+@cache
+def in_stream(name: str, duration: float, fraction: float, seed: int, arrivals: float) -> Floats:
+    """Return the samples of a stream of a seam."""
+    return stream_of(SEAMS[name], duration, fraction, seed, arrivals=arrivals)[0][: round(duration * RATE)]
+
+
 def in_seam(name: str, row: str, model: Model, first: int) -> str:
     """Return a row of the table: windows of 10 s beside 25 s of coal of a seam, under a noise from the start."""
     settings = PredictionSettings(share_time=WINDOW, share_step=1.0, coal_until=SPAN)
     errors, held, widths, turns, bases = [], [], [], [], Counter[str]()
     for number, fraction in enumerate(AFTER):
         seed = 59_000 + first + 10 * list(SEAMS).index(name) + 2 * number
-        coal = stream_of(SEAMS[name], SPAN, 0.0, seed)[0][: round(SPAN * RATE)]
-        samples = np.concatenate([coal, stream_of(SEAMS[name], AFTER_TIME, fraction, seed + 1)[0]])
-        samples = samples[: round((SPAN + AFTER_TIME) * RATE)]
+        arrivals = RATES.get(row, ARRIVALS)
+        samples = np.concatenate(
+            [in_stream(name, SPAN, 0.0, seed, arrivals), in_stream(name, AFTER_TIME, fraction, seed + 1, arrivals)]
+        )
         samples = samples + noise_for(row, seed, len(samples))
         steps = identify_blocks([samples.astype(np.float32)[None]], RATE, model, ("1",), settings)
         watch = CavingWatch(model, ("1",), settings)
@@ -416,15 +429,18 @@ def hearing(n: int, first: int, rates: tuple[float, ...] = (4.0, 8.0, 16.0)) -> 
 
 
 def noise_for(row: str, seed: int, n: int) -> Floats:
-    rng = np.random.default_rng([seed, 60, list(ROWS).index(row)])
-    return rumble(n, np.random.default_rng([seed, 61])) + ROWS[row](n, rng)
+    rng, factor = np.random.default_rng([seed, 60, [*ROWS, *LOUDER, *RATES].index(row)]), LOUDER.get(row, 1.0)
+    background = rumble(n, np.random.default_rng([seed, 61]))
+    if row in ROWS:
+        return background + ROWS[row](n, rng)
+    return factor * (background + WHITE * rng.standard_normal(n))
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--streams", type=int, default=4)
     parser.add_argument("--first", type=int, default=0)
-    parser.add_argument("--rows", nargs="+", default=list(ROWS), choices=ROWS)
+    parser.add_argument("--rows", nargs="+", default=list(ROWS), choices=[*ROWS, *LOUDER, *RATES])
     parser.add_argument("--from-begin", action="store_true", help="with --set lines=true in place of the default")
     parser.add_argument("--seams", nargs="+", choices=SEAMS, metavar="SEAM", help="in these seams, beside their coal")
     parser.add_argument("--heard", action="store_true", help="when machines are heard, and where none runs")

@@ -15,7 +15,7 @@ other streams, other random seams and other courses than the table.
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import beta
 
-from benchmarks.beam.anchor import ARRIVALS, SEAMS, SEED, SPAN, WINDOW, Site, random_seam
+from benchmarks.beam.anchor import ARRIVALS, SEAMS, SEAMS_OF_TABLES, SEED, SPAN, WINDOW, Site, random_seam
 from cgid import load_model
 from cgid.identification.model.anchor import Anchor
 from cgid.identification.model.model import Model
@@ -72,6 +72,7 @@ def step(model: Model, site: Site, high: float, rng: np.random.Generator) -> Cyc
         lambda time: np.where(time <= SPAN, 0.0, np.where(time <= crossing, LOW, high)),
         crossing,
         rng,
+        STATED[:1],
     )
 
 
@@ -82,8 +83,9 @@ def followed(
     fraction: Callable[[Floats], Floats],
     crossing: float,
     rng: np.random.Generator,
+    by: Sequence[str] = STATED,
 ) -> Cycle:
-    """Draw the rocks of a cycle with a fraction by time, and follow them."""
+    """Draw the rocks of a cycle with a fraction by time, and follow them by what is stated."""
     time = np.sort(rng.uniform(0.0, duration, rng.poisson(ARRIVALS * duration)))
     is_gangue = rng.random(time.size) < fraction(time)
     rocks = np.empty(time.size, object)
@@ -100,9 +102,9 @@ def followed(
             seams=None if stated == "trained seam" else model.seams,
             anchor=Anchor(SPAN) if stated == "25 s of coal" else None,
         )
-        for stated in STATED
+        for stated in by
     }
-    shares: dict[str, list[Share]] = {stated: [] for stated in STATED}
+    shares: dict[str, list[Share]] = {stated: [] for stated in by}
     first = np.searchsorted(time, np.arange(duration + 1.0), side="right")
     for second, (begin, end) in enumerate(zip(np.append(0, first), first, strict=False)):
         for stated, watch in watches.items():
@@ -118,7 +120,7 @@ def by_cost(stated: str, ratio: float | None = None) -> Callable[[Cycle], float]
     """Return the rule of the least expected loss, with the default costs or another early one."""
 
     def rule(one: Cycle) -> float:
-        decision = ShutDecision() if ratio is None else ShutDecision(cost_late=1.0, cost_early=ratio)
+        decision = ShutDecision() if ratio is None else ShutDecision(cost_early=ratio)
         turns = (decision.watch(share) for share in one.shares[stated])
         return next((turn.time for turn in turns if turn is not None and turn.shut), np.inf)
 
@@ -208,7 +210,7 @@ def main() -> None:
     parser.add_argument("model", nargs="?", default="default-acceleration")
     parser.add_argument("--cache", type=Path, help="folder that keeps the predictions for streams")
     parser.add_argument("--cycles", type=int, default=20, help="of each seam")
-    parser.add_argument("--seams", nargs="+", choices=SEAMS, default=list(SEAMS), metavar="SEAM")
+    parser.add_argument("--seams", nargs="+", choices=SEAMS, default=SEAMS_OF_TABLES, metavar="SEAM")
     parser.add_argument("--settle", action="store_true", help="try costs on other streams")
     parser.add_argument("--crossings", action="store_true", help="the fraction steps up")
     given = parser.parse_args()

@@ -109,7 +109,7 @@ class AnswerLines:
         share, limit, sure = turn.share, 1 / (1 + costs["dilution_cost"]), f"{min(turn.evidence, 0.999):.1%} sure"
         why = f"{'going on' if turn.shut else 'staying shut'} is expected to lose {abs(turn.cost):.2f} coal a rock"
         if not turn.shut:
-            why += f", as shut too early costs {costs['cost_early']:g} where too late costs {costs['cost_late']:g}"
+            why += f", as shut too early costs {costs['cost_early']:g} times as much as too late"
         message = (
             f"{word} {turn.time:.6g} s: {why} (gangue fraction {share.share:.2f}, {sure} that it is {side} "
             f"{limit:.2f}, the limit where a drawn gangue costs {costs['dilution_cost']:g} coal)  {name}"

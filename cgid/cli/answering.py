@@ -36,7 +36,7 @@ def settings_with_coal(
     names, needs_coal = [channel.name for channel in channels], settings.coal_until is None
     given = labelled, recording, names, model.labels, settings.shares.gangue
     coal, lumps = labelled_in(*given, needs_coal=needs_coal)
-    uses_lumps = model.seams is not None and model.seams.sharpened is not None
+    uses_lumps = model.seams is not None
     return replace(settings, coal=coal, lumps=lumps if uses_lumps else ())
 
 

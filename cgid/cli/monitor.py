@@ -268,8 +268,9 @@ def monitor(
 
     Stdout is one CSV table, one row per impact. Everything else goes to stderr: each channel is a support with its own
     gangue fraction, printed ten times per window and once in a pause. SHUT is printed when going on is expected to lose
-    more than shutting, OPEN when staying shut is, after at least a window; costs are keys of a site file. Nothing is
-    dropped: if predictions are slower than the stream, a warning reports the delay.
+    more than shutting and the interval is above the limit, or has been so for a window; OPEN when staying shut is and
+    the interval is below it; costs are keys of a site file. Nothing is dropped: if predictions are slower than the
+    stream, a warning reports the delay.
     """
     from cgid.identification.prediction.support import STEPS
     from cgid.identification.training.manifest import read_manifest

@@ -370,6 +370,7 @@ def with_seams(
         alone=alone,
         foreign=foreign,
         sharpened=sharpened,
+        lumps_limit=0.0,
     )
     limit = float(np.quantile(networks.gangue_of(judges.lumps, judges.anchor), 1 - _SOUND))
     networks = replace(networks, lumps_limit=limit)

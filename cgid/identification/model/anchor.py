@@ -31,6 +31,12 @@ PULSES = (
 )
 #: Minimum number of identified impacts of an anchor, and of labelled lumps of gangue.
 MIN_ANCHOR, MIN_LUMPS = 10, 6
+#: Minimum number of identified impacts of a window for the networks, whose windows have 5 rocks and more.
+MIN_WINDOW = 3
+#: Coal of earlier cycles counts for so long, a shift [s].
+SHIFT = 8 * 3600.0
+#: Impacts to which it fills up the coal of a cycle: those of some 20 s at 8 rocks a second.
+FULL = 200
 #: While a span of coal of this length goes on, nothing is decided [s].
 _STRETCH = 0.5
 #: Classes of the fraction, evenly spaced in the angle of fraction = sin^2(angle): finer towards 0 and 1.
@@ -99,20 +105,12 @@ class Committee:
     """
 
     def __init__(self, arrays: Mapping[str, NDArray[Any]], n_inputs: int, n_classes: int) -> None:
-        #: Those of a network, each with a first axis of networks; of one network without it, as earlier versions wrote.
-        self.arrays = arrays
-        sizes = {len(a) if a.ndim > Network.AXES.get(name, 2) else 1 for name, a in arrays.items()} or {1}
-        if len(sizes) > 1 or max(sizes) > _MAX_NETWORKS:
+        self.arrays = arrays  # those of a network, each with a first axis of networks
+        sizes = {len(a) if a.ndim else 0 for a in arrays.values()} or {1}
+        if len(sizes) > 1 or not 0 < max(sizes) <= _MAX_NETWORKS:
             raise BadData(f"arrays of seams must be of one number of networks, at most {_MAX_NETWORKS}")
         self.networks = [
-            Network(
-                {
-                    name: np.asarray(a[k] if a.ndim > Network.AXES.get(name, 2) else a, np.float64)
-                    for name, a in arrays.items()
-                },
-                n_inputs,
-                n_classes,
-            )
+            Network({name: np.asarray(a[k], np.float64) for name, a in arrays.items()}, n_inputs, n_classes)
             for k in range(max(sizes))
         ]
 
@@ -140,8 +138,8 @@ class SeamNetworks:
     anchored: Committee
     alone: Committee
     foreign: Network
-    sharpened: Committee | None = None  # None: of an earlier version
-    lumps_limit: float = 0.0  # least probability of more than half gangue of lumps of gangue, beside its coal
+    sharpened: Committee
+    lumps_limit: float  # least probability of more than half gangue of lumps of gangue, beside its coal
 
     PREFIX: ClassVar = "seams."
     NUMBERS: ClassVar = ("cells", "cell_scale", "mean", "scale")
@@ -154,17 +152,15 @@ class SeamNetworks:
         stored = {name.removeprefix(cls.PREFIX): a for name, a in arrays.items() if name.startswith(cls.PREFIX)}
         if not stored:
             return None
-        if missing := {*cls.NUMBERS, "limit"} - stored.keys():
+        if missing := {*cls.NUMBERS, "limit", "lumps_limit"} - stored.keys():
             raise BadData(f"array {cls.PREFIX}{min(missing)} is missing")
         cells, cell_scale, mean, scale = (stored[name] for name in cls.NUMBERS)
         if cells.ndim != 2 or cells.shape[1] != 3 or len(cells) > _MAX_CELLS:
             raise BadData(f"array {cls.PREFIX}cells must be rows of 3 numbers, at most {_MAX_CELLS}")
-        n, is_sharp = N_SUMMARY + len(cells), any(name.startswith("sharpened.") for name in stored)
-        if is_sharp != ("lumps_limit" in stored):
-            raise BadData(f"arrays {cls.PREFIX}sharpened and {cls.PREFIX}lumps_limit must be given together")
+        n = N_SUMMARY + len(cells)
         shapes = {"cell_scale": (3,), "mean": (3 * n,), "scale": (3 * n,), "limit": (1,), "lumps_limit": (1,)}
         for name, shape in shapes.items():
-            if name in stored and stored[name].shape != shape:
+            if stored[name].shape != shape:
                 raise BadData(f"array {cls.PREFIX}{name} must have shape {shape}, got {stored[name].shape}")
         if min(cell_scale.min(), scale.min()) < MIN_DIVISOR:
             raise BadData(f"arrays {cls.PREFIX}scale and {cls.PREFIX}cell_scale must be at least {MIN_DIVISOR:g}")
@@ -181,19 +177,16 @@ class SeamNetworks:
             anchored=Committee(own("anchored"), 3 * n, N_CLASSES),
             alone=Committee(own("alone"), n, N_CLASSES),
             foreign=Network(own("foreign"), 3 * n, 2),
-            sharpened=Committee(own("sharpened"), 4 * n, N_CLASSES) if is_sharp else None,
-            lumps_limit=float(stored.get("lumps_limit", [0.0])[0]),
+            sharpened=Committee(own("sharpened"), 4 * n, N_CLASSES),
+            lumps_limit=float(stored["lumps_limit"][0]),
         )
 
     @property
     def arrays(self) -> dict[str, NDArray[Any]]:
         """The arrays in a model file."""
-        stored = {name: getattr(self, name) for name in self.NUMBERS} | {"limit": np.array([self.limit])}
-        if self.sharpened is not None:
-            stored["lumps_limit"] = np.array([self.lumps_limit])
+        stored = {name: np.atleast_1d(getattr(self, name)) for name in (*self.NUMBERS, "limit", "lumps_limit")}
         for name in self.NETWORKS:
-            if (network := getattr(self, name)) is not None:
-                stored |= {f"{name}.{part}": array for part, array in network.arrays.items()}
+            stored |= {f"{name}.{part}": array for part, array in getattr(self, name).arrays.items()}
         return {self.PREFIX + name: np.ascontiguousarray(array) for name, array in stored.items()}
 
     def summary(self, impacts: Impacts) -> Floats:
@@ -206,7 +199,6 @@ class SeamNetworks:
             n = window.shape[-1]
             return self.alone.density(np.atleast_2d(_clipped(window, self.mean[:n], self.scale[:n])))
         networks = self.anchored if lumps is None else self.sharpened
-        assert networks is not None
         return networks.density(np.atleast_2d(inputs_of(window, anchor, self.mean, self.scale, lumps)))
 
     def gangue_of(self, lumps: Floats, anchor: Floats) -> Floats:
@@ -251,6 +243,8 @@ class Basis(StrEnum):
 class Anchor:
     """The impacts of the coal with which a caving cycle begins, or of spans of coal in a recording.
 
+    Where a cycle's coal is short, the latest coal of earlier cycles fills it up, unless both are hardly of one seam.
+
     Parameters
     ----------
     coal_until : float [s]
@@ -274,11 +268,19 @@ class Anchor:
         self._pause, self._last, self._next = cycle_pause, np.inf, np.inf
         #: Begin and last impact [s] of the first cycle that ended while its coal was still coming.
         self.short: tuple[float, float] | None = None
+        self._earlier: list[tuple[float, float, tuple[float, ...] | None]] = []  # of earlier cycles
+        self._impacts: list[tuple[float, float, tuple[float, ...] | None]] = []
+        self.cycle, self.is_foreign = 0.0, False  # its begin [s]
         self._begin(0.0)
 
     def _begin(self, time: float) -> None:
-        self.cycle = time  # its begin [s]
-        self._impacts: list[tuple[float, float, tuple[float, ...] | None]] = []
+        is_short = bool(self._impacts) and all(self._last < self.cycle + end for _, end in self._spans)
+        if is_short and self.short is None:
+            self.short = self.cycle, self._last
+        # What was not only coal by its windows, or by its length, tells nothing of the next cycle's.
+        coal = [] if self.is_foreign else self._earlier + (self._impacts if not is_short else [])
+        self._earlier, self._impacts = [one for one in coal if one[0] > time - SHIFT][-FULL:], []
+        self.cycle = time
         self.levels: list[float] = []  # of the coal, as in `Answer`
         self.summary: Floats | None = None  # by the networks, once the coal is complete
         self.is_foreign = False
@@ -289,13 +291,8 @@ class Anchor:
 
     def _begin_if_due(self, time: float) -> None:
         if time >= self._next:
-            self._end()
             self._begin(self._next)
             self._next = np.inf
-
-    def _end(self) -> None:
-        if self.short is None and self._impacts and all(self._last < self.cycle + end for _, end in self._spans):
-            self.short = self.cycle, self._last
 
     def lose(self, time: float) -> None:
         """Take the time until `time` [s] as heard by nobody: no sample is no pause."""
@@ -306,7 +303,6 @@ class Anchor:
         """Add an impact at a time [s], in order; the probability of gangue is nan if it is unknown."""
         self._begin_if_due(time)
         if self._pause is not None and time - self._last > self._pause:
-            self._end()
             self._begin(time)
         self._last = time
         if self.has(time):
@@ -315,7 +311,9 @@ class Anchor:
 
     def forget(self, start: float, end: float) -> None:
         """Drop the impacts after a time and up to another [s], and what their windows said of its coal."""
-        self._impacts = [one for one in self._impacts if not start < one[0] <= end]
+        self._impacts, self._earlier = (
+            [one for one in some if not start < one[0] <= end] for some in (self._impacts, self._earlier)
+        )
         self.summary, self.is_foreign = None, False
 
     def has(self, time: float) -> bool:
@@ -324,14 +322,29 @@ class Anchor:
 
     @property
     def impacts(self) -> Impacts:
-        """Its impacts up to now."""
-        return impacts_of([one[1:] for one in self._impacts])
+        """The impacts of its coal up to now."""
+        return impacts_of([one[1:] for one in self._coal])
+
+    @property
+    def _coal(self) -> list[tuple[float, float, tuple[float, ...] | None]]:
+        """The impacts of its coal, after so many earlier ones as make it full."""
+        return (self._earlier + self._impacts)[-max(FULL, len(self._impacts)) :]
+
+    def summarised(self, seams: SeamNetworks) -> Floats:
+        """Return the summary of its coal by the networks; coal of earlier cycles that is hardly of its seam goes."""
+        if self.summary is None:
+            earlier, own = (impacts_of([one[1:] for one in some]) for some in (self._earlier, self._impacts))
+            are_both = earlier.logits.size and own.logits.size >= MIN_WINDOW
+            if are_both and seams.foreignness(seams.summary(own), seams.summary(earlier))[0] > 0:
+                self._earlier = []
+            self.summary = seams.summary(self.impacts)
+        return self.summary
 
     def basis(self, time: float) -> Basis:
         """Return the basis of a window that ends at a time [s]."""
         self._begin_if_due(time)
         ends = [(start, end) for start, end in self._spans if time < self.cycle + end]
-        is_enough = len(self.impacts.logits) >= self._least
+        is_enough = np.count_nonzero(np.isfinite([one[1] for one in self._coal])) >= self._least
         # A span of one labelled impact is over before a window ends.
         if any(self.cycle + start <= time and end - start >= _STRETCH for start, end in ends):
             return Basis.PENDING

@@ -19,14 +19,14 @@ dumped. Per rock, continuing costs
     dilution_cost * q - (1 - q)
 
 more than shutting. Its sign changes at q = 1 / (1 + dilution_cost), the threshold. Each second of going on above it
-loses `cost_late` for each unit of fraction above it, and each second shut below it `cost_early` for each unit below.
-SHUT is issued when the expected loss of going on is the greater one. Going on, and OPEN after a SHUT, need the opposite
-and an interval that no longer holds the limit: until then going on is not yet sure. After a switch nothing changes for
-a least time (`hold`). By default a second too early costs more: all the coal that would have followed is lost with it,
-while a second too late is lost alone. Nothing is decided until at least five impacts of a window, and half of them, are
-identified; in the first 25 s, when a look every second finds by chance what no later one confirms, sixty. Going on ends
-with the last impact of its window; SHUT is withdrawn after two minutes without enough of them, since nothing falls
-through a window that is shut.
+loses 1 for each unit of fraction above it, and each second shut below it `cost_early` for each unit below.
+SHUT is issued when the expected loss of going on is the greater one and the interval lies above the limit, or when it
+has been so at every look for a whole window: who looks each second finds by chance what no later look confirms. Going
+on, and OPEN after a SHUT, need the opposite and an interval below the limit: until then going on is not yet sure. After
+a switch nothing changes for a least time (`hold`). By default a second too early costs more: all the coal that would
+have followed is lost with it, while a second too late is lost alone. Nothing is decided unless at least five impacts of
+a window, and half of them, are identified. Going on ends with the last impact of its window; SHUT is withdrawn after
+two minutes without enough of them, since nothing falls through a window that is shut.
 """
 
 from __future__ import annotations
@@ -43,7 +43,15 @@ from numpy.typing import NDArray
 from cgid._lib import validation
 from cgid._lib.validation import Floats
 from cgid.errors import InvalidValue
-from cgid.identification.model.anchor import Anchor, Basis, Impacts, SeamNetworks, class_edges, impacts_of
+from cgid.identification.model.anchor import (
+    MIN_WINDOW,
+    Anchor,
+    Basis,
+    Impacts,
+    SeamNetworks,
+    class_edges,
+    impacts_of,
+)
 from cgid.identification.model.confusion import (
     MIN_TESTED,
     SUREST,
@@ -52,7 +60,7 @@ from cgid.identification.model.confusion import (
     trials_of,
     wilson_interval,
 )
-from cgid.identification.prediction.settings import COST_EARLY, COST_LATE, RULES, require_costs
+from cgid.identification.prediction.settings import COST_EARLY, RULES
 
 if TYPE_CHECKING:
     from cgid.identification.model.model import StoredModel
@@ -64,11 +72,6 @@ __all__ = ["Share"]
 LEVEL = 0.95
 #: SHUT is withdrawn after this time without a window of enough identified impacts [s].
 LAPSE = 120.0
-#: So long after the first impact [s], a window must hold so many identified ones: without this, 4 of 20 streams of the
-#: benchmark of seams were shut by chance, most of them in their first seconds.
-FIRST, OF_FIRST = 25.0, 60
-#: Minimum number of identified impacts of a window for the networks of seams, whose windows have 5 rocks and more.
-MIN_WINDOW = 3
 #: The end of a window in which impacts are expected as before: this part of it, at most so long [s].
 _END = 0.2
 _LONGEST_END = 2.0
@@ -295,9 +298,7 @@ class ShareWindow:
         is_enough = inside.logits.size >= MIN_WINDOW
         if basis == Basis.ANCHOR and is_enough:
             assert self.anchor is not None
-            if self.anchor.summary is None:
-                self.anchor.summary = self._seams.summary(self.anchor.impacts)
-            anchor = self.anchor.summary
+            anchor = self.anchor.summarised(self._seams)
             if self._seams.foreignness(window, anchor)[0] > 0:
                 self.anchor.is_foreign, anchor, basis = True, None, Basis.FOREIGN
             elif self._lumps is not None:
@@ -310,11 +311,10 @@ class ShareWindow:
         assert self._seams is not None and self._lumps is not None
         if basis != Basis.ANCHOR:
             return Basis.FEW_LUMPS if basis == Basis.TOO_FEW else Basis.ANCHOR, None
-        if self._lumps.summary is None:
-            self._lumps.summary = self._seams.summary(self._lumps.impacts)
-        if self._seams.gangue_of(self._lumps.summary, anchor)[0] < self._seams.lumps_limit:
+        summary = self._lumps.summarised(self._seams)
+        if self._seams.gangue_of(summary, anchor)[0] < self._seams.lumps_limit:
             return Basis.WRONG_LUMPS, None
-        return Basis.LUMPS, self._lumps.summary
+        return Basis.LUMPS, summary
 
     def _confusion(self, basis: Basis) -> Confusion | NoConfusion:
         """Return the confusion, with the predictions for the coal of the anchor in place of those of the training."""
@@ -405,7 +405,7 @@ def _blur(scatter: float) -> Floats | None:
     return np.asarray(matrix / matrix.sum(axis=0))
 
 
-#: Minimum number of identified impacts for a decision; twice as many where the uniform prior alone would shut.
+#: Minimum number of identified impacts for a decision.
 MIN_IMPACTS = 5
 
 
@@ -431,68 +431,58 @@ class ShutDecision:
         self,
         dilution_cost: float = 1.0,
         *,
-        cost_late: float = COST_LATE,
         cost_early: float = COST_EARLY,
         hold: float = 0.0,
     ) -> None:
-        given = {"dilution_cost": dilution_cost, "cost_late": cost_late, "cost_early": cost_early, "hold": hold}
+        given = {"dilution_cost": dilution_cost, "cost_early": cost_early, "hold": hold}
         checked = {name: validation.number(name, value, rule=RULES[name]) for name, value in given.items()}
-        self.dilution_cost, self.cost_late, self.cost_early, self.hold = checked.values()
-        require_costs(self.cost_late, self.cost_early)
+        self.dilution_cost, self.cost_early, self.hold = checked.values()
         self.threshold = 1.0 / (1.0 + self.dilution_cost)
-        # A uniform prior is above by (1 - threshold)^2 / 2 on average, and below by threshold^2 / 2.
-        prior = self.cost_late * (1.0 - self.threshold) ** 2 > self.cost_early * self.threshold**2
-        self._least = MIN_IMPACTS * (2 if prior else 1)
         #: Whether to shut; None where nothing is decided.
         self.shut: bool | None = None
         #: Whether going on is sure: the costs speak for it, and the interval does not hold the limit.
         self.is_sure = False
         self._since = self._supported = -np.inf
-        self._begun = np.inf  # since when windows have impacts [s]
+        self._losing = np.inf  # since when going on was expected to lose more at every look [s]
         self._said_shut = False
 
     def cost(self, share: Share) -> float:
         """Return the expected loss of continuing minus that of shutting; nan without any impact.
 
-        It is in lost coal rocks per rock, weighed by `cost_late` and `cost_early`. The share's `excess` must be over
+        It is in lost coal rocks per rock, those of shutting times `cost_early`. The share's `excess` must be over
         `threshold`.
         """
         below = share.excess - (share.mean - self.threshold)
-        return (1.0 + self.dilution_cost) * (self.cost_late * share.excess - self.cost_early * below)
+        return (1.0 + self.dilution_cost) * (share.excess - self.cost_early * below)
 
     def watch(self, share: Share) -> Switch | None:
         """Return the switch at this window; None without one. The share must be of a window with `threshold`.
 
         The first decision to draw is no switch, since nothing was shut.
         """
-        self.note(share)
-        least = OF_FIRST if share.time < self._begun + FIRST and self.shut is None else self._least
-        if share.n_impacts < max(least, share.n_unknown):
-            self.is_sure = False
+        if share.n_impacts < max(MIN_IMPACTS, share.n_unknown):
+            self.is_sure, self._losing = False, np.inf
             if share.time > self._supported + LAPSE or not (self.shut or share.n_impacts):
                 self.withdraw()
             return None
         self._supported = share.time
         cost = self.cost(share)
-        shut, self.is_sure = cost > 0, cost <= 0 and share.high < self.threshold
-        # Of what was shut, costs alone would open at fractions above the limit.
-        is_same = shut == self.shut or (self.shut and not self.is_sure)
-        if is_same or share.time < self._since + self.hold or not share.is_current:
+        self._losing = min(self._losing, share.time) if cost > 0 else np.inf
+        shut = cost > 0 and bool(share.low > self.threshold or self._losing <= share.start)
+        self.is_sure = cost <= 0 and share.high < self.threshold
+        is_kept = self.shut and not self.is_sure  # costs alone would open at fractions above the limit
+        if is_kept or share.time < self._since + self.hold or not share.is_current:
             return None
         self.shut = shut
-        if not shut and not self._said_shut:
+        if not shut and not (self._said_shut and self.is_sure):
             return None
         self._said_shut, self._since = shut, share.time
         evidence = share.above if shut else 1.0 - share.above
         return Switch(time=share.time, shut=shut, cost=cost, evidence=evidence, share=share)
 
-    def note(self, share: Share) -> None:
-        """Note since when impacts come; also of a window on which nothing may be decided."""
-        self._begun = min(self._begun, share.time) if share.n_impacts else np.inf
-
     def withdraw(self) -> None:
         """Decide nothing, because the ground of the decision is gone."""
-        self.shut, self.is_sure, self._since = None, False, -np.inf
+        self.shut, self.is_sure, self._since, self._losing = None, False, -np.inf, np.inf
 
 
 _BY_CHANCE = "the model is not shown to be better than chance"

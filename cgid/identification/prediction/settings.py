@@ -29,10 +29,10 @@ BATCH = 256
 SHARE_TIME = 10.0
 #: Minimum window of a gangue fraction [s]: a shorter one contains too few impacts, and an hour would have millions.
 MIN_SHARE_TIME = 0.05
-#: Costs of each second and unit of fraction above the limit while drawing, and below it while shut. The second is the
-#: lowest of those tried with which, with and without stated coal, less than one simulated caving cycle in a hundred is
-#: shut more than a window too early (benchmarks/identification/caving_cycle.py --settle).
-COST_LATE, COST_EARLY = 1.0, 6.0
+#: Cost of each second and unit of fraction below the limit while shut, over that above it while drawing: the lowest of
+#: those tried with which, with and without stated coal, less than one simulated caving cycle in a hundred is shut more
+#: than a window too early (benchmarks/identification/caving_cycle.py --settle).
+COST_EARLY = 6.0
 #: A support is blind after this time without valid samples [s].
 BLIND_TIME = 5.0
 #: A longer hold keeps a decision for ever, and a longer `blind_after` switches the watch of a sensor off [s].
@@ -44,7 +44,6 @@ RULES = {
     "share_time": Rule(MIN_SHARE_TIME, unit="s"),
     "share_step": Rule(0, without="lowest", unit="s"),
     "dilution_cost": Rule(0, without="lowest"),
-    "cost_late": Rule(0),
     "cost_early": Rule(0),
     "hold": Rule(0, LONGEST, unit="s"),
     "coal_until": Rule(0, without="lowest", unit="s"),
@@ -69,7 +68,6 @@ class ShareSettings(NamedTuple):
     step: float
     gangue: tuple[str, ...]
     dilution_cost: float
-    cost_late: float
     cost_early: float
     hold: float
     coal_until: float | None
@@ -81,7 +79,7 @@ class ShareSettings(NamedTuple):
     @property
     def costs(self) -> dict[str, float]:
         """The costs of a decision."""
-        return {name: getattr(self, name) for name in ("dilution_cost", "cost_late", "cost_early")}
+        return {name: getattr(self, name) for name in ("dilution_cost", "cost_early")}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -183,9 +181,9 @@ class WatchingSettings:
         Labels of rocks that must not be drawn; by default "gangue".
     dilution_cost : float, optional
         Cost of one drawn gangue rock, in lost coal rocks; None: 1.
-    cost_late, cost_early : float, optional
-        Loss for each second of drawing above the limit and unit of fraction above it, and for each second shut below it
-        and unit below; None: `COST_LATE`, `COST_EARLY`. SHUT and OPEN are at the least expected loss.
+    cost_early : float, optional
+        Loss for each second shut below the limit and unit of fraction below it, over that of drawing above it; None:
+        `COST_EARLY`. SHUT is at the least expected loss; OPEN also needs an interval below the limit.
     hold : float, optional [s]
         Least time between SHUT and OPEN; None: a window.
     coal_until : float, optional [s]
@@ -206,7 +204,6 @@ class WatchingSettings:
     share_step: float | None = None
     gangue: tuple[str, ...] = ()
     dilution_cost: float | None = None
-    cost_late: float | None = None
     cost_early: float | None = None
     hold: float | None = None
     coal_until: float | None = None
@@ -224,7 +221,6 @@ class WatchingSettings:
             step=window / 2 if self.share_step is None else self.share_step,
             gangue=self.gangue or ("gangue",),
             dilution_cost=1.0 if self.dilution_cost is None else self.dilution_cost,
-            cost_late=COST_LATE if self.cost_late is None else self.cost_late,
             cost_early=COST_EARLY if self.cost_early is None else self.cost_early,
             hold=window if self.hold is None else self.hold,
             coal_until=self.coal_until,
@@ -237,8 +233,7 @@ class WatchingSettings:
     @property
     def needs_shares(self) -> bool:
         """Whether an option requests gangue fractions, so that even a single impact has them."""
-        costs = (self.dilution_cost, self.cost_late, self.cost_early)
-        decides = (self.share_time, *costs, self.hold, self.coal_until)
+        decides = (self.share_time, self.dilution_cost, self.cost_early, self.hold, self.coal_until)
         return bool(self.gangue or self.coal) or self.trained_seam or any(one is not None for one in decides)
 
 
@@ -266,8 +261,6 @@ class PredictionSettings(ReadingSettings, AnsweringSettings, WatchingSettings):
         for name, label in (("coal", "coal"), ("lumps", "gangue")):
             if getattr(self, name):
                 object.__setattr__(self, name, require_spans(getattr(self, name), label))
-        if self.cost_late == 0:
-            require_costs(0, self.shares.cost_early)
         if self.cycle_pause is not None and self.coal_until is None:
             raise InvalidValue(
                 f"cycle_pause must come with coal_until, the coal of each cycle; give {asked('coal_until')}, too"
@@ -296,12 +289,6 @@ class PredictionSettings(ReadingSettings, AnsweringSettings, WatchingSettings):
         flag, given = of_others[model.subject]
         if given is not None:
             raise InvalidValue(f"{flag} must be left out, this model decides on {model.subject}s")
-
-
-def require_costs(late: float, early: float) -> None:
-    """Raise `InvalidValue` for costs that are both zero, by which no decision is better than another."""
-    if late == early == 0:
-        raise InvalidValue("cost_late and cost_early must not both be 0; give one of them above 0, such as 1")
 
 
 def require_spans(spans: Any, label: str) -> tuple[LabelledSpan, ...]:

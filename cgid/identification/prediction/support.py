@@ -192,7 +192,7 @@ class CavingWatch:
         # The seams of the simulation have coal and gangue; other labels may be anything.
         seams = self._seams = None if shares.trained_seam or gangue != ("gangue",) else model.seams
         is_stated = shares.coal_until is not None or shares.coal
-        if shares.lumps and (seams is None or seams.sharpened is None):
+        if shares.lumps and seams is None:
             raise InvalidValue(
                 "lumps must be left out, this model was not trained on simulated seams with labelled gangue; use a "
                 "shipped model, or train one again on streams of a scene"
@@ -443,7 +443,6 @@ class _Support:
         if self.rule is not None and ground == Ground.SEEN:
             if share.basis == Basis.PENDING:  # coal falls: what was decided is of the cycle before
                 self.rule.withdraw()
-                self.rule.note(share)
             elif is_known:
                 switch = self.rule.watch(share)
         elif self.rule is not None:
