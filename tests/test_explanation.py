@@ -98,6 +98,12 @@ def test_a_sound_recording_has_no_fault(kind: str) -> None:
     assert found.odds < 0
 
 
+def test_the_few_impacts_that_rise_above_noise_have_no_scale() -> None:
+    samples, rate = samples_of("force", 41)
+    noise = np.random.default_rng(1).standard_normal(samples.size) * 0.12 * np.abs(samples).max()
+    assert explain(answers_of(samples + noise, rate, model_of("force")), model_of("force")).faults == (Fault.NOISE,)
+
+
 @pytest.mark.parametrize("n", [0, 1, 2, 3])
 def test_few_impacts_are_no_fault(n: int) -> None:
     found = explain(answers("force", "none")[:n], model_of("force"))

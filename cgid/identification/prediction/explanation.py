@@ -40,6 +40,8 @@ __all__ = ["ChannelWatch", "Explained", "Past", "explain"]
 OLDEST = 300.0
 #: Impacts from which on something is told.
 LEAST_IMPACTS = 3
+#: Impacts from which on two faults at once are told: the few that rise above noise are the strongest, and so no scale.
+LEAST_OF_TWO = 10
 #: Explanations whose odds are within this of the best are told beside it.
 _ALIKE = 3.0
 #: A named fault is told rather than "nothing that is known" if its odds are at most this far below (by eye: a rate in
@@ -165,7 +167,8 @@ def _judged(known: Explanations | None, impacts: Impacts, model: StoredModel, pa
     names, is_change = [one.faults for one in candidates_of(model.beam is not None)], past is not None
     possible = frozenset((names[k], is_change) for k in np.flatnonzero(excess > -_CLEARLY).tolist())
     weight = excess - _BY_NAME * np.array([one == (Fault.UNKNOWN,) for one in names])
-    order = [k for k in np.argsort(-weight).tolist() if excess[k] > 0]
+    most = 2 if len(impacts.novelty) >= LEAST_OF_TWO else 1
+    order = [k for k in np.argsort(-weight).tolist() if excess[k] > 0 and len(names[k]) <= most]
     if not order:
         return Explained(odds=float(excess.max()), possible=possible)
     best = order[0]
