@@ -44,9 +44,10 @@ LEAST_IMPACTS = 3
 LEAST_OF_TWO = 10
 #: Explanations whose odds are within this of the best are told beside it.
 _ALIKE = 3.0
-#: A named fault is told rather than "nothing that is known" if its odds are at most this far below (by eye: a rate in
-#: streams of other code, benchmarks/beam/anchor.py, has a name in three of five without it).
-_BY_NAME = 10.0
+#: A fault is told rather than "nothing that is known", or other rocks, if its odds are at most this far below (by eye:
+#: a rate in streams of other code, benchmarks/beam/anchor.py, has a name in three of five without the first; a scale of
+#: 5 and of .05 was up to 4 below other rocks, and steel balls, which are other rocks, 9 above a rate).
+_RATHER = {(Fault.UNKNOWN,): 10.0, (Fault.ROCKS,): 5.0}
 #: A live stream is looked at after so many impacts, then after every so many more (by a trial on 36 simulated seams).
 _LOOKS = (10, 20)
 _EVERY = 40
@@ -166,7 +167,7 @@ def _judged(known: Explanations | None, impacts: Impacts, model: StoredModel, pa
     excess = odds - known.limits[:, bin_of(len(impacts.novelty))]
     names, is_change = [one.faults for one in candidates_of(model.beam is not None)], past is not None
     possible = frozenset((names[k], is_change) for k in np.flatnonzero(excess > -_CLEARLY).tolist())
-    weight = excess - _BY_NAME * np.array([one == (Fault.UNKNOWN,) for one in names])
+    weight = excess - np.array([_RATHER.get(one, 0.0) for one in names])
     most = 2 if len(impacts.novelty) >= LEAST_OF_TWO else 1
     order = [k for k in np.argsort(-weight).tolist() if excess[k] > 0 and len(names[k]) <= most]
     if not order:
