@@ -34,6 +34,7 @@ from typing import Any
 import numpy as np
 from beside_force import beside_force, force_model, force_table
 from domain_shift import domain_shift, domain_shift_table
+from faults import Recording, of_forces, of_seams, with_faults
 from selection import select, selection_section
 from single_forces import pool_of_pulses
 
@@ -52,7 +53,6 @@ from cgid.identification.training.rows import (
     measure,
 )
 from cgid.identification.training.training import train_on_specimens
-from cgid.learning.faults import Recording, of_forces, of_seams, with_faults
 from cgid.learning.seams import N_POOLS, N_STREAMS, Pool, pool_of, wide, with_seams
 from cgid.learning.streams import StreamRows, finished, rows_of_streams, variations
 from cgid.measure.modal.beam import Beam

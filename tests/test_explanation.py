@@ -3,6 +3,8 @@
 import json
 from dataclasses import replace
 from functools import cache
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,16 +12,20 @@ from scipy.signal import butter, lfilter, sosfilt
 
 from cgid import shipped
 from cgid.errors import BadData
-from cgid.identification.model.explanations import BANDS, BINS, Explanations, Impacts, detrended, sampled
+from cgid.identification.model.explanations import BANDS, Explanations, Fault, Impacts, detrended, sampled
 from cgid.identification.model.model import StoredModel
+from cgid.identification.prediction import explanation
 from cgid.identification.prediction.answers import Answer
-from cgid.identification.prediction.explanation import ChannelWatch, Evidence, Fault, Past, explain
-from cgid.learning.faults import answers_of
+from cgid.identification.prediction.diagnosis import Diagnosis
+from cgid.identification.prediction.explanation import ChannelWatch, Explained, Past, explain
+from cgid.identification.prediction.pasts import Pasts
 from cgid.scene import load_scene, synthesise
 from cgid.scene.synthesis.stream import record
+from models.faults import answers_of
 
 #: Seeds that trained nothing.
 SEED = 7407
+RATE = 25600.0
 
 
 @cache
@@ -61,7 +67,7 @@ def answers(kind: str, fault: str) -> tuple[Answer, ...]:
 
 
 def explained(kind: str, fault: str) -> object:
-    return explain(Evidence(answers=answers(kind, fault)), model_of(kind))
+    return explain(answers(kind, fault), model_of(kind))
 
 
 @pytest.mark.parametrize(
@@ -90,24 +96,29 @@ def test_a_sound_recording_has_no_fault(kind: str) -> None:
     found = explained(kind, "none")
     assert found.faults == ()
     assert found.odds < 0
-    assert found.n_impacts == min(len(answers(kind, "none")), BINS[-1])
+
+
+def test_the_few_impacts_that_rise_above_noise_have_no_scale() -> None:
+    samples, rate = samples_of("force", 41)
+    noise = np.random.default_rng(1).standard_normal(samples.size) * 0.12 * np.abs(samples).max()
+    assert explain(answers_of(samples + noise, rate, model_of("force")), model_of("force")).faults == (Fault.NOISE,)
 
 
 @pytest.mark.parametrize("n", [0, 1, 2, 3])
 def test_few_impacts_are_no_fault(n: int) -> None:
-    found = explain(Evidence(answers=answers("force", "none")[:n]), model_of("force"))
+    found = explain(answers("force", "none")[:n], model_of("force"))
     assert found.faults == ()
-    assert found.n_impacts == n
 
 
-def test_a_model_without_explanations_tells_nothing() -> None:
+def test_a_model_without_explanations_tells_levels_alone() -> None:
     model = model_of("force")
     plain = {name: a for name, a in model.arrays.items() if not name.startswith(Explanations.PREFIXES)}
     model = replace(model, arrays=plain)
-    found = explain(Evidence(answers=answers("force", "x40")), model)
-    assert found.faults == ()
+    assert explain(answers("force", "upside_down"), model).faults == ()
+    found = explain([replace(one, label="coal") for one in answers("force", "x40")], model)
+    assert found.faults == (Fault.SCALE,)
     assert np.isnan(found.odds)
-    assert Past.of(Evidence(answers=answers("force", "none")), model) is None
+    assert Past.of(answers("force", "none"), model) is None
 
 
 @pytest.mark.parametrize("prefix", Explanations.PREFIXES)
@@ -176,6 +187,30 @@ def test_a_fault_of_a_stream_begins_and_ends_once() -> None:
     assert not watch.is_sure
 
 
+def told_by(monkeypatch: pytest.MonkeyPatch, looks: list[Explained]) -> list[tuple[Fault, ...]]:
+    """Return what stands after each look, every 40 impacts, at what would be explained then."""
+    watch, found = ChannelWatch(model_of("beam")), []
+    for one in looks:
+        monkeypatch.setattr(explanation, "explain", lambda *_, now=one, **__: now)
+        for answer in answers("beam", "none")[:40]:
+            watch.add(answer)
+        found.append(watch.explained.faults)
+    return found
+
+
+def test_a_fault_near_its_limit_does_not_flap(monkeypatch: pytest.MonkeyPatch) -> None:
+    told, over = Explained(faults=(Fault.SCALE,), odds=1.0), Explained(odds=-9.0)
+    nearly = Explained(odds=-2.0, possible=frozenset({((Fault.SCALE,), False)}))
+    found = told_by(monkeypatch, [told, over, told, *[nearly] * 4, over, over, told])
+    assert found == [told.faults] * 8 + [(), told.faults]
+
+
+def test_a_fault_does_not_alternate_between_two_names(monkeypatch: pytest.MonkeyPatch) -> None:
+    one, two = (Explained(faults=(fault,), odds=1.0) for fault in (Fault.LOW_PASS, Fault.RINGING))
+    found = told_by(monkeypatch, [one, two, one, *[two] * 3, *[one] * 3, *[two] * 2])
+    assert found == [one.faults] * 4 + [two.faults] * 7
+
+
 def test_a_fault_is_sure_by_impacts_of_its_own() -> None:
     watch = ChannelWatch(model_of("beam"))
     sure = []
@@ -191,17 +226,17 @@ def test_a_fault_is_sure_by_impacts_of_its_own() -> None:
 
 def test_the_past_outlives_a_restart() -> None:
     model = model_of("beam")
-    past = Past.of(Evidence(answers=answers("beam", "none")[:100]), model)
+    past = Past.of(answers("beam", "none")[:100], model)
     assert past is not None
     again = Past.from_json(json.loads(json.dumps(past.to_json())), model)
-    found = [explain(Evidence(answers=answers("beam", "low_pass")), model, one) for one in (past, again)]
+    found = [explain(answers("beam", "low_pass"), model, one) for one in (past, again)]
     assert found[0].faults == found[1].faults != ()
     assert found[0].of_past
 
 
 def test_a_person_may_say_that_a_rig_is_so() -> None:
     model, as_it_is = model_of("beam"), answers("beam", "low_pass")
-    assert Past.of(Evidence(answers=as_it_is[:100]), model) is None
+    assert Past.of(as_it_is[:100], model) is None
     watch = ChannelWatch(model)
     watch.renew()
     for answer in as_it_is:
@@ -222,9 +257,63 @@ def test_a_past_that_does_not_fit_is_refused(content: object) -> None:
 
 def test_a_past_with_other_numbers_is_refused() -> None:
     model = model_of("beam")
-    past = Past.of(Evidence(answers=answers("beam", "none")[:100]), model)
+    past = Past.of(answers("beam", "none")[:100], model)
     assert past is not None
     content = past.to_json()
     for wrong in (float("nan"), float("inf"), 1e30, "1", True):
         with pytest.raises(BadData, match="finite"):
             Past.from_json({**content, "numbers": [wrong, *content["numbers"][1:]]}, model)
+
+
+def told_beside(path: Path, *parts: tuple[str, int, int], rate: float = RATE, **given: Any) -> tuple[Pasts, list[str]]:
+    """Return the pasts after a run of `cgid monitor` that ends without a word, and the kinds that begin in it."""
+    model, found = model_of("beam"), list[str]()
+    pasts = Pasts(path, model, rate, **given)
+    diagnosis = Diagnosis(model, rate, pasts=pasts)
+    for answer in stream(*parts):
+        diagnosis.add([answer])
+        found += [one.kind for one in diagnosis.changes(answer.time) if not one.is_over]
+    return pasts, found
+
+
+def test_a_restart_keeps_the_own_past_and_a_person_renews_it(tmp_path: Path) -> None:
+    path, turned = tmp_path / "face.past.json", ("upside_down", 0, 120)
+    pasts, found = told_beside(path, ("none", 0, 120))
+    assert found == []
+    first, kept = path.read_bytes(), pasts.of("1")
+    pasts, found = told_beside(path, turned)
+    assert found == ["upside_down"]
+    assert path.read_bytes() == first
+    assert np.allclose(pasts.of("1").numbers, kept.numbers, rtol=1e-5, equal_nan=True)
+    pasts, found = told_beside(path, turned, renew=True)
+    assert found == [] and path.read_bytes() != first
+    assert any("1 is replaced" in one.what() for one in pasts.take_told())
+    assert told_beside(path, turned)[1] == []
+
+
+def test_a_past_is_of_its_channel_model_and_rate(tmp_path: Path) -> None:
+    path = tmp_path / "face.past.json"
+    told_beside(path, ("none", 0, 120))
+    beam = model_of("beam")
+    other = replace(beam, training={**beam.training, "note": "another"})
+    assert Pasts(path, beam, RATE).of("1") is not None
+    assert Pasts(path, beam, RATE).of("2") is None
+    for stranger in (Pasts(path, beam, 51200.0), Pasts(path, other, RATE), Pasts(path, model_of("force"), 2e5)):
+        assert stranger.of("1") is None
+    told_beside(path, ("none", 0, 120), rate=51200.0)  # which keeps its own beside it
+    assert all(Pasts(path, beam, rate).of("1") is not None for rate in (RATE, 51200.0))
+
+
+@pytest.mark.parametrize(
+    "damage", [lambda raw: raw[:-40], lambda raw: b"[]", lambda raw: raw.replace(b"[", b"[1e40,", 2)]
+)
+def test_a_damaged_past_is_told_and_not_used(damage: Any, tmp_path: Path) -> None:
+    path = tmp_path / "face.past.json"
+    told_beside(path, ("none", 0, 120))
+    path.write_bytes(damage(path.read_bytes()))
+    spoilt = path.read_bytes()
+    pasts, _ = told_beside(path, ("none", 0, 120))
+    assert ["face.past.json" in one.what() for one in pasts.take_told()] == [True]
+    assert path.read_bytes() == spoilt
+    told_beside(path, ("none", 0, 120), renew=True)
+    assert Pasts(path, model_of("beam"), RATE).of("1") is not None

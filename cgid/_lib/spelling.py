@@ -12,6 +12,7 @@ _OPTIONS = {
     "channel": "--channel",
     "same_beam": "--same-beam",
     "coal_until": "--coal-until",
+    "renew": "--renew",
 }
 
 

@@ -20,7 +20,7 @@ _OPTIONS = {
     "Task": "--labels --sample --list --explain --features-only --quantities --parameters-only --scene",
     "Reading the recording": "--rate --unit --sensitivity --full-scale --channel --channels --same-beam "
     "--sample-format --from --to --events",
-    "Answers": "--model --coal-until --labelled",
+    "Answers": "--model --coal-until --labelled --renew",
     "Model": "--family --by --window --sensor --features",
     "Signals": "--signals --seed",
     "Calibration": "--dimension-error",

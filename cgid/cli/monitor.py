@@ -30,7 +30,9 @@ from cgid.cli.watching import coal_option, plant_options
 from cgid.errors import InvalidValue, NoInput
 
 if TYPE_CHECKING:
+    from cgid.identification.model.model import StoredModel
     from cgid.identification.prediction import PredictionSettings
+    from cgid.identification.prediction.pasts import Pasts
     from cgid.identification.training.manifest import Manifest
     from cgid.plant import PlantOutputs
 
@@ -248,6 +250,7 @@ _BEHIND = 1.0
 @reading_options_for("same_beam", *CHAIN)
 @model_option
 @coal_option
+@click.option("--renew", is_flag=True, help="Let the next impacts replace what each channel is compared with.")
 @json_option
 @plant_options
 def monitor(
@@ -259,6 +262,7 @@ def monitor(
     reading: ReadingOptions,
     model_path: str | None,
     coal_until: float | None,
+    renew: bool,
     as_json: bool,
     outputs: dict[str, str],
 ) -> None:
@@ -272,6 +276,7 @@ def monitor(
     the interval is below it; costs are keys of a site file. Nothing is dropped: if predictions are slower than the
     stream, a warning reports the delay.
     """
+    from cgid.identification.prediction.pasts import Pasts
     from cgid.identification.prediction.support import STEPS
     from cgid.identification.training.manifest import read_manifest
     from cgid.recordings.chain import Chain
@@ -301,7 +306,8 @@ def monitor(
         settings = replace(settings, same_beam=settings.same_beam or live.beams)
         with TableOutput() as table:
             lines = AnswerLines(as_json, table, live=True, clock=clock, listener=listener)
-            _follow(live, models, settings, lines, listener, cycle_by, table_of_coal)
+            pasts = partial(Pasts.of_site, site, sampling_rate=live.sampling_rate, renew=renew)
+            _follow(live, models, settings, lines, pasts, listener, cycle_by, table_of_coal)
 
 
 def _require_cycles(by: str | None, stream: str, settings: PredictionSettings, outputs: dict[str, str]) -> None:
@@ -346,6 +352,7 @@ def _follow(
     models: Models,
     settings: PredictionSettings,
     lines: AnswerLines,
+    pasts: Callable[[StoredModel], Pasts],
     outputs: PlantOutputs | None = None,
     cycle_by: str | None = None,
     labelled: Manifest | None = None,
@@ -366,8 +373,9 @@ def _follow(
     # A stream is over when the next command runs: that is for a recording of it.
     file = live.source if live.is_wav and Path(live.source).is_file() else "RECORDING"
     beams = beam_words(map("+".join, settings.same_beam))
-    pipeline = Pipeline(model, live.channels, live.sampling_rate, settings, live.source, live=True)
-    steps = NextSteps(pipeline.diagnosis, live.sampling_rate, file, given_options()[0], beams, channels=names)
+    rate = live.sampling_rate
+    pipeline = Pipeline(model, live.channels, rate, settings, live.source, live=True, pasts=pasts(model))
+    steps = NextSteps(pipeline.diagnosis, rate, file, given_options()[0], beams, channels=names)
     rows = RecordingRows(pipeline, lines, steps)
     inbox.on_pause = settings.blinded_after, rows.stopped
     if outputs is not None:

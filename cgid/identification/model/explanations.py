@@ -1,7 +1,7 @@
 """What recordings of a model's training are like, sound and spoilt, so that one that is not can be explained.
 
 Some impacts of a channel are summarised in one vector of some 35 numbers. Each explanation (as the training, upside
-down, clipped, ...) is a density of it, learned from simulated recordings (`cgid.learning.faults`). A fault that moves
+down, clipped, ...) is a density of it, learned from simulated recordings (`models/faults.py`). A fault that moves
 peaks and widths by a factor (a scale, a rate of forces, other rocks) is undone in the vector instead. An explanation is
 possible where its odds against "as the training" exceed a limit of its own, which at most so many sound recordings do.
 """

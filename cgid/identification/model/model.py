@@ -280,13 +280,14 @@ class StoredModel(Model):
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, StoredModel):
             return NotImplemented
-        return self.estimator is other.estimator and self._digest == other._digest
+        return self.estimator is other.estimator and self.identity == other.identity
 
     def __hash__(self) -> int:
-        return hash(self._digest)
+        return hash(self.identity)
 
     @cached_property
-    def _digest(self) -> str:
+    def identity(self) -> str:
+        """Checksum of its header and arrays."""
         return digest(self.header, self.arrays)
 
     def _repr_html_(self) -> str:

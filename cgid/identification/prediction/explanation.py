@@ -1,7 +1,7 @@
 """What of a channel is not as in the training, explained once: by one score for every fault that is known.
 
 `explain` compares the latest impacts with `cgid.identification.model.explanations`, and `ChannelWatch` does so again
-and again in a live stream.
+and again in a live stream. Where nothing is explained, levels may tell a wrong scale (`levels`).
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
-from cgid._lib.validation import Floats
+from cgid._lib.validation import UNKNOWN, Floats
 from cgid.errors import BadData
 from cgid.identification.model.explanations import (
     LEAST_CHANGED,
@@ -28,58 +28,32 @@ from cgid.identification.model.explanations import (
     candidates_of,
     reference,
 )
+from cgid.identification.prediction.levels import factor_of
 
 if TYPE_CHECKING:
     from cgid.identification.model.model import StoredModel
     from cgid.identification.prediction.answers import Answer
 
-__all__ = ["ChannelWatch", "Evidence", "Explained", "Fault", "Past", "explain"]
+__all__ = ["ChannelWatch", "Explained", "Past", "explain"]
 
 #: Age of the impacts that count in a live stream [s].
 OLDEST = 300.0
 #: Impacts from which on something is told.
 LEAST_IMPACTS = 3
+#: Impacts from which on two faults at once are told: the few that rise above noise are the strongest, and so no scale.
+LEAST_OF_TWO = 10
 #: Explanations whose odds are within this of the best are told beside it.
 _ALIKE = 3.0
-#: A named fault is told rather than "nothing that is known" if its odds are at most this far below (by eye: a rate in
-#: streams of other code, benchmarks/beam/anchor.py, has a name in three of five without it).
-_BY_NAME = 10.0
+#: A fault is told rather than "nothing that is known", or other rocks, if its odds are at most this far below (by eye:
+#: a rate in streams of other code, benchmarks/beam/anchor.py, has a name in three of five without the first; a scale of
+#: 5 and of .05 was up to 4 below other rocks, and steel balls, which are other rocks, 9 above a rate).
+_RATHER = {(Fault.UNKNOWN,): 10.0, (Fault.ROCKS,): 5.0}
 #: A live stream is looked at after so many impacts, then after every so many more (by a trial on 36 simulated seams).
 _LOOKS = (10, 20)
 _EVERY = 40
-#: A fault is over where so many looks in a row have log odds so far below the limit (by eye).
+#: A fault is over where so many looks in a row tell nothing, and have log odds of it so far below its limit (20 to 1).
 _N_QUIET = 2
-_CLEARLY = 1.0
-
-
-class Evidence:
-    """The latest impacts of one channel."""
-
-    def __init__(self, most: int = MOST_IMPACTS, answers: Iterable[Answer] = ()) -> None:
-        self.answers: deque[Answer] = deque(answers, maxlen=most)
-
-    def add(self, answer: Answer) -> None:
-        """Count one more impact, in order of time."""
-        self.answers.append(answer)
-
-    def forget(self, time: float) -> None:
-        """Forget the impacts of a live stream that are older than `OLDEST` at a time [s]."""
-        while self.answers and self.answers[0].time < time - OLDEST:
-            self.answers.popleft()
-
-    def latest(self, n: int) -> Evidence:
-        """Return the latest n impacts."""
-        return Evidence(n, self.answers)
-
-    @property
-    def n_impacts(self) -> int:
-        """Number of impacts that count."""
-        return len(self.answers)
-
-    @property
-    def n_unknown(self) -> int:
-        """Number of impacts outside of the training, or not measured."""
-        return sum(not answer.novelty <= 1 for answer in self.answers)
+_CLEARLY = 3.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -96,22 +70,21 @@ class Explained:
         without either among the faults.
     odds : float
         Natural logarithm of the odds of the faults against "as the training", less the limit from which on they are
-        told, which is 0 here. Above 0 if and only if something is told; nan without explanations or impacts.
+        told; nan of a scale that levels tell, and without explanations or impacts.
     others : tuple of Fault
         What would explain it nearly as well, best first; never one of `faults`.
-    n_impacts, n_unknown : int
-        Impacts that count, and those of them outside of the training or not measured.
     of_past : bool
         Whether the faults are a change against the channel's own past, not against the training.
+    possible : frozenset of (tuple of Fault, bool)
+        What is told, or nearly so, and whether it is a change.
     """
 
     faults: tuple[Fault, ...] = ()
     factor: float = float("nan")
     odds: float = float("nan")
     others: tuple[Fault, ...] = ()
-    n_impacts: int = 0
-    n_unknown: int = 0
     of_past: bool = False
+    possible: frozenset[tuple[tuple[Fault, ...], bool]] = frozenset()
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -130,12 +103,13 @@ class Past:
     by_word: bool = False
 
     @classmethod
-    def of(cls, evidence: Evidence, model: StoredModel, *, by_word: bool = False) -> Self | None:
+    def of(cls, answers: Iterable[Answer], model: StoredModel, *, by_word: bool = False) -> Self | None:
         """Return the reference from the latest impacts; None if they are too few or, without a word, not sound."""
-        impacts = Impacts.of(list(evidence.answers)[-MOST_OF_PAST:], model)
-        if model.changes is None or len(impacts.novelty) < LEAST_OF_PAST:
+        if model.changes is None:
             return None
-        if not by_word and explain(evidence, model).faults:
+        latest = list(answers)[-MOST_OF_PAST:]
+        impacts = Impacts.of(latest, model)
+        if len(impacts.novelty) < LEAST_OF_PAST or (not by_word and explain(latest, model).faults):
             return None
         return cls(numbers=reference(impacts, model), by_word=by_word)
 
@@ -159,41 +133,54 @@ class Past:
         return {"numbers": numbers, "by_word": self.by_word}
 
 
-def explain(evidence: Evidence, model: StoredModel, past: Past | None = None) -> Explained:
-    """Return what explains the latest impacts: as a change since a `past`, else by the training."""
-    if past is not None and model.changes is not None:
-        latest = Impacts.of(list(evidence.answers)[-MOST_OF_PAST:], model)
-        if len(latest.novelty) >= LEAST_CHANGED:
-            found = _judged(model.changes, latest, evidence, model, past)
-            if found.faults or past.by_word:
-                return found
-    if past is not None and past.by_word:
-        return Explained(n_impacts=evidence.n_impacts, n_unknown=evidence.n_unknown)
-    return _judged(model.explanations, Impacts.of(evidence.answers, model), evidence, model)
-
-
-def _judged(
-    known: Explanations | None, impacts: Impacts, evidence: Evidence, model: StoredModel, past: Past | None = None
+def explain(
+    answers: Iterable[Answer], model: StoredModel, past: Past | None = None, *, endless: bool = False
 ) -> Explained:
-    nothing = Explained(n_impacts=evidence.n_impacts, n_unknown=evidence.n_unknown)
+    """Return what explains impacts: as a change since a `past`, else by the training, else by their levels.
+
+    `endless` is one of the many looks at a live stream.
+    """
+    latest, changed, found = list(answers)[-MOST_IMPACTS:], Explained(), Explained()
+    if len(latest) < LEAST_IMPACTS:
+        return found
+    if past is not None:
+        impacts = Impacts.of(latest[-MOST_OF_PAST:], model)
+        if len(impacts.novelty) >= LEAST_CHANGED:
+            changed = _judged(model.changes, impacts, model, past)
+        if changed.faults or past.by_word:
+            return changed
+    if model.explanations is not None:
+        found = _judged(model.explanations, Impacts.of(latest, model), model)
+        found = replace(found, possible=found.possible | changed.possible)
+        if found.faults or model.beam is not None:  # on a beam, levels are those of a seam
+            return found
+    if 2 * sum(one.label == UNKNOWN for one in latest) > len(latest):
+        return found  # levels of impacts that the model does not know mean nothing
+    factor = factor_of([one.level for one in latest if np.isfinite(one.level)], model, endless=endless)
+    return found if factor == 1 else replace(found, faults=(Fault.SCALE,), factor=factor, odds=np.nan)
+
+
+def _judged(known: Explanations | None, impacts: Impacts, model: StoredModel, past: Past | None = None) -> Explained:
     if known is None or len(impacts.novelty) < LEAST_IMPACTS:
-        return nothing
+        return Explained()
     odds, factors = known.odds(impacts, model, None if past is None else past.numbers)
     excess = odds - known.limits[:, bin_of(len(impacts.novelty))]
-    names = [one.faults for one in candidates_of(model.beam is not None)]
-    weight = excess - _BY_NAME * np.array([one == (Fault.UNKNOWN,) for one in names])
-    order = [k for k in np.argsort(-weight).tolist() if excess[k] > 0]
+    names, is_change = [one.faults for one in candidates_of(model.beam is not None)], past is not None
+    possible = frozenset((names[k], is_change) for k in np.flatnonzero(excess > -_CLEARLY).tolist())
+    weight = excess - np.array([_RATHER.get(one, 0.0) for one in names])
+    most = 2 if len(impacts.novelty) >= LEAST_OF_TWO else 1
+    order = [k for k in np.argsort(-weight).tolist() if excess[k] > 0 and len(names[k]) <= most]
     if not order:
-        return replace(nothing, odds=float(excess.max()))
+        return Explained(odds=float(excess.max()), possible=possible)
     best = order[0]
     others = dict.fromkeys(one for k in order[1:] if excess[k] > excess[best] - _ALIKE for one in names[k])
-    return replace(
-        nothing,
+    return Explained(
         faults=names[best],
         factor=float(factors[best]),
         odds=float(excess[best]),
         others=tuple(one for one in others if one not in names[best]),
-        of_past=past is not None,
+        of_past=is_change,
+        possible=possible,
     )
 
 
@@ -201,8 +188,8 @@ class ChannelWatch:
     """What is wrong with one channel of a live stream, without flapping.
 
     It looks after 10, 20 and 40 impacts, then after every 40, at these and at the latest 80. A fault begins where its
-    odds exceed the limit, changes its name only where another one is better at two looks in a row, and ends where two
-    looks in a row have odds clearly below the limit.
+    odds exceed the limit, and ends where two looks in a row tell nothing and have odds of it clearly below. It changes
+    its name only where another one is better at two looks in a row, and to none that it had before.
 
     Parameters
     ----------
@@ -213,63 +200,68 @@ class ChannelWatch:
 
     Attributes
     ----------
+    answers : deque of Answer
+        The latest impacts.
     explained : Explained
         What stands; of the last look if nothing does.
     is_sure : bool
         Whether impacts that came after the look that found a fault say, too, that something is wrong: only then may it
         change a ground. It stays until the fault ends.
-    since : float
-        Time of the first impact of the look that found the fault [s]; nan without one.
     past : Past or None
         The reference, to be kept over restarts; only a person renews it, with `renew`.
     """
 
     def __init__(self, model: StoredModel, past: Past | None = None) -> None:
         self._model, self.past = model, past
-        self._evidence, self._renewing, self._n = Evidence(MOST_OF_PAST), False, 0
+        self.answers: deque[Answer] = deque(maxlen=MOST_IMPACTS)
+        self._is_renewing, self._n = False, 0
         self._found_at, self._quiet, self._other = 0, 0, Explained()
-        self.explained, self.is_sure, self.since = Explained(), False, float("nan")
+        self._names: set[tuple[Fault, ...]] = set()
+        self.explained, self.is_sure = Explained(), False
 
-    def add(self, answer: Answer) -> bool:
-        """Count one more impact; return whether a fault begins, changes its name, becomes sure or ends."""
-        self._evidence.add(answer)
+    def add(self, answer: Answer) -> None:
+        """Count one more impact."""
+        self.answers.append(answer)
         self._n += 1
-        if self._renewing and self._evidence.n_impacts >= MOST_OF_PAST:
-            self.past, self._renewing = Past.of(self._evidence, self._model, by_word=True), False
-        if self._model.explanations is None or (self._n not in _LOOKS and self._n % _EVERY):
-            return False
-        if self.past is None and not self._renewing and self._evidence.n_impacts >= LEAST_OF_PAST:
-            self.past = Past.of(self._evidence, self._model)
-        return self._look()
+        if self._is_renewing:
+            if len(self.answers) >= MOST_OF_PAST:
+                self.past, self._is_renewing = Past.of(self.answers, self._model, by_word=True), False
+        elif self._n in _LOOKS or not self._n % _EVERY:
+            if self.past is None:
+                self.past = Past.of(self.answers, self._model)
+            self._look()
 
-    def _look(self) -> bool:
-        some = {_EVERY, MOST_OF_PAST} if self._evidence.n_impacts > _EVERY else {MOST_OF_PAST}
-        looks = [explain(self._evidence.latest(n), self._model, self.past) for n in sorted(some)]
-        now, before = max(looks, key=lambda one: np.nan_to_num(one.odds, nan=-np.inf)), self.explained
+    def _look(self) -> None:
+        before, endless = self.explained, self._n > _EVERY and not self.explained.faults
+        latest = [list(self.answers)[-n:] for n in (_EVERY, MOST_OF_PAST)[len(self.answers) <= _EVERY :]]
+        looks = [explain(some, self._model, self.past, endless=endless) for some in latest]
+        now = max(looks, key=lambda one: (bool(one.faults), np.nan_to_num(one.odds, nan=-np.inf)))
         if not before.faults:
             self.explained = now
             if now.faults:
-                self._found_at, self._quiet, self.since = self._n, 0, self._evidence.answers[0].time
-            return bool(now.faults)
-        self._quiet = self._quiet + 1 if not now.faults and not now.odds > -_CLEARLY else 0
+                self._found_at, self._quiet, self._names = self._n, 0, {now.faults}
+            return
+        is_quiet = not now.faults and not any((before.faults, before.of_past) in one.possible for one in looks)
+        self._quiet = self._quiet + 1 if is_quiet else 0
         if self._quiet >= _N_QUIET:
-            self.explained, self.is_sure, self.since = now, False, float("nan")
-            return True
-        renamed = bool(now.faults) and now.faults == self._other.faults and now.faults != before.faults
+            self.explained, self.is_sure = now, False
+            return
+        is_new = bool(now.faults) and now.faults == self._other.faults and now.faults not in self._names
         self._other = now
-        if now.faults == before.faults or renamed:
+        if now.faults == before.faults or is_new:
             self.explained = now
-        was_sure, n_after = self.is_sure, min(self._n - self._found_at, MOST_OF_PAST)
-        if not was_sure and n_after >= _EVERY:
-            self.is_sure = bool(explain(self._evidence.latest(n_after), self._model, self.past).faults)
-        return renamed or self.is_sure != was_sure
+            self._names.add(now.faults)
+        n_after = min(self._n - self._found_at, MOST_OF_PAST)
+        if not self.is_sure and n_after >= _EVERY:
+            self.is_sure = bool(explain(list(self.answers)[-n_after:], self._model, self.past).faults)
 
     def forget(self, time: float) -> None:
-        """Forget impacts that are too old at a time [s]; what stands, stands until impacts show otherwise."""
-        self._evidence.forget(time)
+        """Forget impacts older than `OLDEST` at a time [s]; what stands, stands until impacts show otherwise."""
+        while self.answers and self.answers[0].time < time - OLDEST:
+            self.answers.popleft()
 
     def renew(self) -> None:
         """Take the impacts from now on as the channel's own past, by a person's word; what stood is over."""
-        self.past, self._renewing = None, True
-        self._evidence.answers.clear()
-        self.explained, self.is_sure, self.since = Explained(), False, float("nan")
+        self.past, self._is_renewing = None, True
+        self.answers.clear()
+        self.explained, self.is_sure = Explained(), False

@@ -123,7 +123,7 @@ class Finding:
     def what(self, speak: Speak = as_argument) -> str:
         """Return what is wrong, or at its end what is over; empty where nothing is said of the end."""
         if self.is_over:
-            over = self._said("over", speak)
+            over = "" if "renamed" in self.fields else self._said("over", speak)
             return over and f"{over} at {self.end:.6g} s"
         since = f"since {self.begin:.6g} s: " if self.begin > 0 else ""
         return since + self._said("what", speak)

@@ -83,6 +83,8 @@ class Monitor:
         bit integers are parts of it.
     source : str
         Name of the stream in messages.
+    renew : bool
+        Whether the next impacts of each channel replace its own past, which is kept in a file beside the site's.
     **settings
         Fields of `cgid.identification.prediction.PredictionSettings`, such as ``coal_until=30.0``.
 
@@ -116,8 +118,10 @@ class Monitor:
         gain: Statement | None = None,
         full_scale: Statement | None = None,
         source: str = "stream",
+        renew: bool = False,
         **settings: Any,
     ) -> None:
+        from cgid.identification.prediction.pasts import Pasts
         from cgid.identification.prediction.prediction import default_model, read_model
 
         for name in settings:
@@ -140,7 +144,8 @@ class Monitor:
         applied.check(loaded)
         self.sampling_rate: float = require_rate(rate)
         self.source = source
-        self._pipeline = Pipeline(loaded, self._channels, self.sampling_rate, applied, source, live=True)
+        pasts = Pasts.of_site(place, loaded, self.sampling_rate, renew=renew)
+        self._pipeline = Pipeline(loaded, self._channels, self.sampling_rate, applied, source, live=True, pasts=pasts)
         self._waiting: list[NDArray[Any]] = []
         self._until = 0.0
         self._has_integers, self._is_over, self._lock = full_scale is not None, False, RLock()

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from itertools import chain
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from numpy.typing import NDArray
 
@@ -28,6 +28,9 @@ from cgid.recordings import Channel, RecordingFile, open_recording
 from cgid.recordings.chain import scaled
 from cgid.recordings.gaps import Gaps
 from cgid.recordings.soundness import SensorWatch
+
+if TYPE_CHECKING:
+    from cgid.identification.prediction.pasts import Pasts
 
 #: Blocks in, the same blocks out, looked at on the way.
 Look = Callable[[Iterable[NDArray[Any]]], Iterable[NDArray[Any]]]
@@ -51,6 +54,8 @@ class Pipeline:
         Whether the samples arrive now: gaps are told when they begin, and each channel is judged by its latest impacts.
     watched : bool
         Whether fractions, grounds and decisions are followed.
+    pasts : Pasts, optional
+        The channels' own references, of earlier runs.
     """
 
     def __init__(
@@ -64,6 +69,7 @@ class Pipeline:
         *,
         live: bool = False,
         watched: bool = True,
+        pasts: Pasts | None = None,
     ) -> None:
         self.model, self.settings, self.source, self.sampling_rate = model, settings, source, sampling_rate
         self.names, self.live = [channel.name for channel in channels], live
@@ -85,7 +91,8 @@ class Pipeline:
         self._sensors = SensorWatch(len(channels), sampling_rate, give_up) if needs_sensors else None
         #: Names of the channels of the predictions; channels that are used together have one name.
         self.supports = answering_channels(model, self.names, settings.same_beam)
-        self.diagnosis = Diagnosis(model, sampling_rate, watched=watched)
+        self._pasts = pasts
+        self.diagnosis = Diagnosis(model, sampling_rate, watched=watched, pasts=pasts)
         self.watch: CavingWatch | None = None
         if watched:
             self.watch = CavingWatch(
@@ -136,7 +143,7 @@ class Pipeline:
             else:
                 step = replace(step, reports=self.watch.feed(step.answers, step.until, step.heard))
                 self._of_watch(self.watch, step.reports)
-            yield replace(step, found=self._told()) if self._found else step
+            yield replace(step, found=self._told()) if self._found or self._pasts is not None else step
 
     def _of_watch(self, watch: CavingWatch, reports: Sequence[SupportReport]) -> None:
         """Take what a watch has found; of a file, parts of channels are told at its end."""
@@ -147,6 +154,8 @@ class Pipeline:
 
     def _told(self) -> list[Finding]:
         found, self._found = self._found, []
+        if self._pasts is not None:
+            found += self._pasts.take_told()
         return self.findings.tell(found)
 
     def finish(self) -> Step:

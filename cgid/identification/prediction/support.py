@@ -20,9 +20,10 @@ from cgid._lib import validation
 from cgid._lib.validation import UNKNOWN
 from cgid.errors import InvalidValue
 from cgid.identification.model.anchor import MIN_LUMPS, Anchor, Basis
+from cgid.identification.model.explanations import Fault
 from cgid.identification.model.model import StoredModel
 from cgid.identification.prediction.answers import Answer
-from cgid.identification.prediction.diagnosis import OF_ANCHOR, Condition, Diagnosis, fits_coal
+from cgid.identification.prediction.diagnosis import Diagnosis
 from cgid.identification.prediction.findings import Finding
 from cgid.identification.prediction.fraction import (
     NoConfusion,
@@ -36,6 +37,7 @@ from cgid.identification.prediction.fraction import (
     separates,
     tested_answers,
 )
+from cgid.identification.prediction.levels import OF_ANCHOR, fits_coal
 from cgid.identification.prediction.settings import LabelledSpan, PredictionSettings
 from cgid.recordings.soundness import SensorWatch
 
@@ -69,8 +71,6 @@ _LONGEST_STEP = 1.0
 STEPS = 10
 #: What came so long before the tones of a machine went is no evidence [s]: impacts of its tones look like gangue.
 _BEFORE_HEARD = 5.0
-#: Findings that have a ground of their own.
-_OF_OTHER_GROUNDS = ("scale", "mostly_unknown")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -363,17 +363,17 @@ class CavingWatch:
             support.is_blind = False
             if end - usual >= self._blind_after:
                 return Ground.BLIND, float(usual), "its noise is far above its own, and no impact comes"
-        conditions, anchor = self.diagnosis.conditions(name), support.window.anchor
+        standing, is_unknown = self.diagnosis.standing(name), self.diagnosis.is_mostly_unknown(name)
+        is_scaled, anchor = any(one.kind == Fault.SCALE for one in standing), support.window.anchor
         if self._seams is not None and anchor is not None and anchor.basis(end) in (Basis.PENDING, Basis.ANCHOR):
             # A seam may be harder than the training, and its gangue harder still.
-            is_known = Condition.MOSTLY_UNKNOWN not in conditions
-            if is_known and not fits_coal(list(support.levels), anchor.levels, self.diagnosis.model):
+            if not is_unknown and not fits_coal(list(support.levels), anchor.levels, self.diagnosis.model):
                 return Ground.WRONG_SCALE, end, "the levels of its impacts do not fit the coal of this cycle"
-        elif Condition.WRONG_SCALE in conditions and not (self._seams and self.diagnosis.is_as_a_seam(name)):
+        elif is_scaled and not (self._seams and self.diagnosis.is_as_a_seam(name)):
             return Ground.WRONG_SCALE, end, "the levels of its impacts are not those of the training"
-        if Condition.MOSTLY_UNKNOWN in conditions:
+        if is_unknown:
             return Ground.MOSTLY_UNKNOWN, end, "most of its latest impacts are unknown"
-        others = [one for one in self.diagnosis.standing(name) if one.kind not in _OF_OTHER_GROUNDS]
+        others = [one for one in standing if one.kind != Fault.SCALE]
         if others:
             return Ground.FAULT, end, f"the finding {others[0].kind} stands"
         if self._unproven:

@@ -29,7 +29,7 @@ from cgid.identification.detection.events import EVENT_TIME, SAME_IMPACT
 from cgid.identification.detection.windows import CLEAR
 from cgid.identification.model.families import Contrast, Neighbourhood, softmax
 from cgid.identification.model.model import MIN_GROUPS, inputs_of, level_weights
-from cgid.identification.prediction.diagnosis import MIN_LEVELS, upper_end
+from cgid.identification.prediction.levels import MIN_LEVELS, upper_end
 from cgid.identification.prediction.vote import VOTE_TIME, RunningVote, independent_windows
 from cgid.identification.training.classifier import (
     ImpactClassifier,
