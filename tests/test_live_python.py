@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 import cgid
+from cgid._lib.validation import finite
 from cgid.cli.main import run
-from cgid.cli.output import finite
 from cgid.errors import BadData, InvalidValue, MissingOption
 from cgid.identification.prediction.monitor import News
 from tests.streams_of_pulses import RATE, stream, window_model

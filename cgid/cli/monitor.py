@@ -19,7 +19,7 @@ import click
 import numpy as np
 from numpy.typing import NDArray
 
-from cgid.cli.answer_rows import AnswerLines, RecordingRows
+from cgid.cli.answer_rows import AnswerLines
 from cgid.cli.answering import Models, model_option, settings_of, settings_with_coal
 from cgid.cli.help import Command
 from cgid.cli.options import PATH, json_option
@@ -353,6 +353,7 @@ def _follow(
     from cgid.cli.hints import NextSteps
     from cgid.identification.prediction.findings import Finding
     from cgid.identification.prediction.pipeline import Pipeline
+    from cgid.identification.prediction.records import RecordingRows
 
     def warned(text: str) -> None:
         lines.finding(live.source, Finding(kind="reading", fields={"text": text}))
@@ -367,7 +368,7 @@ def _follow(
     beams = beam_words(map("+".join, settings.same_beam))
     pipeline = Pipeline(model, live.channels, live.sampling_rate, settings, live.source, live=True)
     steps = NextSteps(pipeline.diagnosis, live.sampling_rate, file, given_options()[0], beams, channels=names)
-    rows = RecordingRows(pipeline, lines, steps)
+    rows = RecordingRows(pipeline, lines, steps.of)
     inbox.on_pause = settings.blinded_after, rows.stopped
     if outputs is not None:
         outputs.begin(
