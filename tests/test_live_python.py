@@ -17,6 +17,7 @@ from cgid._lib.validation import finite
 from cgid.cli.main import run
 from cgid.errors import BadData, InvalidValue, MissingOption
 from cgid.identification.prediction.monitor import News
+from cgid.plant import PlantOutputs
 from tests.streams_of_pulses import RATE, stream, window_model
 
 SETTINGS: dict[str, Any] = {"share_time": 0.2, "blind_after": 0.5}
@@ -75,10 +76,45 @@ def fed(watch: cgid.Monitor, samples: np.ndarray, length: int) -> list[News]:
     return [*news, watch.finish()]
 
 
+class KeptOutputs(PlantOutputs):
+    """Plant outputs, and the records that they got."""
+
+    def __init__(self, page: Path) -> None:
+        super().__init__(live=str(page))
+        self.page, self.records = page, list[dict[str, Any]]()
+
+    def __call__(self, record: dict[str, Any]) -> None:
+        self.records.append(record)
+        super().__call__(record)
+
+
 @pytest.fixture(scope="module")
-def whole(samples: np.ndarray) -> list[News]:
-    with cgid.Monitor(RATE, 2, "N", **SETTINGS) as watch:
+def outputs(tmp_path_factory: pytest.TempPathFactory) -> KeptOutputs:
+    return KeptOutputs(tmp_path_factory.mktemp("live") / "page.html")
+
+
+@pytest.fixture(scope="module")
+def whole(samples: np.ndarray, outputs: KeptOutputs) -> list[News]:
+    with cgid.Monitor(RATE, 2, "N", outputs=outputs, **SETTINGS) as watch:
         return fed(watch, samples, 10_000)
+
+
+def test_outputs_get_what_the_command_gives_them(
+    whole: list[News], printed: list[dict[str, Any]], outputs: KeptOutputs
+) -> None:
+    spoken = {"source", "wall_time", "help", "commands", "instead"}  # the names of settings, and of files
+
+    def plain(records: list[dict[str, Any]]) -> list[str]:
+        return [str(rounded({name: one for name, one in record.items() if name not in spoken})) for record in records]
+
+    assert sorted(plain(outputs.records)) == sorted(plain(printed))
+    for kind in ("impact", "share", "state"):  # that samples are missing is told when their block comes
+        own, theirs = ([one for one in records if one["kind"] == kind] for records in (outputs.records, printed))
+        assert plain(own) == plain(theirs) != []
+    page = json.loads(outputs.page.read_text(encoding="utf-8").split("EMBEDDED = ")[1].split(";\n")[0])
+    last = [one for one in printed if one["kind"] == "share" and one["channel"] == "1"][-1]
+    assert page["ended"] and page["supports"][0]["shares"][-1][0] == pytest.approx(last["to_s"])
+    assert not any(service._thread.is_alive() for service in outputs._services)
 
 
 def test_what_is_told_is_what_the_command_prints(whole: list[News], printed: list[dict[str, Any]]) -> None:

@@ -18,8 +18,9 @@ import pytest
 from scipy.io import wavfile
 
 from cgid.cli.main import run
-from cgid.cli.monitor import Inbox, Outbox
+from cgid.cli.monitor import Outbox
 from cgid.errors import INTERRUPTIONS
+from cgid.recordings.live import Inbox
 from tests.streams_of_pulses import RATE, ROOT, stream, window_model
 
 LABELS = ["coal"] * 14 + ["gangue"] * 14
@@ -276,7 +277,8 @@ def test_inbox_joins_what_waits_and_drops_nothing() -> None:
         yield from blocks
         all_there.set()
 
-    inbox = Inbox(coming(), 1000.0)
+    inbox = Inbox(1000.0)
+    inbox.read(coming())
     taken = []
     for block in inbox:
         assert all_there.wait(60)  # more comes meanwhile
@@ -293,7 +295,8 @@ def test_inbox_that_is_full_makes_the_stream_wait() -> None:
         for _ in range(8):
             yield block
 
-    inbox = Inbox(blocks(), 1e4, max_waiting=3 * block.nbytes)
+    inbox = Inbox(1e4, max_waiting=3 * block.nbytes)
+    inbox.read(blocks())
     iterator = iter(inbox)
     total = next(iterator).shape[1]
     deadline = time.monotonic() + 60
@@ -317,7 +320,8 @@ def test_a_live_stream_is_behind_by_what_waits_and_a_file_is_not(monkeypatch: py
         waiting.set()
         assert leave.wait(60)
 
-    inbox = Inbox(live(), 100.0)
+    inbox = Inbox(100.0)
+    inbox.read(live())
     iterator = iter(inbox)
     assert next(iterator).shape[1] == 50
     taken.set()

@@ -6,18 +6,15 @@ import os
 import sys
 import time
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from threading import Condition, Thread
 from types import TracebackType
 from typing import TYPE_CHECKING, Any
 
 import click
-import numpy as np
-from numpy.typing import NDArray
 
 from cgid.cli.answer_rows import AnswerLines
 from cgid.cli.answering import Models, model_option, settings_of, settings_with_coal
@@ -33,12 +30,9 @@ if TYPE_CHECKING:
     from cgid.identification.prediction import PredictionSettings
     from cgid.identification.training.manifest import Manifest
     from cgid.plant import PlantOutputs
+    from cgid.recordings.live import Inbox
 
-#: Maximum amount of data in the queue [bytes].
-MAX_WAITING = 128 << 20
-#: Maximum amount of data taken at once [bytes], because processing takes many times more memory.
-MAX_READ = 8 << 20
-#: Short blocks are joined for at most this time [s].
+#: How often whether stdout is read is looked at [s].
 _TIMEOUT = 0.1
 #: Maximum number of lines that wait for the reader of stdout, and after which time it has none [s].
 MAX_LINES, UNREAD = 10_000, 5.0
@@ -61,100 +55,6 @@ class UnbufferedInput:
     def read1(self, size: int) -> bytes:
         """Return the available bytes, at most this many; none at the end."""
         return os.read(self._descriptor, size)
-
-
-class Inbox:
-    """Read blocks (n_channels, n_samples) in a separate thread, so that the stream continues meanwhile."""
-
-    # An exception of `blocks` is raised for the consumer, after the blocks before it. If more than `max_waiting` bytes
-    # wait, the source has to wait, too (`is_held_up`).
-
-    def __init__(self, blocks: Iterable[NDArray[Any]], sampling_rate: float, max_waiting: int = MAX_WAITING) -> None:
-        self._blocks, self._rate, self._most = blocks, sampling_rate, max_waiting
-        self._changed = Condition()
-        self._waiting: deque[NDArray[Any]] = deque()
-        self._n_waiting = self._size = 0
-        self._ended = False
-        self._fault: BaseException | None = None
-        self._begun = time.monotonic()
-        self.n_taken = 0
-        self.is_held_up = False
-        self._waiting_since: float | None = None
-        #: A time [s], and a function that is called once with the time without samples when they pause for so long.
-        self.on_pause: tuple[float, Callable[[float], object]] | None = None
-
-    def __iter__(self) -> Iterator[NDArray[Any]]:
-        """Yield all waiting blocks, joined, as soon as there are some; may be called once."""
-        Thread(target=self._read, daemon=True).start()
-        while (block := self._next()) is not None:
-            self.n_taken += block.shape[1]
-            yield block
-        if self._fault is not None:
-            raise self._fault
-
-    @property
-    def behind(self) -> float:
-        """Delay of the answers relative to the stream [s], at most the duration of the waiting samples."""
-        # A stream faster than real time is not live, so it is also at most the lead of the clock over the samples
-        # taken.
-        return max(min(self._n_waiting / self._rate, self._clock - self.n_taken / self._rate), 0.0)
-
-    @property
-    def waited(self) -> float:
-        """Time for which samples have been waited for [s]; 0 while there are some."""
-        since = self._waiting_since
-        return 0.0 if since is None else time.monotonic() - since
-
-    @property
-    def _clock(self) -> float:
-        return time.monotonic() - self._begun
-
-    def _read(self) -> None:
-        try:
-            for block in self._blocks:
-                with self._changed:
-                    self.is_held_up = self.is_held_up or self._size > self._most
-                    self._changed.wait_for(lambda: self._size <= self._most)
-                    self._waiting.append(block)
-                    self._n_waiting += block.shape[1]
-                    self._size += block.nbytes
-                    self._changed.notify_all()
-        except BaseException as error:  # raised again for the consumer
-            self._fault = error
-        finally:
-            with self._changed:
-                self._ended = True
-                self._changed.notify_all()
-
-    def _next(self) -> NDArray[Any] | None:
-        """Return the waiting blocks as one, None at the end."""
-        self._wait()
-        from cgid.recordings.live import SHORTEST
-
-        with self._changed:
-            self._changed.wait_for(lambda: self._ended or self._n_waiting >= SHORTEST * self._rate, _TIMEOUT)
-            blocks, size = [], 0
-            while self._waiting and size < MAX_READ:
-                blocks.append(self._waiting.popleft())
-                size += blocks[-1].nbytes
-            self._n_waiting -= sum(block.shape[1] for block in blocks)
-            self._size -= size
-            self._changed.notify_all()
-        if not blocks:
-            return None
-        return blocks[0] if len(blocks) == 1 else np.concatenate(blocks, axis=1)
-
-    def _wait(self) -> None:
-        """Wait for the next block or the end."""
-        is_told, self._waiting_since = self.on_pause is None, time.monotonic()
-        while True:
-            with self._changed:  # with a timeout, so that an interruption is noticed
-                if self._changed.wait_for(lambda: self._waiting or self._ended, 0.5):
-                    self._waiting_since = None
-                    return
-            if self.on_pause is not None and not is_told and self.waited >= self.on_pause[0]:
-                is_told = True
-                self.on_pause[1](self.waited)
 
 
 class Outbox(AbstractContextManager[None]):
@@ -299,7 +199,7 @@ def monitor(
         )
         settings = replace(settings, same_beam=settings.same_beam or live.beams)
         with TableOutput() as table:
-            lines = AnswerLines(as_json, table, live=True, clock=clock, listener=listener)
+            lines = AnswerLines(as_json, table, live=True, clock=clock)
             _follow(live, models, settings, lines, listener, cycle_by, table_of_coal)
 
 
@@ -354,6 +254,7 @@ def _follow(
     from cgid.identification.prediction.findings import Finding
     from cgid.identification.prediction.pipeline import Pipeline
     from cgid.identification.prediction.records import RecordingRows
+    from cgid.recordings.live import Inbox
 
     def warned(text: str) -> None:
         lines.finding(live.source, Finding(kind="reading", fields={"text": text}))
@@ -362,7 +263,8 @@ def _follow(
     names = [channel.name for channel in live.channels]
     if labelled is not None:
         settings = settings_with_coal(settings, labelled, live.source, live.channels, model)
-    inbox, delay = Inbox(live, live.sampling_rate), DelayReport(live.source, lines)
+    inbox = Inbox(live.sampling_rate)
+    delay = DelayReport(live.source, lines)
     # A stream is over when the next command runs: that is for a recording of it.
     file = live.source if live.is_wav and Path(live.source).is_file() else "RECORDING"
     beams = beam_words(map("+".join, settings.same_beam))
@@ -371,16 +273,7 @@ def _follow(
     rows = RecordingRows(pipeline, lines, steps.of)
     inbox.on_pause = settings.blinded_after, rows.stopped
     if outputs is not None:
-        outputs.begin(
-            source=live.source,
-            channels=rows.channels,
-            rows=names,
-            unit=model.unit,
-            threshold=rows.threshold,
-            behind=lambda: inbox.behind,
-            blind_after=settings.blinded_after,
-            waited=lambda: inbox.waited,
-        )
+        rows.attach(outputs, behind=lambda: inbox.behind, waited=lambda: inbox.waited)
 
     def begun(name: str) -> None:
         assert pipeline.watch is not None
@@ -396,10 +289,9 @@ def _follow(
         outputs.listen(begun)
     elif cycle_by == "stdin" and sys.stdin is not None:
         Thread(target=_each_line, args=(sys.stdin.fileno(), begun), daemon=True).start()
-    watching = None if outputs is None else partial(outputs.monitored_blocks, sampling_rate=live.sampling_rate)
+    inbox.read(live)
     try:
-        for step in pipeline.steps(inbox, measured=watching):
-            rows.feed(step)
+        for _ in rows.steps(inbox):
             delay.see(inbox)
     finally:
         for warning in live.warnings:

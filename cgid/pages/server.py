@@ -38,8 +38,9 @@ class Service:
         raise NotImplementedError
 
     def start(self) -> None:
-        """Start the thread."""
-        self._thread.start()
+        """Start the thread, if it has not been."""
+        if self._thread.ident is None:
+            self._thread.start()
 
     def request_end(self) -> None:
         """Tell the thread to stop; returns at once."""

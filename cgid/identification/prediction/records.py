@@ -3,20 +3,115 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from datetime import UTC, datetime
+from functools import partial
+from typing import TYPE_CHECKING, Any, Protocol
 
 from cgid._lib.spelling import asked
 from cgid._lib.terminal import counted
+from cgid._lib.validation import finite
 from cgid.errors import BadData
 
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from cgid.identification.model.model import StoredModel
     from cgid.identification.prediction.answers import Answer
     from cgid.identification.prediction.findings import Finding
     from cgid.identification.prediction.fraction import Share, Switch
-    from cgid.identification.prediction.pipeline import Pipeline
+    from cgid.identification.prediction.pipeline import Look, Pipeline
+    from cgid.identification.prediction.settings import PredictionSettings
     from cgid.identification.prediction.stream import Step
     from cgid.identification.prediction.support import SupportReport, SupportState
+
+#: Version of the records; it rises if a key goes or has another meaning.
+RECORDS_VERSION = 6
+#: Gets each record.
+Listener = Callable[[dict[str, Any]], object]
+
+
+class Outputs(Protocol):
+    """Where the records of a live stream go besides, such as `cgid.plant.PlantOutputs`."""
+
+    def begin(self, *, threshold: float | None, **stream: Any) -> None:
+        """Set the supports and the stream."""
+
+    def monitored_blocks(self, blocks: Iterable[NDArray[Any]], sampling_rate: float) -> Iterable[NDArray[Any]]:
+        """Return the blocks, looked at on the way."""
+
+    def __call__(self, record: dict[str, Any]) -> None:
+        """Take a record; returns at once."""
+
+    def close(self) -> None:
+        """End; may be called again."""
+
+
+class Records:
+    """Make one record of each answer, fraction, state, finding and summary, and give it to the listeners.
+
+    Lines of JSON, MQTT, Modbus, Prometheus, the page and commands are made of these records alone.
+    """
+
+    def __init__(self, *listeners: Listener) -> None:
+        self.listeners = [*listeners]
+
+    def begin(self, source: str, model: StoredModel, settings: PredictionSettings) -> None:
+        """Set the columns of a table."""
+
+    def holds(self, share: Share) -> bool:
+        """Return whether the fraction of a file waits for its end, told only if no other one follows."""
+        return False
+
+    def answer(self, source: str, answer: Answer, kind: str = "impact", **more: Any) -> None:
+        """Tell the prediction for an impact or window; `more`: its number in its channel, its index or its truth."""
+        if not self.listeners:
+            return
+        from cgid.identification.prediction.answers import COLUMNS
+
+        row = {**answer.row, "problem": answer.problem or None}
+        probabilities = dict(answer.probabilities)
+        content = {column.title: row[column.title] for name, column in COLUMNS.items() if name != "probabilities"}
+        content |= more
+        content["most_likely"] = max(probabilities, key=lambda label: probabilities[label], default=None)
+        content |= {"probabilities": probabilities, "in_training_range": answer.in_training_range}
+        content["prediction_set"] = None if answer.prediction_set is None else list(answer.prediction_set)
+        self._record(kind, source, content)
+
+    def share(self, source: str, name: str, state: SupportState) -> None:
+        """Tell the gangue fraction of a window of a source, or of its channel as `name`."""
+        self._record("share", source, {"from_s": state.share.start, "to_s": state.share.time, **_content(state)})
+
+    def state(self, source: str, state: SupportState) -> None:
+        """Tell that the ground or the decision of a support has changed; findings say why."""
+        self._record("state", source, _content(state))
+
+    def turn(self, source: str, name: str, state: SupportState, turn: Switch, costs: Mapping[str, float]) -> None:
+        """Tell that continuing costs more than shutting, or less again."""
+        content = _content(state) | {"cost": turn.cost, "evidence": turn.evidence, **costs}
+        self._record("shut" if turn.shut else "open", source, content)
+
+    def finding(self, source: str, finding: Finding, n_channels: int = 1, *, withdrawn: bool = False) -> None:
+        """Tell what begins or ends; `withdrawn`: the decision of a support with it."""
+        self._record("finding", source, finding.content(asked))
+
+    def delay(self, source: str, behind: float, message: str) -> None:
+        """Tell the delay of the predictions after a live stream [s]."""
+        self._record("delay", source, {"behind_s": behind, "message": message})
+
+    def summary(self, source: str, tally: RecordingTally, duration: float, start_time: Any = None) -> None:
+        """Tell the summary of a recording."""
+        self._record("summary", source, {"duration_s": duration, **tally.content(start_time)})
+
+    def _record(self, kind: str, source: str, content: dict[str, Any]) -> None:
+        now = datetime.now(UTC).isoformat(timespec="milliseconds")
+        record = {"version": RECORDS_VERSION, "kind": kind, "source": source, **finite(content), "wall_time": now}
+        for take in self.listeners:
+            take(record)
+
+
+def _content(state: SupportState) -> dict[str, Any]:
+    return {"time_s": state.time, **state.content()}
 
 
 class RecordingTally:
@@ -63,17 +158,20 @@ class RecordingTally:
 
 #: Maximum number of pending rows before a measurable one.
 _MAX_PENDING = 1000
-#: Identified impacts from which a gangue fraction is told in words before the end of a recording.
-_ENOUGH = 10
 
 
 class RecordingRows:
-    """Print the predictions of one model for the channels of one recording."""
+    """Tell the predictions of one model for the channels of one recording."""
 
     # Unless `live`, rows wait for a measurable one, and gangue fractions for a second row.
 
     def __init__(
-        self, pipeline: Pipeline, lines: Any, helped: Callable[[Finding], Finding], *, keep: bool = False
+        self,
+        pipeline: Pipeline,
+        lines: Records,
+        helped: Callable[[Finding], Finding] = lambda finding: finding,
+        *,
+        keep: bool = False,
     ) -> None:
         self._pipeline, self.lines, self._live = pipeline, lines, pipeline.live
         self.source, self.channels = pipeline.source, pipeline.supports
@@ -93,11 +191,36 @@ class RecordingRows:
         assert pipeline.watch is not None
         self._watch = pipeline.watch
         self._silent: list[Finding] = []
+        self._look: Look | None = None
         self._decided: set[str] = set()  # supports of which something is decided
         self.threshold = self._watch.threshold
 
+    def attach(self, outputs: Outputs, **clocks: Callable[[], float]) -> None:
+        """Let outputs take part in a live stream; `clocks`: functions `behind` and `waited` [s], where they are known.
+
+        `behind` is the delay of the predictions after the stream, `waited` the time for which samples are missing.
+        """
+        pipeline = self._pipeline
+        outputs.begin(
+            source=self.source,
+            channels=self.channels,
+            rows=pipeline.names,
+            unit=pipeline.model.unit,
+            threshold=self.threshold,
+            blind_after=self.settings.blinded_after,
+            **clocks,
+        )
+        self.lines.listeners.append(outputs)
+        self._look = partial(outputs.monitored_blocks, sampling_rate=pipeline.sampling_rate)
+
+    def steps(self, blocks: Iterable[NDArray[Any]]) -> Iterator[Step]:
+        """Yield the steps of the blocks of a live stream, each told before."""
+        for step in self._pipeline.steps(blocks, measured=self._look):
+            self.feed(step)
+            yield step
+
     def feed(self, step: Step) -> None:
-        """Print the next predictions, the reports of completed windows, and warnings."""
+        """Tell the next predictions, what begins and ends, and the reports of completed windows."""
         answers = step.answers
         self.tally.add(answers)
         if self._keep:
@@ -105,18 +228,18 @@ class RecordingRows:
         self._measured = self._measured or any(answer.probabilities for answer in answers)
         self._pending_answers += answers
         if self._measured or len(self._pending_answers) > _MAX_PENDING:
-            self._print_answers()
-        self._print_found(step.found, step.reports)
-        self._print_reports(step.reports)
+            self._tell_answers()
+        self._tell_found(step.found, step.reports)
+        self._tell_reports(step.reports)
 
-    def stopped(self, seconds: float) -> None:
-        """Print that a live stream gives no samples; the next ones take it up again."""
+    def stopped(self, seconds: float) -> Step:
+        """Tell that a live stream gives no samples, and return that step; the next ones take it up again."""
         last = self._pipeline.stopped(f"no samples have arrived for {seconds:.0f} s")
-        self._print_found(last.found, last.reports)
-        self._print_reports(last.reports)
+        self.feed(last)
+        return last
 
-    def finish(self, start_time: Any = None) -> None:
-        """Print pending lines at the end of a recording, and what is wrong with all of it."""
+    def finish(self, start_time: Any = None) -> Step:
+        """Tell what waits at the end of a recording, and what is wrong with all of it; return the last step."""
         last = self._pipeline.finish()
         self.lines.begin(self.source, self._pipeline.model, self.settings)  # the head of an empty table
         if self._silent:
@@ -126,20 +249,20 @@ class RecordingRows:
             more = f" (and so for all {self.tally.total} {self.kind}s)" if self.tally.total > 1 else ""
             problem = first.problem if first else "nothing in it can be measured"
             raise BadData(f"{self.name(first.channel) if first else self.source}: {problem}{more}")
-        self._print_answers()
-        is_live = self._live
-        if is_live:
-            self._print_found(last.found, last.reports)
-        self._print_reports(last.reports)
+        self._tell_answers()
+        if self._live:
+            self._tell_found(last.found, last.reports)
+        self._tell_reports(last.reports)
         for channel, state in self._held.items():
             self.lines.share(self.source, self.name(channel), state)
-        if self.tally.total > 1 or is_live:
+        if self.tally.total > 1 or self._live:
             self.lines.summary(self.source, self.tally, last.until, start_time)
-        if not is_live:
-            self._print_found(last.found, last.reports)
+        if not self._live:
+            self._tell_found(last.found, last.reports)
+        return last
 
-    def _print_found(self, found: Sequence[Finding], reports: Sequence[SupportReport]) -> None:
-        """Print what begins and ends, each with the decision that it withdraws."""
+    def _tell_found(self, found: Sequence[Finding], reports: Sequence[SupportReport]) -> None:
+        """Tell what begins and ends, each with the decision that it withdraws."""
         if not (self._live or self.settings.needs_shares or self.tally.total > 1):
             found = [one for one in found if not one.is_of_fraction]  # a recording of one impact has no fraction
         if not self.tally.total and not self._live:  # where no channel gives anything, that is an error
@@ -166,7 +289,7 @@ class RecordingRows:
         """Return source and channel in one word."""
         return self.source if channel == "1" and len(self.channels) == 1 else f"{self.source} channel {channel}"
 
-    def _print_answers(self) -> None:
+    def _tell_answers(self) -> None:
         if self._pending_answers:
             self.lines.begin(self.source, self._pipeline.model, self.settings)
         for answer in self._pending_answers:
@@ -174,8 +297,8 @@ class RecordingRows:
             self.lines.answer(self.source, answer, self.kind, **{self.kind: self._numbers[answer.channel]})
         self._pending_answers = []
 
-    def _print_reports(self, more: Iterable[SupportReport]) -> None:
-        """Print the records of supports; a recording of one impact has none unless an option requests them."""
+    def _tell_reports(self, more: Iterable[SupportReport]) -> None:
+        """Tell the records of supports; a recording of one impact has none unless an option requests them."""
         self._pending_reports += more
         if not (self._live or self.settings.needs_shares or self.tally.total > 1):
             return
@@ -184,7 +307,7 @@ class RecordingRows:
             name = self.name(share.channel)
             if one.kind == "share":
                 self.shares += [share] * self._keep
-                if self._is_held(share):
+                if not self._live and (share.n_impacts or share.n_unknown) and self.lines.holds(share):
                     self._held[share.channel] = state
                 elif share.n_impacts or self._live or share.n_unknown:
                     self._held.pop(share.channel, None)
@@ -198,10 +321,3 @@ class RecordingRows:
             if state.decision != "none":
                 self._decided.add(share.channel)
         self._pending_reports = []
-
-    def _is_held(self, share: Share) -> bool:
-        """Return whether a fraction waits for the end of the recording."""
-        if self._live or not (share.n_impacts or share.n_unknown):
-            return False
-        is_brief = not self.lines.as_json and (share.n_impacts < _ENOUGH or not self.lines.has_fractions)
-        return self.lines.only_summary or is_brief
