@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import io
 import json
 import os
@@ -18,8 +19,8 @@ import pytest
 from scipy.io import wavfile
 
 from cgid.cli.main import run
-from cgid.cli.monitor import Outbox
 from cgid.errors import INTERRUPTIONS
+from cgid.plant.output import Stdout
 from cgid.recordings.live import Inbox
 from tests.streams_of_pulses import RATE, ROOT, stream, window_model
 
@@ -344,7 +345,7 @@ def outbox_lines(n: int) -> list[str]:
 
 
 def test_a_slow_reader_loses_no_line_and_one_who_is_away_holds_nothing_up(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("cgid.cli.monitor.UNREAD", 0.4)
+    monkeypatch.setattr("cgid.plant.output.UNREAD", 0.4)
     for is_slow in (True, False):
         reading, writing = os.pipe()
         said: list[str] = []
@@ -358,15 +359,17 @@ def test_a_slow_reader_loses_no_line_and_one_who_is_away_holds_nothing_up(monkey
                     time.sleep(0.004 * is_slow)
 
             thread = threading.Thread(target=read)
-            outbox = Outbox(writing, said.append, 20)
-            with outbox:
-                if is_slow:
-                    thread.start()
-                for line in lines:
-                    outbox.put(line)
-                if not is_slow:
-                    assert time.monotonic() - begun < 30 * 0.4  # waits once for the time without a reader
-                    thread.start()
+            stdout = Stdout(writing, said.append, 20)
+            stdout.start()
+            if is_slow:
+                thread.start()
+            for line in lines:
+                stdout.put(line)
+            if not is_slow:
+                assert time.monotonic() - begun < 30 * 0.4  # waits once for the time without a reader
+                thread.start()
+            stdout.request_end()
+            stdout.wait(0.0)
             os.close(writing)
             thread.join()
         if is_slow:
@@ -375,6 +378,30 @@ def test_a_slow_reader_loses_no_line_and_one_who_is_away_holds_nothing_up(monkey
             assert got == sorted(got, key=lambda one: int(one.split()[0])) and set(got) < set(lines)
             assert got[-1] == lines[-1]
             assert f"{len(lines) - len(got)} " in said[-1] and len(said) == 3  # nobody reads, again, so many lost
+
+
+def test_what_a_full_disk_refuses_waits_for_room(monkeypatch: pytest.MonkeyPatch) -> None:
+    got, said, is_full = bytearray(), list[str](), threading.Event()
+
+    def write(_descriptor: int, line: bytes) -> int:
+        if is_full.is_set() and len(got) >= 100:  # within a line
+            raise OSError(errno.ENOSPC, "no room")
+        got.extend(line[:7])
+        return len(line[:7])
+
+    monkeypatch.setattr("cgid.plant.output.os.write", write)
+    stdout, lines = Stdout(1, said.append, 200), [f"line {number}" for number in range(100)]
+    is_full.set()
+    stdout.start()
+    for line in lines:
+        stdout.put(line)
+    while stdout.up:
+        time.sleep(0.01)
+    is_full.clear()
+    stdout.request_end()
+    stdout.wait(0.0)
+    assert got.decode().splitlines() == lines and stdout.dropped == 0
+    assert len(said) == 2 and "no room" in said[0]
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no full device")

@@ -77,7 +77,6 @@ def state(
         "unknown": 3,
         "last_sound_s": at,
         "last_identified_s": at,
-        "foreign": "",
         **more,
     }
 
@@ -238,7 +237,7 @@ def test_each_line_is_a_message_and_the_state_is_retained(outputs, broker, said)
             assert all(retained for _, _, retained in late.messages)
             record = json.loads(late.of("plant/s7/state/a%2Fb%23")[0])
             assert (record["decision"], record["gangue_share"], record["unknown"]) == ("shut", 0.7, 3)
-            wanted = {"kind", "cost"} ^ {*turn("shut", 10.0), "wall_time"}
+            wanted = {"kind", "cost"} ^ {*turn("shut", 10.0), "wall_time", "findings"}
             assert {*record} == wanted
             none = json.loads(late.of("plant/s7/state/1")[0])
             assert (none["decision"], none["ground"], none["gangue_share"]) == ("none", "seen", None)

@@ -4,14 +4,11 @@ from __future__ import annotations
 
 import os
 import sys
-import time
-from collections import deque
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
+from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext, suppress
 from dataclasses import replace
 from pathlib import Path
-from threading import Condition, Thread
-from types import TracebackType
+from threading import Thread
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -32,11 +29,6 @@ if TYPE_CHECKING:
     from cgid.plant import PlantOutputs
     from cgid.recordings.live import Inbox
 
-#: How often whether stdout is read is looked at [s].
-_TIMEOUT = 0.1
-#: Maximum number of lines that wait for the reader of stdout, and after which time it has none [s].
-MAX_LINES, UNREAD = 10_000, 5.0
-
 
 class UnbufferedInput:
     """A file descriptor as a binary file without a buffer; a thread that waits in it can be abandoned."""
@@ -55,79 +47,6 @@ class UnbufferedInput:
     def read1(self, size: int) -> bytes:
         """Return the available bytes, at most this many; none at the end."""
         return os.read(self._descriptor, size)
-
-
-class Outbox(AbstractContextManager[None]):
-    """Write lines to a descriptor in a separate thread, so that a reader who is away holds up nothing else.
-
-    As long as somebody reads, `put` waits for a place; else the oldest line makes room. What is lost is told once, and
-    when it goes on.
-    """
-
-    def __init__(self, descriptor: int, say: Callable[[str], object], max_waiting: int = MAX_LINES) -> None:
-        self._descriptor, self._say, self._most = descriptor, say, max_waiting
-        self._changed = Condition()
-        self._waiting: deque[bytes] = deque()
-        self._thread = Thread(target=self._write, daemon=True)
-        self._written_at, self._is_writing, self._ended = time.monotonic(), False, False
-        self._fault, self._n_lost = "", 0
-
-    def __enter__(self) -> None:
-        self._thread.start()
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
-        with self._changed:
-            self._ended, self._written_at = True, time.monotonic()  # a last time to read
-            self._changed.notify_all()
-        while self._thread.is_alive() and self._is_read:
-            self._thread.join(_TIMEOUT)
-        n_lost = self._n_lost + len(self._waiting) + self._is_writing
-        if n_lost:
-            self._say(f"stdout: {n_lost} of its lines are lost")
-
-    @property
-    def _is_read(self) -> bool:
-        return not self._is_writing or time.monotonic() - self._written_at < UNREAD
-
-    def put(self, line: str) -> None:
-        """Queue a line."""
-        with self._changed:
-            while len(self._waiting) >= self._most and self._is_read:
-                self._changed.wait(_TIMEOUT)
-            if len(self._waiting) >= self._most:
-                self._waiting.popleft()
-                self._n_lost += 1
-            self._waiting.append(f"{line}\n".encode(errors="backslashreplace"))
-            self._changed.notify_all()
-        if not self._is_read:
-            self._tell(f"nobody has read it for {UNREAD:g} s; {self._most} lines wait at most, all other outputs go on")
-
-    def _tell(self, fault: str) -> None:
-        """Say what is wrong, once; empty: that nothing is any more."""
-        if fault != self._fault:
-            self._fault = fault
-            self._say(f"stdout: {fault or f'its lines are written again, {self._n_lost} are lost'}")
-
-    def _write(self) -> None:
-        while True:
-            with self._changed:
-                self._changed.wait_for(lambda: self._waiting or self._ended)
-                if not self._waiting:
-                    return
-                line, self._is_writing = self._waiting.popleft(), True
-                self._written_at = time.monotonic()
-            fault = ""
-            try:
-                while line:
-                    line = line[os.write(self._descriptor, line) :]
-            except OSError as error:
-                fault = f"{error.strerror}, so its lines are lost; all other outputs go on"
-                self._n_lost += 1
-            with self._changed:
-                self._is_writing = False
-                self._changed.notify_all()
-            if fault or self._fault:
-                self._tell(fault)
 
 
 #: Maximum delay of predictions that keep up [s].
@@ -185,7 +104,7 @@ def monitor(
     stated = Chain.of(**reading.chain)
     _require_cycles(cycle_by, stream, settings, outputs)
     table_of_coal = None if labelled is None else read_manifest(labelled)
-    with _plant_outputs(outputs) as listener, _opened(stream) as file, _outbox(is_needed=listener is not None):
+    with _plant_outputs(outputs) as listener, _opened(stream) as file, _stdout_beside(listener):
         source = "stdin" if stream == "-" else stream
         live = live_stream(
             file,
@@ -216,19 +135,26 @@ def _require_cycles(by: str | None, stream: str, settings: PredictionSettings, o
 
 
 @contextmanager
-def _outbox(*, is_needed: bool) -> Iterator[None]:
-    """Let stdout hold up no other output, if there is one."""
-    try:
+def _stdout_beside(outputs: PlantOutputs | None) -> Iterator[None]:
+    """Let stdout hold up no other output, if there are any."""
+    descriptor = None
+    with suppress(OSError, ValueError):  # of a program that runs this command in itself
         descriptor = sys.stdout.fileno()
-    except (OSError, ValueError):  # of a program that runs this command in itself
-        is_needed = False
-    if not is_needed:
+    if outputs is None or descriptor is None:
         yield
         return
+    from cgid.plant.output import Stdout
+
     sys.stdout.flush()
-    outbox = Outbox(descriptor, warn)
-    with outbox, lines_taken(outbox.put):
-        yield
+    stdout = Stdout(descriptor, warn)
+    outputs.plant.outputs.append(stdout)
+    stdout.start()
+    try:
+        with lines_taken(stdout.put):
+            yield
+    finally:
+        stdout.request_end()
+        stdout.wait(0.0)
 
 
 def _plant_outputs(given: dict[str, str]) -> AbstractContextManager[PlantOutputs | None]:

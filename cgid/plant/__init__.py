@@ -67,7 +67,8 @@ class PlantOutputs:
                 from cgid.plant.commands import Commands
 
                 self._services.append(Commands(self._commands, plant, warn))
-            plant.outputs = self._queues = [one for one in self._services if isinstance(one, Output)]
+            self._queues = [one for one in self._services if isinstance(one, Output)]
+            plant.outputs = [*self._queues]
             if prometheus is not None or live is not None:
                 from cgid.plant.web import web_services
 
