@@ -130,7 +130,12 @@ def plain(records):
             return [rounded(one) for one in value]
         return float(f"{value:.9g}") if isinstance(value, float) else value
 
-    return sorted(json.dumps(rounded(one), sort_keys=True) for one in records if one["kind"] != "delay")
+    return sorted(json.dumps(rounded(one), sort_keys=True) for one in records if is_of_stream(one))
+
+
+def is_of_stream(record):
+    """Return whether a record is a message, and does not tell of a process that it is late."""
+    return record["kind"] != "state" and record.get("finding") != "behind"
 
 
 def main():
@@ -274,17 +279,16 @@ def compared(lines, sent, told, seen, start):
                     ended[channel, one["finding"]] = at
                 else:
                     ended.pop((channel, one["finding"]), None)
-    last = lines[-1][0]
+    for key in [key for key in began if ended.get(key, lines[-1][0]) - began[key] < LATE / 3]:
+        del began[key]  # what stood for a moment, which who looks now and then may miss
     for name, one in seen.items():
-        lacking, more = began.keys() - one.first.keys(), one.first.keys() - began.keys()
-        # What came in the last moment cannot be seen by who looks now and then.
-        lacking = {key for key in lacking if last - began[key] > LATE}
+        lacking = began.keys() - one.first.keys()
         late = [one.first[key] - began[key] for key in began.keys() & one.first.keys()]
         long = [one.last[key] - ended[key] for key in ended.keys() & one.last.keys()]
-        is_same = not lacking and not more and max(map(abs, late + long), default=0.0) <= LATE
+        is_same = not lacking and max(map(abs, late + long), default=0.0) <= LATE
         n_wrong += not is_same
         times = f"begins {min(late):+.2f} to {max(late):+.2f} s, ends {min(long):+.2f} to {max(long):+.2f} s beside it"
-        print(f"| {name} | {len(late)} findings, {times} | {'yes' if is_same else f'NO: {lacking} {more}'} |")
+        print(f"| {name} | {len(late)} findings, {times} | {'yes' if is_same else f'NO: {lacking}'} |")
     return int(n_wrong > 0)
 
 

@@ -125,11 +125,6 @@ class AnswerLines(Records):
         elif line:
             warn(line + ", so the decision is withdrawn" * withdrawn)
 
-    def delay(self, source: str, behind: float, message: str) -> None:
-        """Print the delay of the predictions after a live stream [s], on stderr and in JSON."""
-        warn(f"{source}: {behind:.1f} s behind: {message}")
-        super().delay(source, behind, message)
-
     def _note(self, message: str) -> None:
         """Print a message in place of JSON: on stderr, unless it is all that is printed."""
         if self._has_fractions and not self.as_json:

@@ -27,7 +27,6 @@ if TYPE_CHECKING:
     from cgid.identification.prediction import PredictionSettings
     from cgid.identification.training.manifest import Manifest
     from cgid.plant import PlantOutputs
-    from cgid.recordings.live import Inbox
 
 
 class UnbufferedInput:
@@ -47,10 +46,6 @@ class UnbufferedInput:
     def read1(self, size: int) -> bytes:
         """Return the available bytes, at most this many; none at the end."""
         return os.read(self._descriptor, size)
-
-
-#: Maximum delay of predictions that keep up [s].
-_BEHIND = 1.0
 
 
 @click.command(
@@ -190,7 +185,6 @@ def _follow(
     if labelled is not None:
         settings = settings_with_coal(settings, labelled, live.source, live.channels, model)
     inbox = Inbox(live.sampling_rate)
-    delay = DelayReport(live.source, lines)
     # A stream is over when the next command runs: that is for a recording of it.
     file = live.source if live.is_wav and Path(live.source).is_file() else "RECORDING"
     beams = beam_words(map("+".join, settings.same_beam))
@@ -199,7 +193,7 @@ def _follow(
     rows = RecordingRows(pipeline, lines, steps.of)
     inbox.on_pause = settings.blinded_after, rows.stopped
     if outputs is not None:
-        rows.attach(outputs, behind=lambda: inbox.behind, waited=lambda: inbox.waited)
+        rows.attach(outputs, inbox)
 
     def begun(name: str) -> None:
         assert pipeline.watch is not None
@@ -218,7 +212,7 @@ def _follow(
     inbox.read(live)
     try:
         for _ in rows.steps(inbox):
-            delay.see(inbox)
+            pass
     finally:
         for warning in live.warnings:
             warned(warning)
@@ -236,28 +230,6 @@ def _each_line(descriptor: int, take: Callable[[str], object]) -> None:
             take(line.decode(errors="replace"))
     if rest:
         take(rest.decode(errors="replace"))
-
-
-class DelayReport:
-    """Report the delay of the answers when it grows, and when it is over."""
-
-    def __init__(self, source: str, lines: AnswerLines) -> None:
-        self._source, self._lines = source, lines
-        self._reported_at = 0.0
-        self._is_held_up = False
-
-    def see(self, inbox: Inbox) -> None:
-        """Check the queue and report a change."""
-        behind = inbox.behind
-        if behind >= max(_BEHIND, 2 * self._reported_at):
-            self._reported_at = behind
-            self._lines.delay(self._source, behind, "predictions are slower than the stream; nothing is dropped")
-        elif self._reported_at and behind < _BEHIND / 2:
-            self._reported_at = 0.0
-            self._lines.delay(self._source, behind, "the predictions have caught up with the stream")
-        if inbox.is_held_up and behind and not self._is_held_up:
-            self._is_held_up = True
-            self._lines.delay(self._source, behind, "memory is full: the source of the stream has to wait")
 
 
 @contextmanager

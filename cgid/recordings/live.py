@@ -180,7 +180,7 @@ def live_stream(
 class Inbox:
     """Blocks (n_channels, n_samples) of a live stream that wait until they are taken, by one thread, joined."""
 
-    # If more than `max_waiting` bytes wait, the source has to wait, too (`is_held_up`). Fewer samples than `SHORTEST`
+    # If more than `max_waiting` bytes wait, the source has to wait, too. Fewer samples than `SHORTEST`
     # are taken after `patience` [s], if any, or at the end.
 
     def __init__(
@@ -194,7 +194,6 @@ class Inbox:
         self._fault: BaseException | None = None
         self._begun = time.monotonic()
         self.n_given = self.n_taken = 0
-        self.is_held_up = False
         self._waiting_since: float | None = None
         #: A time [s], and a function that is called once with the time without samples when they pause for so long.
         self.on_pause: tuple[float, Callable[[float], object]] | None = None
@@ -206,7 +205,6 @@ class Inbox:
     def put(self, block: NDArray[Any]) -> None:
         """Add the next block; wait while memory is full."""
         with self._changed:
-            self.is_held_up = self.is_held_up or self._size > self._most
             self._changed.wait_for(lambda: self._size <= self._most or self._is_closed)
             self._waiting.append(block)
             self._n_waiting += block.shape[1]

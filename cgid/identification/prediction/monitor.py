@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import weakref
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from threading import RLock, Thread
 from types import TracebackType
-from typing import Any, NoReturn, Self
+from typing import TYPE_CHECKING, Any, NoReturn, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -20,7 +20,7 @@ from cgid.identification.model.model import Model
 from cgid.identification.prediction.answers import Answer
 from cgid.identification.prediction.findings import Finding
 from cgid.identification.prediction.pipeline import Pipeline
-from cgid.identification.prediction.records import Outputs, RecordingRows, Records
+from cgid.identification.prediction.records import RecordingRows, Records
 from cgid.identification.prediction.settings import PredictionSettings
 from cgid.identification.prediction.stream import Step
 from cgid.identification.prediction.support import STEPS, SupportReport, SupportState
@@ -28,6 +28,9 @@ from cgid.recordings.chain import Chain, Statement, scaled
 from cgid.recordings.live import Inbox, contents_of, described
 from cgid.recordings.site import NOWHERE, Site
 from cgid.recordings.variables import full_scale_of
+
+if TYPE_CHECKING:
+    from cgid.plant import PlantOutputs
 
 __all__ = ["Monitor", "News"]
 
@@ -120,7 +123,7 @@ class Monitor:
         gain: Statement | None = None,
         full_scale: Statement | None = None,
         source: str = "stream",
-        outputs: Outputs | None = None,
+        outputs: PlantOutputs | None = None,
         **settings: Any,
     ) -> None:
         from cgid.identification.prediction.prediction import default_model, read_model
@@ -146,12 +149,12 @@ class Monitor:
         self.sampling_rate: float = require_rate(rate)
         self.source = source
         self._pipeline = Pipeline(loaded, self._channels, self.sampling_rate, applied, source, live=True)
+        self._inbox = Inbox(self.sampling_rate, patience=None)
         self._rows, self._outputs = RecordingRows(self._pipeline, Records()), outputs
         if outputs is not None:
-            self._rows.attach(outputs)
+            self._rows.attach(outputs, self._inbox)
         self._until = 0.0
         self._has_integers, self._is_over, self._lock = full_scale is not None, False, RLock()
-        self._inbox = Inbox(self.sampling_rate, patience=None)
         self._pump = _Pump(self._rows.steps, self._inbox)
         weakref.finalize(self, self._inbox.end)
 
@@ -260,7 +263,7 @@ class _Pump:
 
     # It does not know its monitor, which may be forgotten without its end.
 
-    def __init__(self, steps: Callable[[Iterable[NDArray[Any]]], Iterator[Step]], inbox: Inbox) -> None:
+    def __init__(self, steps: Callable[[Inbox], Iterator[Step]], inbox: Inbox) -> None:
         self._inbox = inbox
         self._steps: list[Step] = []
         self._fault: BaseException | None = None
@@ -275,7 +278,7 @@ class _Pump:
             raise fault
         return steps
 
-    def _run(self, steps: Callable[[Iterable[NDArray[Any]]], Iterator[Step]]) -> None:
+    def _run(self, steps: Callable[[Inbox], Iterator[Step]]) -> None:
         try:
             for step in steps(self._inbox):
                 self._steps.append(step)

@@ -4,47 +4,32 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from datetime import UTC, datetime
 from functools import partial
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 from cgid._lib.spelling import asked
 from cgid._lib.terminal import counted
 from cgid._lib.validation import finite
 from cgid.errors import BadData
+from cgid.identification.prediction.findings import Finding
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from cgid.identification.model.model import StoredModel
     from cgid.identification.prediction.answers import Answer
-    from cgid.identification.prediction.findings import Finding
     from cgid.identification.prediction.fraction import Share, Switch
     from cgid.identification.prediction.pipeline import Look, Pipeline
     from cgid.identification.prediction.settings import PredictionSettings
     from cgid.identification.prediction.stream import Step
     from cgid.identification.prediction.support import SupportReport, SupportState
+    from cgid.plant import PlantOutputs
+    from cgid.recordings.live import Inbox
 
 #: Version of the records; it rises if a key goes or has another meaning.
-RECORDS_VERSION = 6
+RECORDS_VERSION = 7
 #: Gets each record.
 Listener = Callable[[dict[str, Any]], object]
-
-
-class Outputs(Protocol):
-    """Where the records of a live stream go besides, such as `cgid.plant.PlantOutputs`."""
-
-    def begin(self, *, threshold: float | None, **stream: Any) -> None:
-        """Set the supports and the stream."""
-
-    def monitored_blocks(self, blocks: Iterable[NDArray[Any]], sampling_rate: float) -> Iterable[NDArray[Any]]:
-        """Return the blocks, looked at on the way."""
-
-    def __call__(self, record: dict[str, Any]) -> None:
-        """Take a record; returns at once."""
-
-    def close(self) -> None:
-        """End; may be called again."""
 
 
 class Records:
@@ -94,10 +79,6 @@ class Records:
     def finding(self, source: str, finding: Finding, n_channels: int = 1, *, withdrawn: bool = False) -> None:
         """Tell what begins or ends; `withdrawn`: the decision of a support with it."""
         self._record("finding", source, finding.content(asked))
-
-    def delay(self, source: str, behind: float, message: str) -> None:
-        """Tell the delay of the predictions after a live stream [s]."""
-        self._record("delay", source, {"behind_s": behind, "message": message})
 
     def summary(self, source: str, tally: RecordingTally, duration: float, start_time: Any = None) -> None:
         """Tell the summary of a recording."""
@@ -158,6 +139,8 @@ class RecordingTally:
 
 #: Maximum number of pending rows before a measurable one.
 _MAX_PENDING = 1000
+#: Maximum delay of predictions that keep up with a live stream [s].
+_BEHIND = 1.0
 
 
 class RecordingRows:
@@ -195,11 +178,8 @@ class RecordingRows:
         self._decided: set[str] = set()  # supports of which something is decided
         self.threshold = self._watch.threshold
 
-    def attach(self, outputs: Outputs, **clocks: Callable[[], float]) -> None:
-        """Let outputs take part in a live stream; `clocks`: functions `behind` and `waited` [s], where they are known.
-
-        `behind` is the delay of the predictions after the stream, `waited` the time for which samples are missing.
-        """
+    def attach(self, outputs: PlantOutputs, inbox: Inbox) -> None:
+        """Let outputs take part in a live stream, which knows its delay, and since when no samples have come."""
         pipeline = self._pipeline
         outputs.begin(
             source=self.source,
@@ -208,15 +188,24 @@ class RecordingRows:
             unit=pipeline.model.unit,
             threshold=self.threshold,
             blind_after=self.settings.blinded_after,
-            **clocks,
+            behind=lambda: inbox.behind,
+            waited=lambda: inbox.waited,
         )
         self.lines.listeners.append(outputs)
         self._look = partial(outputs.monitored_blocks, sampling_rate=pipeline.sampling_rate)
 
-    def steps(self, blocks: Iterable[NDArray[Any]]) -> Iterator[Step]:
-        """Yield the steps of the blocks of a live stream, each told before."""
-        for step in self._pipeline.steps(blocks, measured=self._look):
+    def steps(self, inbox: Inbox) -> Iterator[Step]:
+        """Yield the steps of a live stream, each told before; and tell when they fall behind, and catch up."""
+        late: Finding | None = None
+        for step in self._pipeline.steps(inbox, measured=self._look):
             self.feed(step)
+            behind = inbox.behind
+            if late is None and behind >= _BEHIND:
+                late = Finding(kind="behind", begin=self._pipeline.duration, fields={"behind": behind})
+                self._tell_found([late], ())
+            elif late is not None and behind < _BEHIND / 2:
+                self._tell_found([replace(late, end=self._pipeline.duration)], ())
+                late = None
             yield step
 
     def feed(self, step: Step) -> None:
