@@ -272,7 +272,8 @@ def compared(lines, sent, told, seen, start):
             channels = ", ".join(NAMES[int(name) - 1] for name in channels_of(one))
             print(f"| {one['finding']} | {channels} | {one['begin_s']} | {one['end_s']} |")
     own = [(one.kind, one.channels, one.content()["begin_s"], one.content()["end_s"]) for one in told]
-    theirs = [(one["finding"], tuple(one["channels"]), one["begin_s"], one["end_s"]) for one in findings]
+    of_stream = filter(is_of_stream, findings)
+    theirs = [(one["finding"], tuple(one["channels"]), one["begin_s"], one["end_s"]) for one in of_stream]
     n_impacts, n_same = len(labels(printed)), len(labels(printed).items() & labels(sent["python"]).items())
     n_other = f"{n_impacts - n_same} of {n_impacts} impacts with another label"
     print("\n| output | compared | the same |\n|---|---|---|")
