@@ -6,6 +6,7 @@ The recordings are those of `benchmarks/identification/control.py`, which shares
 from __future__ import annotations
 
 import json
+import struct
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -14,6 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+import cgid
 from benchmarks.identification.control import RATE, Design, Face, State, additive, paths, written
 from cgid.cli.main import run
 from cgid.errors import BadData
@@ -28,6 +30,9 @@ from cgid.identification.training.rows import Slicing
 from cgid.identification.training.training import Training, train_on_groups
 from cgid.labelling.learning import NEW, Learning
 from cgid.labelling.recording import LabelledRecording
+from cgid.plant import PlantOutputs
+from cgid.plant.modbus import HEAD, WIDTH
+from tests.test_plant import CollectingBroker, asked, free_port, get, modbus_frame
 
 FACE = Face(77)
 SOUND = Design("sound", State(), State())
@@ -110,7 +115,7 @@ def test_a_told_model_decides_nothing(
     told = trainings["loud"].model
     blind = replace(told, training={name: value for name, value in told.training.items() if name != CONTROL})
     FACE.recording("gangue", LOUD.gangue, [9], 40)[0].astype("<f4").tofile(tmp_path / "q.f32")
-    grounds, decisions = {}, {}
+    grounds, decisions, shown = {}, {}, {}
     for name, model in {"told": told, "blind": blind}.items():
         model.save(tmp_path / f"{name}.npz")
         how = ["--rate", str(RATE), "--channels", "1", "--sample-format", "f32le", "--unit", "m/s^2", "--json"]
@@ -118,9 +123,39 @@ def test_a_told_model_decides_nothing(
         rows = [json.loads(line) for line in capfd.readouterr().out.splitlines()]
         grounds[name] = {row["ground"] for row in rows if "ground" in row}
         decisions[name] = {row["decision"] for row in rows if "decision" in row}
+        shown[name] = _shown(tmp_path / f"{name}.npz", np.fromfile(tmp_path / "q.f32", "<f4"))
     assert grounds["told"] == {"unproven"}
     assert decisions["told"] == {"none"}
     assert "shut" in decisions["blind"]
+    for output, seen in shown["blind"].items():
+        assert len(seen) > 1, output  # it can be seen there
+    quiet = {"page": {("none", 0)}, "Modbus": {(0, 0)}, "Prometheus": {'cgid_shut{channel="1"} NaN'}, "MQTT": {"none"}}
+    assert shown["told"] == quiet
+
+
+def _shown(model: Path, samples: np.ndarray) -> dict[str, set[Any]]:
+    """Return the decisions and switches of one support that each output shows while a stream comes."""
+    pytest.importorskip("paho.mqtt.client", reason="paho-mqtt is not installed")
+    pytest.importorskip("prometheus_client", reason="prometheus-client is not installed")
+    modbus, http = free_port(), free_port()
+    shown: dict[str, set[Any]] = {name: set() for name in ("page", "Modbus", "Prometheus", "MQTT")}
+    with CollectingBroker() as broker:
+        given = {"modbus": f":{modbus}", "live": f":{http}", "prometheus": f":{http}", "mqtt": broker.url}
+        with cgid.Monitor(RATE, 1, "m/s^2", model=model, outputs=PlantOutputs(**given)) as watch:
+            for block in np.array_split(samples, 50):
+                watch.feed(block)
+                (one,) = json.loads(get(http, "/state.json")[1])["supports"]
+                shown["page"].add((one["decision"], len(one["turns"])))
+                (answer,) = asked(modbus, modbus_frame(struct.pack(">BHH", 4, HEAD, WIDTH)))
+                registers = struct.unpack(f">{WIDTH}H", answer[9:])
+                shown["Modbus"].add((registers[0], registers[12]))
+                metrics = get(http, "/metrics")[1].splitlines()
+                shown["Prometheus"] |= {line for line in metrics if line.startswith(("cgid_turns_total", "cgid_shut{"))}
+            watch.finish()
+        for topic, text in broker.messages:
+            kind = topic.split("/")[1]
+            shown["MQTT"] |= {json.loads(text)["decision"]} if kind == "state" else {kind} & {"shut", "open"}
+    return shown
 
 
 def test_the_command_and_the_card_say_it(

@@ -125,7 +125,9 @@ def trial(monkeypatch: pytest.MonkeyPatch) -> Finding:
 
 def line_of(finding: Finding) -> dict[str, Any]:
     lines: list[dict[str, Any]] = []
-    AnswerLines(False, listener=lines.append).finding("belt", finding, 2)
+    told = AnswerLines(False)
+    told.listeners.append(lines.append)
+    told.finding("belt", finding, 2)
     return lines[0]
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import io
 import json
 import os
@@ -18,8 +19,9 @@ import pytest
 from scipy.io import wavfile
 
 from cgid.cli.main import run
-from cgid.cli.monitor import Inbox, Outbox
 from cgid.errors import INTERRUPTIONS
+from cgid.plant.output import Stdout
+from cgid.recordings.live import Inbox
 from tests.streams_of_pulses import RATE, ROOT, stream, window_model
 
 LABELS = ["coal"] * 14 + ["gangue"] * 14
@@ -276,7 +278,8 @@ def test_inbox_joins_what_waits_and_drops_nothing() -> None:
         yield from blocks
         all_there.set()
 
-    inbox = Inbox(coming(), 1000.0)
+    inbox = Inbox(1000.0)
+    inbox.read(coming())
     taken = []
     for block in inbox:
         assert all_there.wait(60)  # more comes meanwhile
@@ -293,13 +296,15 @@ def test_inbox_that_is_full_makes_the_stream_wait() -> None:
         for _ in range(8):
             yield block
 
-    inbox = Inbox(blocks(), 1e4, max_waiting=3 * block.nbytes)
+    inbox = Inbox(1e4, max_waiting=3 * block.nbytes)
+    inbox.read(blocks())
     iterator = iter(inbox)
     total = next(iterator).shape[1]
     deadline = time.monotonic() + 60
-    while not inbox.is_held_up and time.monotonic() < deadline:
+    while inbox.n_given < total + 4000 and time.monotonic() < deadline:
         time.sleep(0.01)
-    assert inbox.is_held_up
+    time.sleep(0.05)
+    assert inbox.n_given == total + 4000  # more than three blocks wait, so the next one is not taken
     for part in iterator:
         total += part.shape[1]
     assert total == 8 * block.shape[1]
@@ -317,7 +322,8 @@ def test_a_live_stream_is_behind_by_what_waits_and_a_file_is_not(monkeypatch: py
         waiting.set()
         assert leave.wait(60)
 
-    inbox = Inbox(live(), 100.0)
+    inbox = Inbox(100.0)
+    inbox.read(live())
     iterator = iter(inbox)
     assert next(iterator).shape[1] == 50
     taken.set()
@@ -340,7 +346,7 @@ def outbox_lines(n: int) -> list[str]:
 
 
 def test_a_slow_reader_loses_no_line_and_one_who_is_away_holds_nothing_up(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("cgid.cli.monitor.UNREAD", 0.4)
+    monkeypatch.setattr("cgid.plant.output.UNREAD", 0.4)
     for is_slow in (True, False):
         reading, writing = os.pipe()
         said: list[str] = []
@@ -354,15 +360,17 @@ def test_a_slow_reader_loses_no_line_and_one_who_is_away_holds_nothing_up(monkey
                     time.sleep(0.004 * is_slow)
 
             thread = threading.Thread(target=read)
-            outbox = Outbox(writing, said.append, 20)
-            with outbox:
-                if is_slow:
-                    thread.start()
-                for line in lines:
-                    outbox.put(line)
-                if not is_slow:
-                    assert time.monotonic() - begun < 30 * 0.4  # waits once for the time without a reader
-                    thread.start()
+            stdout = Stdout(writing, said.append, 20)
+            stdout.start()
+            if is_slow:
+                thread.start()
+            for line in lines:
+                stdout.put(line)
+            if not is_slow:
+                assert time.monotonic() - begun < 30 * 0.4  # waits once for the time without a reader
+                thread.start()
+            stdout.request_end()
+            stdout.wait(0.0)
             os.close(writing)
             thread.join()
         if is_slow:
@@ -371,6 +379,30 @@ def test_a_slow_reader_loses_no_line_and_one_who_is_away_holds_nothing_up(monkey
             assert got == sorted(got, key=lambda one: int(one.split()[0])) and set(got) < set(lines)
             assert got[-1] == lines[-1]
             assert f"{len(lines) - len(got)} " in said[-1] and len(said) == 3  # nobody reads, again, so many lost
+
+
+def test_what_a_full_disk_refuses_waits_for_room(monkeypatch: pytest.MonkeyPatch) -> None:
+    got, said, is_full = bytearray(), list[str](), threading.Event()
+
+    def write(_descriptor: int, line: bytes) -> int:
+        if is_full.is_set() and len(got) >= 100:  # within a line
+            raise OSError(errno.ENOSPC, "no room")
+        got.extend(line[:7])
+        return len(line[:7])
+
+    monkeypatch.setattr("cgid.plant.output.os.write", write)
+    stdout, lines = Stdout(1, said.append, 200), [f"line {number}" for number in range(100)]
+    is_full.set()
+    stdout.start()
+    for line in lines:
+        stdout.put(line)
+    while stdout.up:
+        time.sleep(0.01)
+    is_full.clear()
+    stdout.request_end()
+    stdout.wait(0.0)
+    assert got.decode().splitlines() == lines and stdout.dropped == 0
+    assert len(said) == 2 and "no room" in said[0]
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no full device")

@@ -188,7 +188,7 @@ def outage(folder, seconds):
         events = [(seconds / 3, broker.kill), (2 * seconds / 3, broker.start)] if dies else []
         rows, delays, notes = monitored(force, seconds, more, queue, events)
         time.sleep(1.0)
-        numbers = [json.loads(line)["message"] for _, topic, line in found if b'"message"' in line]
+        numbers = [json.loads(line)["sequence"] for _, topic, line in found if b'"sequence"' in line]
         n_lines, once = max(numbers), len(set(numbers))
         same = "the same" if rows == alone else "OTHER"
         print(

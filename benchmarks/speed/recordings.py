@@ -132,8 +132,8 @@ def live(folder: Path, n_channels: int, duration: int) -> None:
     run = timed(_monitor(n_channels), reading)
     os.close(reading)
     os.wait()
-    delays = [row["behind_s"] for row in lines_of(run, "delay")]
-    late = f"up to {max(delays):.1f} s behind" if delays else "never 1 s behind"
+    late = [one["begin_s"] for one in lines_of(run, "finding") if one["finding"] == "behind"]
+    late = f"1 s behind from {late[0]:.1f} s on" if late else "never 1 s behind"
     print(f"  {n_channels:4} channels live for {duration} s: {run.processor / duration:.2f} of a core, {late}")
 
 

@@ -341,3 +341,12 @@ def shown(value: Any) -> str:
 def cut(text: str) -> str:
     """Return a text for a message, cut after 80 characters."""
     return text if len(text) <= 80 else text[:80] + "..."
+
+
+def finite(value: Any) -> Any:
+    """Return a value for JSON, with null for every number in it that is not finite."""
+    if isinstance(value, dict):
+        return {key: finite(item) for key, item in value.items()}
+    if isinstance(value, list):
+        return [finite(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value

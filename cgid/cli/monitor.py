@@ -4,22 +4,17 @@ from __future__ import annotations
 
 import os
 import sys
-import time
-from collections import deque
-from collections.abc import Callable, Iterable, Iterator
-from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext, suppress
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from threading import Condition, Thread
-from types import TracebackType
+from threading import Thread
 from typing import TYPE_CHECKING, Any
 
 import click
-import numpy as np
-from numpy.typing import NDArray
 
-from cgid.cli.answer_rows import AnswerLines, RecordingRows
+from cgid.cli.answer_rows import AnswerLines
 from cgid.cli.answering import Models, model_option, settings_of, settings_with_coal
 from cgid.cli.help import Command
 from cgid.cli.options import PATH, json_option
@@ -35,15 +30,6 @@ if TYPE_CHECKING:
     from cgid.identification.prediction.pasts import Pasts
     from cgid.identification.training.manifest import Manifest
     from cgid.plant import PlantOutputs
-
-#: Maximum amount of data in the queue [bytes].
-MAX_WAITING = 128 << 20
-#: Maximum amount of data taken at once [bytes], because processing takes many times more memory.
-MAX_READ = 8 << 20
-#: Short blocks are joined for at most this time [s].
-_TIMEOUT = 0.1
-#: Maximum number of lines that wait for the reader of stdout, and after which time it has none [s].
-MAX_LINES, UNREAD = 10_000, 5.0
 
 
 class UnbufferedInput:
@@ -63,177 +49,6 @@ class UnbufferedInput:
     def read1(self, size: int) -> bytes:
         """Return the available bytes, at most this many; none at the end."""
         return os.read(self._descriptor, size)
-
-
-class Inbox:
-    """Read blocks (n_channels, n_samples) in a separate thread, so that the stream continues meanwhile."""
-
-    # An exception of `blocks` is raised for the consumer, after the blocks before it. If more than `max_waiting` bytes
-    # wait, the source has to wait, too (`is_held_up`).
-
-    def __init__(self, blocks: Iterable[NDArray[Any]], sampling_rate: float, max_waiting: int = MAX_WAITING) -> None:
-        self._blocks, self._rate, self._most = blocks, sampling_rate, max_waiting
-        self._changed = Condition()
-        self._waiting: deque[NDArray[Any]] = deque()
-        self._n_waiting = self._size = 0
-        self._ended = False
-        self._fault: BaseException | None = None
-        self._begun = time.monotonic()
-        self.n_taken = 0
-        self.is_held_up = False
-        self._waiting_since: float | None = None
-        #: A time [s], and a function that is called once with the time without samples when they pause for so long.
-        self.on_pause: tuple[float, Callable[[float], object]] | None = None
-
-    def __iter__(self) -> Iterator[NDArray[Any]]:
-        """Yield all waiting blocks, joined, as soon as there are some; may be called once."""
-        Thread(target=self._read, daemon=True).start()
-        while (block := self._next()) is not None:
-            self.n_taken += block.shape[1]
-            yield block
-        if self._fault is not None:
-            raise self._fault
-
-    @property
-    def behind(self) -> float:
-        """Delay of the answers relative to the stream [s], at most the duration of the waiting samples."""
-        # A stream faster than real time is not live, so it is also at most the lead of the clock over the samples
-        # taken.
-        return max(min(self._n_waiting / self._rate, self._clock - self.n_taken / self._rate), 0.0)
-
-    @property
-    def waited(self) -> float:
-        """Time for which samples have been waited for [s]; 0 while there are some."""
-        since = self._waiting_since
-        return 0.0 if since is None else time.monotonic() - since
-
-    @property
-    def _clock(self) -> float:
-        return time.monotonic() - self._begun
-
-    def _read(self) -> None:
-        try:
-            for block in self._blocks:
-                with self._changed:
-                    self.is_held_up = self.is_held_up or self._size > self._most
-                    self._changed.wait_for(lambda: self._size <= self._most)
-                    self._waiting.append(block)
-                    self._n_waiting += block.shape[1]
-                    self._size += block.nbytes
-                    self._changed.notify_all()
-        except BaseException as error:  # raised again for the consumer
-            self._fault = error
-        finally:
-            with self._changed:
-                self._ended = True
-                self._changed.notify_all()
-
-    def _next(self) -> NDArray[Any] | None:
-        """Return the waiting blocks as one, None at the end."""
-        self._wait()
-        from cgid.recordings.live import SHORTEST
-
-        with self._changed:
-            self._changed.wait_for(lambda: self._ended or self._n_waiting >= SHORTEST * self._rate, _TIMEOUT)
-            blocks, size = [], 0
-            while self._waiting and size < MAX_READ:
-                blocks.append(self._waiting.popleft())
-                size += blocks[-1].nbytes
-            self._n_waiting -= sum(block.shape[1] for block in blocks)
-            self._size -= size
-            self._changed.notify_all()
-        if not blocks:
-            return None
-        return blocks[0] if len(blocks) == 1 else np.concatenate(blocks, axis=1)
-
-    def _wait(self) -> None:
-        """Wait for the next block or the end."""
-        is_told, self._waiting_since = self.on_pause is None, time.monotonic()
-        while True:
-            with self._changed:  # with a timeout, so that an interruption is noticed
-                if self._changed.wait_for(lambda: self._waiting or self._ended, 0.5):
-                    self._waiting_since = None
-                    return
-            if self.on_pause is not None and not is_told and self.waited >= self.on_pause[0]:
-                is_told = True
-                self.on_pause[1](self.waited)
-
-
-class Outbox(AbstractContextManager[None]):
-    """Write lines to a descriptor in a separate thread, so that a reader who is away holds up nothing else.
-
-    As long as somebody reads, `put` waits for a place; else the oldest line makes room. What is lost is told once, and
-    when it goes on.
-    """
-
-    def __init__(self, descriptor: int, say: Callable[[str], object], max_waiting: int = MAX_LINES) -> None:
-        self._descriptor, self._say, self._most = descriptor, say, max_waiting
-        self._changed = Condition()
-        self._waiting: deque[bytes] = deque()
-        self._thread = Thread(target=self._write, daemon=True)
-        self._written_at, self._is_writing, self._ended = time.monotonic(), False, False
-        self._fault, self._n_lost = "", 0
-
-    def __enter__(self) -> None:
-        self._thread.start()
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
-        with self._changed:
-            self._ended, self._written_at = True, time.monotonic()  # a last time to read
-            self._changed.notify_all()
-        while self._thread.is_alive() and self._is_read:
-            self._thread.join(_TIMEOUT)
-        n_lost = self._n_lost + len(self._waiting) + self._is_writing
-        if n_lost:
-            self._say(f"stdout: {n_lost} of its lines are lost")
-
-    @property
-    def _is_read(self) -> bool:
-        return not self._is_writing or time.monotonic() - self._written_at < UNREAD
-
-    def put(self, line: str) -> None:
-        """Queue a line."""
-        with self._changed:
-            while len(self._waiting) >= self._most and self._is_read:
-                self._changed.wait(_TIMEOUT)
-            if len(self._waiting) >= self._most:
-                self._waiting.popleft()
-                self._n_lost += 1
-            self._waiting.append(f"{line}\n".encode(errors="backslashreplace"))
-            self._changed.notify_all()
-        if not self._is_read:
-            self._tell(f"nobody has read it for {UNREAD:g} s; {self._most} lines wait at most, all other outputs go on")
-
-    def _tell(self, fault: str) -> None:
-        """Say what is wrong, once; empty: that nothing is any more."""
-        if fault != self._fault:
-            self._fault = fault
-            self._say(f"stdout: {fault or f'its lines are written again, {self._n_lost} are lost'}")
-
-    def _write(self) -> None:
-        while True:
-            with self._changed:
-                self._changed.wait_for(lambda: self._waiting or self._ended)
-                if not self._waiting:
-                    return
-                line, self._is_writing = self._waiting.popleft(), True
-                self._written_at = time.monotonic()
-            fault = ""
-            try:
-                while line:
-                    line = line[os.write(self._descriptor, line) :]
-            except OSError as error:
-                fault = f"{error.strerror}, so its lines are lost; all other outputs go on"
-                self._n_lost += 1
-            with self._changed:
-                self._is_writing = False
-                self._changed.notify_all()
-            if fault or self._fault:
-                self._tell(fault)
-
-
-#: Maximum delay of predictions that keep up [s].
-_BEHIND = 1.0
 
 
 @click.command(
@@ -291,7 +106,7 @@ def monitor(
     stated = Chain.of(**reading.chain)
     _require_cycles(cycle_by, stream, settings, outputs)
     table_of_coal = None if labelled is None else read_manifest(labelled)
-    with _plant_outputs(outputs) as listener, _opened(stream) as file, _outbox(is_needed=listener is not None):
+    with _plant_outputs(outputs) as listener, _opened(stream) as file, _stdout_beside(listener):
         source = "stdin" if stream == "-" else stream
         live = live_stream(
             file,
@@ -305,7 +120,7 @@ def monitor(
         )
         settings = replace(settings, same_beam=settings.same_beam or live.beams)
         with TableOutput() as table:
-            lines = AnswerLines(as_json, table, live=True, clock=clock, listener=listener)
+            lines = AnswerLines(as_json, table, live=True, clock=clock)
             pasts = partial(Pasts.of_site, site, sampling_rate=live.sampling_rate, renew=renew)
             _follow(live, models, settings, lines, pasts, listener, cycle_by, table_of_coal)
 
@@ -323,19 +138,26 @@ def _require_cycles(by: str | None, stream: str, settings: PredictionSettings, o
 
 
 @contextmanager
-def _outbox(*, is_needed: bool) -> Iterator[None]:
-    """Let stdout hold up no other output, if there is one."""
-    try:
+def _stdout_beside(outputs: PlantOutputs | None) -> Iterator[None]:
+    """Let stdout hold up no other output, if there are any."""
+    descriptor = None
+    with suppress(OSError, ValueError):  # of a program that runs this command in itself
         descriptor = sys.stdout.fileno()
-    except (OSError, ValueError):  # of a program that runs this command in itself
-        is_needed = False
-    if not is_needed:
+    if outputs is None or descriptor is None:
         yield
         return
+    from cgid.plant.output import Stdout
+
     sys.stdout.flush()
-    outbox = Outbox(descriptor, warn)
-    with outbox, lines_taken(outbox.put):
-        yield
+    stdout = Stdout(descriptor, warn)
+    outputs.plant.outputs.append(stdout)
+    stdout.start()
+    try:
+        with lines_taken(stdout.put):
+            yield
+    finally:
+        stdout.request_end()
+        stdout.wait(0.0)
 
 
 def _plant_outputs(given: dict[str, str]) -> AbstractContextManager[PlantOutputs | None]:
@@ -361,6 +183,8 @@ def _follow(
     from cgid.cli.hints import NextSteps
     from cgid.identification.prediction.findings import Finding
     from cgid.identification.prediction.pipeline import Pipeline
+    from cgid.identification.prediction.records import RecordingRows
+    from cgid.recordings.live import Inbox
 
     def warned(text: str) -> None:
         lines.finding(live.source, Finding(kind="reading", fields={"text": text}))
@@ -369,26 +193,17 @@ def _follow(
     names = [channel.name for channel in live.channels]
     if labelled is not None:
         settings = settings_with_coal(settings, labelled, live.source, live.channels, model)
-    inbox, delay = Inbox(live, live.sampling_rate), DelayReport(live.source, lines)
+    inbox = Inbox(live.sampling_rate)
     # A stream is over when the next command runs: that is for a recording of it.
     file = live.source if live.is_wav and Path(live.source).is_file() else "RECORDING"
     beams = beam_words(map("+".join, settings.same_beam))
     rate = live.sampling_rate
     pipeline = Pipeline(model, live.channels, rate, settings, live.source, live=True, pasts=pasts(model))
     steps = NextSteps(pipeline.diagnosis, rate, file, given_options()[0], beams, channels=names)
-    rows = RecordingRows(pipeline, lines, steps)
+    rows = RecordingRows(pipeline, lines, steps.of)
     inbox.on_pause = settings.blinded_after, rows.stopped
     if outputs is not None:
-        outputs.begin(
-            source=live.source,
-            channels=rows.channels,
-            rows=names,
-            unit=model.unit,
-            threshold=rows.threshold,
-            behind=lambda: inbox.behind,
-            blind_after=settings.blinded_after,
-            waited=lambda: inbox.waited,
-        )
+        rows.attach(outputs, inbox)
 
     def begun(name: str) -> None:
         assert pipeline.watch is not None
@@ -404,11 +219,10 @@ def _follow(
         outputs.listen(begun)
     elif cycle_by == "stdin" and sys.stdin is not None:
         Thread(target=_each_line, args=(sys.stdin.fileno(), begun), daemon=True).start()
-    watching = None if outputs is None else partial(outputs.monitored_blocks, sampling_rate=live.sampling_rate)
+    inbox.read(live)
     try:
-        for step in pipeline.steps(inbox, measured=watching):
-            rows.feed(step)
-            delay.see(inbox)
+        for _ in rows.steps(inbox):
+            pass
     finally:
         for warning in live.warnings:
             warned(warning)
@@ -426,28 +240,6 @@ def _each_line(descriptor: int, take: Callable[[str], object]) -> None:
             take(line.decode(errors="replace"))
     if rest:
         take(rest.decode(errors="replace"))
-
-
-class DelayReport:
-    """Report the delay of the answers when it grows, and when it is over."""
-
-    def __init__(self, source: str, lines: AnswerLines) -> None:
-        self._source, self._lines = source, lines
-        self._reported_at = 0.0
-        self._is_held_up = False
-
-    def see(self, inbox: Inbox) -> None:
-        """Check the queue and report a change."""
-        behind = inbox.behind
-        if behind >= max(_BEHIND, 2 * self._reported_at):
-            self._reported_at = behind
-            self._lines.delay(self._source, behind, "predictions are slower than the stream; nothing is dropped")
-        elif self._reported_at and behind < _BEHIND / 2:
-            self._reported_at = 0.0
-            self._lines.delay(self._source, behind, "the predictions have caught up with the stream")
-        if inbox.is_held_up and behind and not self._is_held_up:
-            self._is_held_up = True
-            self._lines.delay(self._source, behind, "memory is full: the source of the stream has to wait")
 
 
 @contextmanager

@@ -20,6 +20,7 @@ from typing import Any, TextIO
 import click
 
 from cgid._lib.terminal import printable
+from cgid._lib.validation import finite
 from cgid.errors import INTERRUPTIONS, CannotCreate, CgidError, InvalidValue, WriteFailed
 
 #: Version of the lines of --json.
@@ -179,15 +180,6 @@ def print_json(content: dict[str, Any], version: int = JSON_VERSION) -> None:
     """Print one object as a line of JSON; values that are not finite become null."""
     # JSON escapes all other control characters, and all characters that are not ASCII.
     say(json.dumps({"version": version, **finite(content)}).replace("\x7f", "\\u007f"))
-
-
-def finite(value: Any) -> Any:
-    """Return a value for JSON, with null for every number in it that is not finite."""
-    if isinstance(value, dict):
-        return {key: finite(item) for key, item in value.items()}
-    if isinstance(value, list):
-        return [finite(item) for item in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 @contextmanager

@@ -14,7 +14,7 @@ import click
 
 from cgid import shipped
 from cgid._lib.terminal import counted
-from cgid.cli.answer_rows import AnswerLines, RecordingRows
+from cgid.cli.answer_rows import AnswerLines
 from cgid.cli.answering import Models, model_option, settings_of, settings_with_coal
 from cgid.cli.help import Command
 from cgid.cli.options import OUTPUT, PATH, json_option
@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from cgid.identification.model.model import StoredModel
     from cgid.identification.prediction import Answer, PredictionSettings
     from cgid.identification.prediction.findings import Finding
+    from cgid.identification.prediction.records import RecordingRows
     from cgid.identification.training.manifest import Manifest
     from cgid.measure.overview import Overview
     from cgid.plots.report import Report
@@ -110,6 +111,7 @@ class _Prediction:
         """Print the predictions for the channels of a recording that use this model."""
         from cgid.cli.hints import NextSteps
         from cgid.identification.prediction.pipeline import Pipeline
+        from cgid.identification.prediction.records import RecordingRows
 
         source, rate = recording.source, recording.sampling_rate
         channels = [recording.channels[number] for number in numbers]
@@ -141,7 +143,7 @@ class _Prediction:
 
             channels = channels[:MAX_CHANNELS]
             pictures = OverviewStream(rate, len(channels))
-        rows = RecordingRows(pipeline, self.lines, steps, keep=pictures is not None)
+        rows = RecordingRows(pipeline, self.lines, steps.of, keep=pictures is not None)
         with progress_bar(recording.n_samples, "samples", "predicting") as progress:
             seen = 0
             for step in pipeline.steps(blocks, marked=None if pictures is None else pictures.watching):

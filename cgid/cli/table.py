@@ -13,8 +13,9 @@ from typing import Any, NamedTuple
 import click
 
 from cgid._lib.terminal import counted, spreadsheet_cell
+from cgid._lib.validation import finite
 from cgid.cli.options import OUTPUT, overwrite_option
-from cgid.cli.output import finite, say
+from cgid.cli.output import say
 from cgid.errors import BadData
 from cgid.units import Column
 

@@ -11,7 +11,6 @@ from contextlib import suppress
 from threading import Condition, Lock, Thread
 from typing import Any, NamedTuple
 
-from cgid._lib.terminal import counted
 from cgid.errors import CannotCreate, InvalidValue
 
 #: Maximum number of clients of a server; after one was disconnected, the next is accepted after this time [s], so that
@@ -19,8 +18,6 @@ from cgid.errors import CannotCreate, InvalidValue
 MAX_CLIENTS, _PAUSE_AFTER_EVICTION = 10, 0.01
 #: An equal line about an output is repeated after this time [s].
 _REPEAT = 3600.0
-#: Displaced clients are reported after this time, doubling up to `_REPEAT` [s], so that they cannot flood stderr.
-_FIRST_REPORT = 10.0
 
 
 class Service:
@@ -38,8 +35,9 @@ class Service:
         raise NotImplementedError
 
     def start(self) -> None:
-        """Start the thread."""
-        self._thread.start()
+        """Start the thread, if it has not been."""
+        if self._thread.ident is None:
+            self._thread.start()
 
     def request_end(self) -> None:
         """Tell the thread to stop; returns at once."""
@@ -153,8 +151,7 @@ class _Listener(socketserver.ThreadingTCPServer):
     ) -> None:
         socketserver.BaseServer.__init__(self, listening.getsockname(), handler)
         self.socket, self._timeout, self._report = listening, timeout, report
-        self._displaced = self._reported = 0
-        self._report_at, self._pause = 0.0, _FIRST_REPORT
+        self._is_crowded = False
         self._clients: dict[socket.socket, tuple[Thread, float]] = {}  # with the time of the last complete request
         self._lock = Lock()
 
@@ -179,7 +176,7 @@ class _Listener(socketserver.ThreadingTCPServer):
             before = None if oldest is None else self._clients[oldest][0]
         if oldest is not None and before is not None:
             _disconnect(oldest)
-            self._displaced += 1
+            self._is_crowded = True
             before.join(1.0)
             time.sleep(_PAUSE_AFTER_EVICTION)
         thread = Thread(target=self.process_request_thread, args=(request, client_address), daemon=True)
@@ -188,7 +185,7 @@ class _Listener(socketserver.ThreadingTCPServer):
             if not refused:
                 self._clients[request] = thread, time.monotonic()
         if refused:
-            self._displaced += 1
+            self._is_crowded = True
             self.shutdown_request(request)
         else:
             thread.start()
@@ -198,13 +195,11 @@ class _Listener(socketserver.ThreadingTCPServer):
 
     def service_actions(self) -> None:
         """Disconnect clients that complete no request, and report displaced ones; called five times a second."""
-        if self._displaced > self._reported and since(self._report_at) >= 0:
-            self._reported = self._displaced
-            self._report_at, self._pause = time.monotonic() + self._pause, min(2 * self._pause, _REPEAT)
-            clients = counted(self._reported, "client")
+        if self._is_crowded:
+            self._is_crowded = False
             self._report(
-                f"{clients} disconnected since the start, each for a newer one: at most {MAX_CLIENTS} at a time; let "
-                "some disconnect after each request, or stop those that are not needed"
+                f"at most {MAX_CLIENTS} clients at a time, a newer one takes the place of another; let some disconnect "
+                "after each request, or stop those that are not needed"
             )
         with self._lock:
             late = [one for one, (_, at) in self._clients.items() if time.monotonic() - at > self._timeout]

@@ -1,7 +1,8 @@
-"""The outputs of `cgid monitor`: its predictions in the protocols of a plant."""
+"""The outputs of `cgid monitor` and `cgid.Monitor`: what they tell, in the protocols of a plant."""
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Iterable, Iterator
 from types import TracebackType
 from typing import Any
@@ -15,9 +16,28 @@ from cgid.plant.state import PlantState, Waveform
 
 __all__ = ["PlantOutputs"]
 
+_LOGGER = logging.getLogger("cgid")
+
 
 class PlantOutputs:
-    """All outputs of one `cgid monitor`; the context starts and ends them."""
+    """All outputs of one live stream: of `cgid monitor`, or of `cgid.Monitor`, which starts and ends them.
+
+    Parameters
+    ----------
+    mqtt : str, optional
+        Publish each record below ``mqtt://HOST[:PORT]/TOPIC``.
+    modbus, prometheus, live : str, optional
+        Serve registers, metrics or a page at ``[HOST]:PORT``; the page may be a file ``.html``.
+    on_shut, on_open, on_blind : str, optional
+        Commands that run at each SHUT, at each OPEN, and when a support is no longer seen.
+    warn : callable
+        Gets each line about an output, by default the logger ``cgid``.
+
+    Raises
+    ------
+    InvalidValue, NoInput, BadData, CannotCreate, MissingExtra
+        An address, a file or a command is of no use; ports are bound at once.
+    """
 
     # Each output has its own threads and a queue that drops the oldest message, so predictions never wait for it.
 
@@ -31,7 +51,7 @@ class PlantOutputs:
         on_shut: str | None = None,
         on_open: str | None = None,
         on_blind: str | None = None,
-        warn: Callable[[str], None],
+        warn: Callable[[str], None] = _LOGGER.warning,
     ) -> None:
         self.plant = plant = PlantState()
         given = {"shut": on_shut, "open": on_open, "blind": on_blind}
@@ -47,7 +67,8 @@ class PlantOutputs:
                 from cgid.plant.commands import Commands
 
                 self._services.append(Commands(self._commands, plant, warn))
-            plant.outputs = self._queues = [one for one in self._services if isinstance(one, Output)]
+            self._queues = [one for one in self._services if isinstance(one, Output)]
+            plant.outputs = [*self._queues]
             if prometheus is not None or live is not None:
                 from cgid.plant.web import web_services
 
@@ -58,20 +79,24 @@ class PlantOutputs:
 
                 self._services.append(Modbus(modbus, plant, warn))
         except BaseException:
-            self._close(0.0)
+            self.close(0.0)
             raise
 
     def __enter__(self) -> PlantOutputs:
-        for service in self._services:
-            service.start()
+        self.start()
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
-        self.plant.ended = True
-        self._close()
+        self.close()
 
-    def _close(self, grace: float = 3.0) -> None:
-        # First the outputs that send pending messages: the others show how it ended.
+    def start(self) -> None:
+        """Start those that have not been."""
+        for service in self._services:
+            service.start()
+
+    def close(self, grace: float = 3.0) -> None:
+        """End all outputs, each within this time [s]; those that send what waits first, as the others show the end."""
+        self.plant.ended = True
         for passing in (True, False):
             services = [service for service in self._services if isinstance(service, Output) is passing]
             for service in services:
@@ -87,6 +112,7 @@ class PlantOutputs:
                 f"--on-{decision} needs a model with gangue among its labels; name that of gangue by --set gangue=LABEL"
             )
         self.plant.begin(threshold=threshold, **stream)
+        self.start()
 
     def listen(self, begun: Callable[[str], object]) -> None:
         """Call a function with each message about a caving cycle that begins, from the broker."""

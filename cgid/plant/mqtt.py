@@ -69,7 +69,7 @@ class Broker(NamedTuple):
 class Mqtt(Output):
     """Messages below one topic: KIND/CHANNEL for each line; state/CHANNEL, status and wall_time retained."""
 
-    # Messages need an acknowledgement (QoS 1) and may arrive twice; their field `message` counts them.
+    # Messages need an acknowledgement (QoS 1) and may arrive twice; their field `sequence` counts them.
 
     def __init__(self, url: str, plant: PlantState, warn: Callable[[str], None]) -> None:
         self._broker = broker = Broker.of(url)
@@ -117,7 +117,7 @@ class Mqtt(Output):
         """Queue a message with its number; a line that is a record alone becomes the retained message."""
         if record["kind"] != "state":
             self._number += 1
-            record = record | {"message": self._number}
+            record = record | {"sequence": self._number}
         super().put(record)
 
     def run(self) -> None:

@@ -118,17 +118,17 @@ class PlantState:
         rows: Sequence[str],
         unit: str,
         threshold: float | None,
-        behind: Callable[[], float],
+        behind: Callable[[], float] | None = None,
         blind_after: float = 5.0,
         waited: Callable[[], float] | None = None,
     ) -> None:
-        """Set the supports (`channels`), the rows of the blocks, and a function for the delay [s].
+        """Set the supports (`channels`), the rows of the blocks, and a function for the delay [s], if it is known.
 
         A stream has stopped that has been waited for longer than `blind_after` [s], by default since its last block.
         """
         with self._lock:
             self.source, self.unit, self.rows, self.threshold = source, unit, tuple(rows), threshold
-            self._behind, self._blind_after = behind, blind_after
+            self._behind, self._blind_after = behind or self._behind, blind_after
             self._waited = waited or self._waited
             self._beaten_at = time.monotonic()
             self.supports = {name: Support.of(name) for name in channels}

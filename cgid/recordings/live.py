@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+import time
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
+from threading import Condition, Thread
 from typing import TYPE_CHECKING, Any, BinaryIO, NamedTuple
 
 import numpy as np
@@ -24,6 +27,10 @@ if TYPE_CHECKING:
 
 #: Blocks are joined up to this duration [s], because short ones are inefficient.
 SHORTEST = 0.05
+#: Short blocks of a stream that pauses wait for at most this time [s].
+_PATIENCE = 0.1
+#: Maximum amount of data that waits, and that is taken at once [bytes]: processing takes many times more memory.
+MAX_WAITING, MAX_READ = 128 << 20, 8 << 20
 #: Most numbers to read from the stream at once.
 _MAX_NUMBERS = 1 << 16
 #: Number of bytes that tell a text from numbers of more than one byte each.
@@ -168,6 +175,127 @@ def live_stream(
         warnings=contents.warnings,
         **about,
     )
+
+
+class Inbox:
+    """Blocks (n_channels, n_samples) of a live stream that wait until they are taken, by one thread, joined."""
+
+    # If more than `max_waiting` bytes wait, the source has to wait, too. Fewer samples than `SHORTEST`
+    # are taken after `patience` [s], if any, or at the end.
+
+    def __init__(
+        self, sampling_rate: float, *, max_waiting: int = MAX_WAITING, patience: float | None = _PATIENCE
+    ) -> None:
+        self._rate, self._most, self._patience = sampling_rate, max_waiting, patience
+        self._changed = Condition()
+        self._waiting: deque[NDArray[Any]] = deque()
+        self._n_waiting = self._size = 0
+        self._ended = self._is_asked = self._is_closed = False
+        self._fault: BaseException | None = None
+        self._begun = time.monotonic()
+        self.n_given = self.n_taken = 0
+        self._waiting_since: float | None = None
+        #: A time [s], and a function that is called once with the time without samples when they pause for so long.
+        self.on_pause: tuple[float, Callable[[float], object]] | None = None
+
+    def read(self, blocks: Iterable[NDArray[Any]]) -> None:
+        """Take all blocks, in a thread of its own; an exception of theirs is raised where they are taken."""
+        Thread(target=self._read, args=(blocks,), daemon=True).start()
+
+    def put(self, block: NDArray[Any]) -> None:
+        """Add the next block; wait while memory is full."""
+        with self._changed:
+            self._changed.wait_for(lambda: self._size <= self._most or self._is_closed)
+            self._waiting.append(block)
+            self._n_waiting += block.shape[1]
+            self.n_given += block.shape[1]
+            self._size += block.nbytes
+            self._changed.notify_all()
+
+    def end(self) -> None:
+        """State that no block follows."""
+        with self._changed:
+            self._ended = True
+            self._changed.notify_all()
+
+    def close(self) -> None:
+        """State that no block is taken any more."""
+        with self._changed:
+            self._is_closed = True
+            self._changed.notify_all()
+
+    def wait_until_idle(self) -> None:
+        """Wait until who takes them asks for more than there is, or takes none any more."""
+        with self._changed:
+            self._changed.wait_for(lambda: self._is_closed or (self._is_asked and not self._is_enough()))
+
+    def __iter__(self) -> Iterator[NDArray[Any]]:
+        """Yield all waiting blocks, joined, as soon as there are enough; may be called once."""
+        while (block := self._next()) is not None:
+            self.n_taken += block.shape[1]
+            yield block
+        if self._fault is not None:
+            raise self._fault
+
+    @property
+    def behind(self) -> float:
+        """Delay of the answers relative to the stream [s], at most the duration of the waiting samples."""
+        # A stream faster than real time is not live, so it is also at most the lead of the clock over the samples
+        # taken.
+        return max(min(self._n_waiting / self._rate, self._clock - self.n_taken / self._rate), 0.0)
+
+    @property
+    def waited(self) -> float:
+        """Time for which samples have been waited for [s]; 0 while there are some."""
+        since = self._waiting_since
+        return 0.0 if since is None else time.monotonic() - since
+
+    @property
+    def _clock(self) -> float:
+        return time.monotonic() - self._begun
+
+    def _is_enough(self) -> bool:
+        return self._ended or self._n_waiting >= SHORTEST * self._rate
+
+    def _read(self, blocks: Iterable[NDArray[Any]]) -> None:
+        try:
+            for block in blocks:
+                self.put(block)
+        except BaseException as error:  # raised again for the consumer
+            self._fault = error
+        finally:
+            self.end()
+
+    def _next(self) -> NDArray[Any] | None:
+        """Return the waiting blocks as one, None at the end."""
+        self._wait()
+        with self._changed:
+            self._changed.wait_for(self._is_enough, self._patience)
+            self._is_asked = False
+            blocks, size = [], 0
+            while self._waiting and size < MAX_READ:
+                blocks.append(self._waiting.popleft())
+                size += blocks[-1].nbytes
+            self._n_waiting -= sum(block.shape[1] for block in blocks)
+            self._size -= size
+            self._changed.notify_all()
+        if not blocks:
+            return None
+        return blocks[0] if len(blocks) == 1 else np.concatenate(blocks, axis=1)
+
+    def _wait(self) -> None:
+        """Wait for the next block or the end."""
+        is_told, self._waiting_since = self.on_pause is None, time.monotonic()
+        while True:
+            with self._changed:  # with a timeout, so that an interruption is noticed
+                self._is_asked = True
+                self._changed.notify_all()
+                if self._changed.wait_for(lambda: self._waiting or self._ended, 0.5):
+                    self._waiting_since = None
+                    return
+            if self.on_pause is not None and not is_told and self.waited >= self.on_pause[0]:
+                is_told = True
+                self.on_pause[1](self.waited)
 
 
 class Described(NamedTuple):

@@ -6,9 +6,9 @@ import weakref
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from threading import Condition, RLock, Thread
+from threading import RLock, Thread
 from types import TracebackType
-from typing import Any, NoReturn, Self
+from typing import TYPE_CHECKING, Any, NoReturn, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -20,13 +20,17 @@ from cgid.identification.model.model import Model
 from cgid.identification.prediction.answers import Answer
 from cgid.identification.prediction.findings import Finding
 from cgid.identification.prediction.pipeline import Pipeline
+from cgid.identification.prediction.records import RecordingRows, Records
 from cgid.identification.prediction.settings import PredictionSettings
 from cgid.identification.prediction.stream import Step
 from cgid.identification.prediction.support import STEPS, SupportReport, SupportState
 from cgid.recordings.chain import Chain, Statement, scaled
-from cgid.recordings.live import SHORTEST, contents_of, described
+from cgid.recordings.live import Inbox, contents_of, described
 from cgid.recordings.site import NOWHERE, Site
 from cgid.recordings.variables import full_scale_of
+
+if TYPE_CHECKING:
+    from cgid.plant import PlantOutputs
 
 __all__ = ["Monitor", "News"]
 
@@ -62,7 +66,8 @@ class News:
 class Monitor:
     """Identify the impacts of a live stream block by block, and decide when to shut, as `cgid monitor` does.
 
-    What is told of the same samples does not depend on the lengths of the blocks. Methods may be called in any thread;
+    What is told of the same samples does not depend on the lengths of the blocks, but for last digits: on a beam they
+    choose another optimum for some two impacts in a thousand. Methods may be called in any thread;
     one call runs at a time. `feed` takes as long as its samples need, some hundredth of their duration for a channel: a
     callback that must return at once puts its blocks into a `queue.Queue`, from which another thread feeds.
 
@@ -85,6 +90,9 @@ class Monitor:
         Name of the stream in messages.
     renew : bool
         Whether the next impacts of each channel replace its own past, which is kept in a file beside the site's.
+    outputs : PlantOutputs, optional
+        Plant outputs, such as ``cgid.plant.PlantOutputs(live=":8080")``: they get what `cgid monitor` gives them, and
+        end with the context.
     **settings
         Fields of `cgid.identification.prediction.PredictionSettings`, such as ``coal_until=30.0``.
 
@@ -106,7 +114,7 @@ class Monitor:
     (1, 0.04)
     """
 
-    def __init__(
+    def __init__(  # noqa: PLR0913 - as open_recording
         self,
         sampling_rate: float | None = None,
         channels: int | Sequence[str] | None = None,
@@ -119,6 +127,7 @@ class Monitor:
         full_scale: Statement | None = None,
         source: str = "stream",
         renew: bool = False,
+        outputs: PlantOutputs | None = None,
         **settings: Any,
     ) -> None:
         from cgid.identification.prediction.pasts import Pasts
@@ -146,11 +155,14 @@ class Monitor:
         self.source = source
         pasts = Pasts.of_site(place, loaded, self.sampling_rate, renew=renew)
         self._pipeline = Pipeline(loaded, self._channels, self.sampling_rate, applied, source, live=True, pasts=pasts)
-        self._waiting: list[NDArray[Any]] = []
+        self._inbox = Inbox(self.sampling_rate, patience=None)
+        self._rows, self._outputs = RecordingRows(self._pipeline, Records()), outputs
+        if outputs is not None:
+            self._rows.attach(outputs, self._inbox)
         self._until = 0.0
         self._has_integers, self._is_over, self._lock = full_scale is not None, False, RLock()
-        self._pump = _Pump(self._pipeline.steps)
-        weakref.finalize(self, self._pump.close)
+        self._pump = _Pump(self._rows.steps, self._inbox)
+        weakref.finalize(self, self._inbox.end)
 
     @property
     def supports(self) -> tuple[str, ...]:
@@ -160,8 +172,7 @@ class Monitor:
     @property
     def duration(self) -> float:
         """Duration of the samples that were fed [s]."""
-        n_waiting = sum(block.shape[1] for block in self._waiting)
-        return float((self._pipeline.n_seen + n_waiting) / self.sampling_rate)
+        return self._inbox.n_given / self.sampling_rate
 
     @property
     def states(self) -> list[SupportState]:
@@ -177,10 +188,8 @@ class Monitor:
         with self._lock:
             if self._is_over:
                 self._refuse()
-            self._waiting.append(self._taken(block))
-            if sum(one.shape[1] for one in self._waiting) < SHORTEST * self.sampling_rate:
-                return News(answers=[], reports=[], findings=[], until=self._until)
-            return self._news(self._pump.feed(self._joined()))
+            self._inbox.put(self._taken(block))
+            return self._news(self._pump.taken())
 
     def finish(self) -> News:
         """Return what is new at the end of the stream.
@@ -191,16 +200,15 @@ class Monitor:
             if self._is_over:
                 self._refuse()
             self._is_over = True
-            steps = self._pump.feed(self._joined()) if self._waiting else []
-            steps += self._pump.finish()
-            news = self._news([*steps, self._pipeline.finish()])
+            self._inbox.end()
+            news = self._news([*self._pump.taken(), self._rows.finish()])
             self._pipeline.require()
             return news
 
     def stopped(self, seconds: float) -> News:
         """Return what is new where no samples have come for some time [s]: nothing is decided until they come."""
         with self._lock:
-            return self._news([self._pipeline.stopped(f"no samples have arrived for {seconds:.0f} s")])
+            return self._news([self._rows.stopped(seconds)])
 
     def begin_cycle(self, support: str = "") -> None:
         """Begin a caving cycle now, with coal of its own: of a support, or of all."""
@@ -209,10 +217,12 @@ class Monitor:
                 self._pipeline.watch.begin_cycle(self.duration, support)
 
     def close(self) -> None:
-        """End without the last news; the context does so, too."""
+        """End without the last news, and end the outputs; the context does so, too."""
         with self._lock:
             self._is_over = True
-            self._pump.close()
+            self._inbox.end()
+            if self._outputs is not None:
+                self._outputs.close()
 
     def __enter__(self) -> Self:
         return self
@@ -231,19 +241,17 @@ class Monitor:
                 f"{self.source}: a block must be (n_samples, {len(self._channels)}), got shape {np.shape(block)}"
             )
         if samples.dtype.kind == "f":
-            return np.array(samples.T, order="C")
+            return self._scaled(np.array(samples.T, order="C"))
         largest = full_scale_of(samples.dtype) if self._has_integers else None
         if largest is None:
             raise BadData(
                 f"{self.source}: a block must be of floats, or with full_scale of 8 or 16 bit integers, got "
                 f"{samples.dtype}"
             )
-        return np.ascontiguousarray(samples.T / largest)
+        return self._scaled(np.ascontiguousarray(samples.T / largest))
 
-    def _joined(self) -> NDArray[Any]:
-        waiting, self._waiting = self._waiting, []
-        joined = waiting[0] if len(waiting) == 1 else np.concatenate(waiting, axis=1)
-        (block,) = scaled([joined], self._factors)
+    def _scaled(self, samples: NDArray[Any]) -> NDArray[Any]:
+        (block,) = scaled([samples], self._factors)
         return block
 
     def _news(self, steps: list[Step]) -> News:
@@ -257,67 +265,30 @@ class Monitor:
 
 
 class _Pump:
-    """Run steps of blocks in a thread of their own, which waits wherever they ask for the next block."""
+    """Run the steps of an inbox in a thread of their own; each call waits until they ask for more than there is."""
 
-    def __init__(self, steps: Callable[[Iterator[NDArray[Any]]], Iterator[Step]]) -> None:
-        self._changed = Condition()
-        self._block: NDArray[Any] | None = None
+    # It does not know its monitor, which may be forgotten without its end.
+
+    def __init__(self, steps: Callable[[Inbox], Iterator[Step]], inbox: Inbox) -> None:
+        self._inbox = inbox
         self._steps: list[Step] = []
-        self._is_hungry, self._is_ending, self._is_done = False, False, False
         self._fault: BaseException | None = None
         Thread(target=self._run, args=(steps,), daemon=True).start()
 
-    def feed(self, block: NDArray[Any]) -> list[Step]:
-        """Return the steps of a block."""
-        with self._changed:
-            self._changed.wait_for(self._is_waiting)
-            self._block = block
-        return self._taken()
-
-    def finish(self) -> list[Step]:
-        """Return the steps of the end."""
-        self.close()
-        with self._changed:
-            self._changed.wait_for(lambda: self._is_done)
-        return self._taken()
-
-    def close(self) -> None:
-        """Let the thread end."""
-        with self._changed:
-            self._is_ending = True
-            self._changed.notify_all()
-
-    def _is_waiting(self) -> bool:
-        return self._is_done or (self._is_hungry and self._block is None)
-
-    def _taken(self) -> list[Step]:
-        with self._changed:
-            self._changed.notify_all()
-            self._changed.wait_for(self._is_waiting)
-            steps, self._steps = self._steps, []
-            fault, self._fault = self._fault, None
+    def taken(self) -> list[Step]:
+        """Return the steps of all samples that are enough for one."""
+        self._inbox.wait_until_idle()
+        steps, self._steps = self._steps, []
+        fault, self._fault = self._fault, None
         if fault is not None:
             raise fault
         return steps
 
-    def _blocks(self) -> Iterator[NDArray[Any]]:
-        while True:
-            with self._changed:
-                self._is_hungry = True
-                self._changed.notify_all()
-                self._changed.wait_for(lambda: self._block is not None or self._is_ending)
-                block, self._block, self._is_hungry = self._block, None, False
-            if block is None:
-                return
-            yield block
-
-    def _run(self, steps: Callable[[Iterator[NDArray[Any]]], Iterator[Step]]) -> None:
+    def _run(self, steps: Callable[[Inbox], Iterator[Step]]) -> None:
         try:
-            for step in steps(self._blocks()):
+            for step in steps(self._inbox):
                 self._steps.append(step)
         except BaseException as error:  # raised again where the block was fed
             self._fault = error
         finally:
-            with self._changed:
-                self._is_done = True
-                self._changed.notify_all()
+            self._inbox.close()
