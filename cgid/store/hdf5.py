@@ -51,10 +51,17 @@ def put_attributes(item: h5py.HLObject, values: Mapping[str, Any]) -> None:
 
 
 def put_column(
-    group: h5py.Group, name: str, length: int, dtype: Any, unit: str | None = None, *, grows: bool = False
+    group: h5py.Group,
+    name: str,
+    length: int,
+    dtype: Any,
+    unit: str | None = None,
+    *,
+    chunk: int | None = None,
+    grows: bool = False,
 ) -> h5py.Dataset:
     """Create a column with one value per row, and with the attribute `unit` unless that is None."""
-    chunks = (min(CHUNK_ROWS, max(length, 1)),)  # HDF5 does not allow empty chunks
+    chunks = (chunk or min(CHUNK_ROWS, max(length, 1)),)  # HDF5 does not allow empty chunks
     maxshape = (None,) if grows else None
     column = group.create_dataset(name, (length,), dtype, chunks=chunks, maxshape=maxshape, fletcher32=True)
     if unit is not None:
