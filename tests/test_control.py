@@ -257,6 +257,15 @@ def test_near_copies_in_other_groups_are_refused(tmp_path: Path) -> None:
     record(read_manifest(_table(tmp_path, "\n".join(one_group))))
 
 
+def test_an_exact_copy_is_refused_whatever_its_group_and_interval(tmp_path: Path) -> None:
+    lines = ["path,label,rate_Hz,unit,group,start_s,end_s"]
+    for name, span in (("a", "0,1"), ("b", "1,2")):
+        np.save(tmp_path / f"{name}.npy", np.zeros((1, 60_000), np.float32))
+        lines.append(f"{name}.npy,coal,{RATE:g},m/s^2,day,{span}")
+    with pytest.raises(BadData, match=r"b\.npy: recordings must differ"):
+        record(read_manifest(_table(tmp_path, "\n".join(lines))))
+
+
 def test_times_of_copies_and_of_other_recordings() -> None:
     rng = np.random.default_rng(3)
     for n in (8, 24, 300):
