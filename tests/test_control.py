@@ -347,6 +347,12 @@ def test_forces_and_windows_and_two_sensors_have_the_control(tmp_path: Path) -> 
     of_two = train_on_groups(written(tmp_path / "beam", FACE, two, 0)).control
     manifest = read_manifest(written(tmp_path / "window", FACE, replace(LOUD, n_files=4, n_rocks=16), 0))
     of_windows = train_on_groups(record(manifest, slicing=Slicing(by="window"))).control
+    rng, lines = np.random.default_rng(2), ["path,label,rate_Hz,unit"]
+    for k in range(4):  # no quiet moment
+        np.save(tmp_path / f"{k}.npy", np.diff(rng.normal(size=20_000), n=k % 2)[None])
+        lines.append(f"{k}.npy,{('coal', 'gangue')[k % 2]},{RATE:g},m/s^2")
+    of_flow = train_on_groups(_table(tmp_path, "\n".join(lines))).control
+    assert of_flow is not None and of_flow["why"]
     assert of_force is not None and of_two is not None and of_windows is not None
     of_two, of_windows = (one.get("before", one) for one in (of_two, of_windows))
     assert (of_force["told"], of_two["told"]) == ("", "background")
