@@ -292,6 +292,15 @@ def test_near_copies_in_other_groups_are_refused(tmp_path: Path) -> None:
     record(read_manifest(_table(tmp_path, "\n".join(one_group))))
 
 
+def test_an_exact_copy_is_refused_whatever_its_group_and_interval(tmp_path: Path) -> None:
+    lines = ["path,label,rate_Hz,unit,group,start_s,end_s"]
+    for name, span in (("a", "0,1"), ("b", "1,2")):
+        np.save(tmp_path / f"{name}.npy", np.zeros((1, 60_000), np.float32))
+        lines.append(f"{name}.npy,coal,{RATE:g},m/s^2,day,{span}")
+    with pytest.raises(BadData, match=r"b\.npy: recordings must differ"):
+        record(read_manifest(_table(tmp_path, "\n".join(lines))))
+
+
 def test_times_of_copies_and_of_other_recordings() -> None:
     rng = np.random.default_rng(3)
     for n in (8, 24, 300):
@@ -373,6 +382,12 @@ def test_forces_and_windows_and_two_sensors_have_the_control(tmp_path: Path) -> 
     of_two = train_on_groups(written(tmp_path / "beam", FACE, two, 0)).control
     manifest = read_manifest(written(tmp_path / "window", FACE, replace(LOUD, n_files=4, n_rocks=16), 0))
     of_windows = train_on_groups(record(manifest, slicing=Slicing(by="window"))).control
+    rng, lines = np.random.default_rng(2), ["path,label,rate_Hz,unit"]
+    for k in range(4):  # no quiet moment
+        np.save(tmp_path / f"{k}.npy", np.diff(rng.normal(size=20_000), n=k % 2)[None])
+        lines.append(f"{k}.npy,{('coal', 'gangue')[k % 2]},{RATE:g},m/s^2")
+    of_flow = train_on_groups(_table(tmp_path, "\n".join(lines))).control
+    assert of_flow is not None and of_flow["why"]
     assert of_force is not None and of_two is not None and of_windows is not None
     of_two, of_windows = (one.get("before", one) for one in (of_two, of_windows))
     assert (of_force["told"], of_two["told"]) == ("", "background")

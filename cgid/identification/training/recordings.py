@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
-from itertools import compress, groupby, product
+from itertools import compress, groupby
 from pathlib import Path
 from typing import Any, NamedTuple, NoReturn
 
@@ -173,23 +173,12 @@ def open_all(manifest: Manifest, reading: Reading, failures: list[CgidError]) ->
     first_with: dict[str, AnnotatedFile] = {}
     for file in files:
         first = first_with.setdefault(file.digest, file)
-        if first.annotations[0].group != file.annotations[0].group:  # one would train, the other test
+        if first.annotations[0].path != file.annotations[0].path:  # one would train, the other test
             raise BadData(
-                f"{file.recording.source}: recordings of different groups must differ, this one equals "
-                f"{first.recording.source}; remove one, or give both one group"
-            )
-        if first is not file and _overlap(first.annotations, file.annotations):
-            raise BadData(
-                f"{file.recording.source}: intervals must not overlap, this recording equals {first.recording.source}; "
-                "remove one"
+                f"{file.recording.source}: recordings must differ, this one equals {first.recording.source}; remove "
+                "one, or name one file in all rows"
             )
     return files
-
-
-def _overlap(some: Sequence[Annotation], others: Sequence[Annotation]) -> bool:
-    """Return whether two annotations of the same channels share time."""
-    pairs = product(some, others) if some[0].channels == others[0].channels else ()
-    return any(one.start < other.end and other.start < one.end for one, other in pairs)
 
 
 def annotated_blocks(file: AnnotatedFile, unit: str) -> Iterator[tuple[Annotation, Iterator[NDArray[np.floating]]]]:

@@ -672,7 +672,7 @@ def _left_out(
             **record,
             "n_train": len(recorded_rows.labels),
             "recorded": recorded,
-            **({CONTROL: control} if rows.levels_of_sources else {}),
+            **({CONTROL: control} if len(rows.background) else {}),
             LEVEL_RANGE: level_range(rows, levels),
             **({VOTE_CORRELATION: selection.vote_correlation} if rows.kind == "window" else {}),
         },
