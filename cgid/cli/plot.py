@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
     from cgid.identification.detection import Event
     from cgid.plots.recording import Mark
-    from cgid.recordings import Channel, RecordingFile
+    from cgid.recordings import RecordingFile
 
 
 @click.command(
@@ -61,13 +61,14 @@ def plot(
     """
     from cgid._lib.files import write_whole
     from cgid.identification.detection.detector import invert_hint
+    from cgid.identification.detection.ear import Ear
+    from cgid.measure.features.extraction import kind_for
     from cgid.measure.overview import OverviewStream
     from cgid.plots import picture
     from cgid.plots.figure import FORMATS, new_picture
     from cgid.plots.recording import MAX_CHANNELS, overview_figure
 
     path = new_picture(output, endings=FORMATS, overwrite=overwrite)
-    gap = reading.dead_time
     _require_order(begin, end)
     recording = _opened(file, reading)
     beams = reading.beams(recording)
@@ -78,21 +79,24 @@ def plot(
             f"{recording.source}: the first {len(channels)} of {len(recording.channels)} channels are "
             "drawn; choose with --channel"
         )
-    stream = OverviewStream(recording.sampling_rate, len(channels), recording.source)
-    finder = _Finder(recording.sampling_rate, channels, gap, begin) if events else None
+    rate, heard = recording.sampling_rate, channels if events else ()
+    marks: list[Mark] = []
+    stream = OverviewStream(rate, len(channels), recording.source)
+    ears = [(one.name, Ear(rate, kind=kind_for(one.quantity), dead_time=reading.dead_time)) for one in heard]
     for block in _between(recording, begin, end):
-        drawn = block[: len(channels)]
-        stream.feed(drawn)
-        if finder is not None:
-            finder.feed(drawn)
-    marks = [] if finder is None else finder.finish()
-    for name in [] if finder is None else finder.upside_down():
-        warn(f"{recording.source} channel {name}: no impact: {invert_hint()}")
+        stream.feed(block[: len(channels)])
+        for row, (name, ear) in enumerate(ears):
+            marks += _marks(name, ear.feed(block[[row]]).events, rate, begin)
+    for name, ear in ears:
+        marks += _marks(name, ear.feed(None).events, rate, begin)
+        if ear.is_upside_down() and all(mark.channel != name for mark in marks):
+            warn(f"{recording.source} channel {name}: no impact: {invert_hint()}")
+    marks.sort(key=lambda mark: mark.time)
     for warning in recording.warnings:
         warn(warning)
     overview = stream.overview()
     names = [channel.name for channel in recording.channels]
-    count = _n_impacts(marks, names, beams, recording.sampling_rate) if events else None
+    count = _n_impacts(marks, names, beams, rate) if events else None
     facts = _facts(recording, overview.duration, count)
     figure = overview_figure(
         overview, channels, title=Path(recording.source).name, facts=facts, marks=marks, begin=begin
@@ -113,54 +117,13 @@ def plot(
     say(f"wrote {path}", err=True)
 
 
-class _Finder:
-    """Find the impacts of each channel as pulses or vibrations, by its quantity."""
+def _marks(channel: str, events: Iterable[Event], rate: float, begin: float) -> Iterator[Mark]:
+    """Yield a mark for each impact of a channel, heard from a time on [s]."""
+    from cgid.plots.recording import Mark
 
-    def __init__(
-        self,
-        sampling_rate: float,
-        channels: Sequence[Channel],
-        dead_time: float | None,
-        begin: float,
-    ) -> None:
-        from cgid.identification.detection.ear import Ear
-        from cgid.measure.features.extraction import kind_for
-
-        self._rate, self._begin = sampling_rate, begin
-        self._ears = [
-            (channel.name, Ear(sampling_rate, kind=kind_for(channel.quantity), dead_time=dead_time))
-            for channel in channels
-        ]
-        self._marks: list[Mark] = []
-
-    def feed(self, block: NDArray[Any]) -> None:
-        """Take the next samples, (n_channels, n_samples)."""
-        for row, (name, ear) in enumerate(self._ears):
-            self._keep(name, ear.feed(block[[row]]).events)
-
-    def finish(self) -> list[Mark]:
-        """Return a mark for each impact, in order of time."""
-        for name, ear in self._ears:
-            self._keep(name, ear.feed(None).events)
-        return sorted(self._marks, key=lambda mark: mark.time)
-
-    def upside_down(self) -> list[str]:
-        """Return the channels without pulses that fall where they should rise."""
-        with_impacts = {mark.channel for mark in self._marks}
-        return [name for name, ear in self._ears if name not in with_impacts and ear.is_upside_down()]
-
-    def _keep(self, channel: str, events: Iterable[Event]) -> None:
-        from cgid.plots.recording import Mark
-
-        for event in events:
-            self._marks.append(
-                Mark(
-                    time=self._begin + event.onset / self._rate,
-                    end=self._begin + event.end / self._rate,
-                    label="overlapping impact" if event.overlapping else "impact",
-                    channel=channel,
-                )
-            )
+    for event in events:
+        label = "overlapping impact" if event.overlapping else "impact"
+        yield Mark(time=begin + event.onset / rate, end=begin + event.end / rate, label=label, channel=channel)
 
 
 def _opened(file: str, reading: ReadingOptions) -> RecordingFile:
