@@ -25,23 +25,26 @@ OWN = 25_600.0
 TEXT = (Path(__file__).parents[2] / "datasets" / "caving.toml").read_text()
 
 
-def recorded(rate: float, n: int, seed: int, limit: str, folder: Path) -> list[Path]:
+def recorded(
+    rate: float, n: int, seed: int, limit: str, folder: Path, seconds: float = 60.0, *, hum: bool = True
+) -> list[Path]:
     """Make recordings at a rate [Hz] up to a limit, with the modes that the scene has at its own."""
     text = re.sub('"25.6 kHz"', f'"{rate!r} Hz"', TEXT)
     text = text.replace('"10 kHz", order', f'"{10_000 * rate / OWN!r} Hz", order')
-    text = text.replace('"500 g"', f'"{limit}"')
-    scene = folder / f"{rate:g}.toml"
+    text = text.replace('"500 g"', f'"{limit}"').replace('duration = "60 s"', f'duration = "{seconds} s"')
+    text = text if hum else re.sub(r"(?ms)^hum = \[.*?^\]$", "", text)
+    scene = folder / f"{rate:g}-{hum}.toml"
     scene.write_text(text)
     highest = plan.highest_frequency(load_scene("caving"))
     for module in (impacts, plan, through_beam):
         module.highest_frequency = lambda _: highest
-    out = folder / f"{rate:g}"
+    out = scene.with_suffix("")
     generate_recordings(scene, out, n, seed)
     return sorted(out.glob("*.h5"))
 
 
-def judged(paths: list[Path], ratio: float = 1.0) -> tuple[float, int, str]:
-    """Return what is right of all, the number of unknown impacts, and when each recording says SHUT [s]."""
+def judged(paths: list[Path], ratio: float = 1.0) -> tuple[float, float, str]:
+    """Return what is right and what unknown of all, and when each recording says SHUT [s]."""
     right = unknown = n = 0
     shut = []
     for path in paths:
@@ -59,7 +62,7 @@ def judged(paths: list[Path], ratio: float = 1.0) -> tuple[float, int, str]:
         unknown += int((labels == "unknown")[known].sum())
         n += int(known.sum())
         shut.append(next((f"{ratio * row['time_s']:.0f}" for row in rows if row["kind"] == "shut"), "never"))
-    return right / n, unknown, " ".join(shut)
+    return right / n, unknown / n, " ".join(shut)
 
 
 def main() -> None:
@@ -79,7 +82,7 @@ def main() -> None:
                 of_rate += [(f"{rate / 1e3:g} kHz, stated {off:g} faster", 1 + off) for off in given.off]
             for name, ratio in of_rate:
                 right, unknown, shut = judged(paths, ratio)
-                print(f"| {name} | {right:.3f} | {unknown} | {shut} |", flush=True)
+                print(f"| {name} | {right:.3f} | {unknown:.3f} | {shut} |", flush=True)
 
 
 if __name__ == "__main__":
