@@ -67,10 +67,9 @@ _WORST_OF_STREAM = 0.5
 #: A mode is silent at a sensor if its shape is below this fraction of its root mean square; a sensor at nodes of more
 #: than this fraction of the modes is unusable. On a line of symmetry it is half.
 _SILENT, _MAX_SILENT = 0.02, 0.6
-#: Of a beam or sensor that changes: the part that is learned by itself, but for one impact of so many, how many times
-#: as far as permitted the evidence of the others is below, and the probability of such ranks by chance, of a recording
-#: that is explained or not.
-_PART, _JUDGED, _FOREIGN, _BY_CHANCE, _PERHAPS = 0.4, 3, 3.0, 1e-5, 0.05
+#: Of a beam or sensor that changes: how many times as far as permitted the evidence of a part is below, and the
+#: probability of such ranks by chance.
+_FOREIGN, _BY_CHANCE = 3.0, 1e-5
 #: Sensors of one beam do not place impacts so far apart [m].
 _APART = 0.05
 #: The location of a sensor is off by about this [m], and as stated within the second length.
@@ -405,7 +404,7 @@ class _Sensor:
         after, expected = (_mean(one, self.worst) for one in (self.evidence, usual))
         margin = max(_BELOW, _BELOW_SHARE * abs(expected))
         least, foreign = expected - margin, expected - _FOREIGN * margin
-        if self._changes_within(least, foreign) if after >= least else self._has_two_parts(prior, least, foreign):
+        if after >= least and self._changes_within(least, foreign):
             raise BadData(
                 f"the impacts on the beam of {self.name} must be of one beam, and of a sensor that stays: a "
                 "part of them is explained by itself, and what came before or after it is not; calibrate each part "
@@ -418,7 +417,7 @@ class _Sensor:
                 f"log-likelihood is {after:.3g} per sample ({self.before:.3g} before), expected {expected:.3g}; check "
                 f"the beam, {'the order of the channels, ' * self.together}the position of the sensor and the region "
                 f"of the impacts{' (bounces count: give the scene a [stream])' * (scene.stream is None)}, or use more "
-                "impacts, a larger start error"
+                "impacts, a larger start error, each part by itself if beam or sensor changed in between"
                 + (
                     ", or a dimension error of 3 % if the drawing may be inaccurate"
                     * (scene.panel is not None and not self.dimensions)
@@ -457,34 +456,13 @@ class _Sensor:
         n = len(self.impacts)
         parts = [np.split(self.evidence, [at]) for at in (n * np.arange(1, 20) // 20).tolist()]
         return any(
-            self._is_foreign(own, rest, least, foreign)
+            # By ranks, too: single impacts may leave far more than others.
+            mannwhitneyu(own, rest, alternative="greater").pvalue < _BY_CHANCE
+            and _mean(own, self.worst) >= least
+            and _mean(rest, self.worst) < foreign
             for before, after in parts
             for own, rest in ((before, after), (after, before))
         )
-
-    def _is_foreign(
-        self, own: Floats, rest: Floats, least: float, foreign: float, by_chance: float = _BY_CHANCE
-    ) -> bool:
-        """Return whether these impacts are explained, and the rest are surely not."""
-        # By ranks, too: single impacts may leave far more than others.
-        differ = mannwhitneyu(own, rest, alternative="greater").pvalue < by_chance
-        return bool(differ and _mean(own, self.worst) >= least and _mean(rest, self.worst) < foreign)
-
-    def _has_two_parts(self, prior: Floats, least: float, foreign: float) -> bool:
-        """Return whether the first or the last impacts explain themselves alone, and not the others."""
-        few = int(_PART * len(self.impacts))
-        every = np.arange(len(self.impacts))
-        for own, rest in (every[:few], every[few:]), (every[-few:], every[:-few]):
-            # A third is kept to judge: few impacts explain themselves on any beam.
-            kept = own % _JUDGED == 0
-            heard = replace(self.heard(placed=True), impacts=self.impacts.taken(own[~kept]))
-            alone = Learned([heard], prior)
-            alone.approach()
-            inversion = Inversion(heard.corrected(alone.places[0], alone.correction))
-            found = [evidence_of(inversion, self.impacts.taken(one))[0] for one in (own[kept], rest)]
-            if self._is_foreign(found[0], found[1], least, foreign, _PERHAPS):
-                return True
-        return False
 
 
 def _far_apart(first: _Sensor, other: _Sensor) -> bool:
