@@ -177,9 +177,9 @@ class Diagnosis:
         """Return what is wrong with the whole of a recording."""
         found = []
         for name, channel in sorted(self.channels.items()):
-            is_enough = len(channel.evidence.answers) >= LEAST_IMPACTS
-            explained = explain(channel.evidence, self.model) if is_enough else Explained()
-            own = self._of(name, channel, explained, whole=True)
+            own = list[Finding]()
+            if channel.n_answers >= LEAST_IMPACTS:
+                own = self._of(name, channel, explain(channel.evidence, self.model), whole=True)
             if not own and 2 * channel.n_unknown > channel.n_answers:
                 own = self._of_unknown(name, channel)
             found += own

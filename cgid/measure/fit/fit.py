@@ -144,11 +144,12 @@ def fit_pulses(
     n = len(samples)
     offset = np.zeros(n) if offset is None else offset
     clip_level = np.full(n, np.inf) if clip_level is None else clip_level
-    parts = []
-    for first in range(0, n, _ROWS):
-        rows = slice(first, first + _ROWS)
-        block = (samples[rows], start.rows(rows), noise[rows], offset[rows], clip_level[rows])
-        with np.errstate(all="ignore"):  # the fit of a frame without a pulse fails; `evidence` shows it
+    with np.errstate(all="ignore"):  # the fit of a frame without a pulse fails; `evidence` shows it
+        if n <= _ROWS:
+            return _fit_block(samples, start, noise, offset, clip_level, n_quiet)
+        parts = []
+        for rows in (slice(first, first + _ROWS) for first in range(0, n, _ROWS)):
+            block = (samples[rows], start.rows(rows), noise[rows], offset[rows], clip_level[rows])
             parts.append(_fit_block(*block, rows_of(n_quiet, rows)))
     return PulseFit.joined(parts)
 
@@ -185,8 +186,9 @@ def _fit_block(
             parts.append(window)
     guess[:, 0] /= unit
     problems = Problems(parts)
+    result = results[0][1] if len(results) == 1 else SearchResult.joined(results)
     best = search_nearby(problems, guess, sigma / np.sqrt(problems.averaged), np.arange(n))
-    return _report(problems, best, sigma, noise_over_peak, unit, SearchResult.joined(results), reach)
+    return _report(problems, best, sigma, noise_over_peak, unit, result, reach)
 
 
 def _report(
