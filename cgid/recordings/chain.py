@@ -235,7 +235,10 @@ class Chain:
     ) -> Chain:
         """Return the chain of some statements; raise `InvalidValue` if one is wrong."""
         given = {"sensitivity": sensitivity, "gain": gain, "full_scale": full_scale}
-        return cls(**{name: _stated(name, PARTS[name], one) for name, one in given.items() if one is not None})
+        stated: dict[str, Any] = {
+            name: _stated(name, PARTS[name], one) for name, one in given.items() if one is not None
+        }
+        return cls(**stated)
 
     @classmethod
     def of_site(cls, general: Mapping[str, Any], own: Mapping[int, Mapping[str, Any]]) -> Chain:

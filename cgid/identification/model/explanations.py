@@ -272,11 +272,11 @@ def detrended(spectra: Floats) -> Floats:
 
 def _shift(spectra: Floats, sound: Floats) -> tuple[float, float, float]:
     """Return by how many bands spectra lie above that of sound recordings, how well they fit there, and unmoved."""
-    own = detrended(spectra)
+    own, sound = detrended(spectra), sound.astype(np.float64)
     a, known_a, known_b = np.nan_to_num(own), np.isfinite(own) * 1.0, (sound != 0) * 1.0
     pairs = ((known_a, known_b), (a, known_b), (known_a, sound), (a * a, known_b), (known_a, sound * sound), (a, sound))
     # Sums over the bands that both have, at each shift.
-    n, of_a, of_b, of_aa, of_bb, of_ab = (np.correlate(*pair, "full")[len(own) - 1 + _SHIFTS] for pair in pairs)
+    n, of_a, of_b, of_aa, of_bb, of_ab = (np.correlate(x, y, "full")[len(own) - 1 + _SHIFTS] for x, y in pairs)
     enough, n = n >= _LEAST_BANDS, np.maximum(n, 1.0)
     norm = np.sqrt(np.maximum(of_aa - of_a**2 / n, 0.0) * np.maximum(of_bb - of_b**2 / n, 0.0))
     fits = np.where(enough & (norm > 0), (of_ab - of_a * of_b / n) / np.where(norm > 0, norm, 1.0), -1.0)

@@ -161,7 +161,8 @@ class Neighbourhood:
         offsets = standardised[None] - self.centres[:, None]
         white = offsets @ np.swapaxes(self.whitening, 1, 2)
         # Where infinities have cancelled, nan would not exceed 1.
-        return np.nan_to_num(np.sqrt(np.sum(white**2, axis=2)).min(axis=0) / self.limit, nan=np.inf, posinf=np.inf)
+        distance = np.sqrt(np.sum(white**2, axis=2)).min(axis=0) / self.limit
+        return np.asarray(np.nan_to_num(distance, nan=np.inf, posinf=np.inf))
 
     @property
     def covariance(self) -> Floats:
@@ -341,7 +342,7 @@ class Contrast:
     def novelty(self, features: Floats) -> Floats:
         """Return the novelty of rows of features and guards, 1 at the limit."""
         above = (self.scores(features) - self.limit) / self.SCALE
-        return np.nan_to_num(np.exp(np.minimum(above, 100.0)), nan=np.inf)
+        return np.asarray(np.nan_to_num(np.exp(np.minimum(above, 100.0)), nan=np.inf))
 
 
 class Fitted(Family):
