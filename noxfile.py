@@ -23,7 +23,8 @@ def tests(session: nox.Session) -> None:
 @nox.session
 def long(session: nox.Session) -> None:
     """Run the long tests: sweeps, large samples, the pages of the documentation."""
-    session.run(PYTHON, "-m", "pytest", "-m", "long", *session.posargs, external=True)
+    without = ("-o", "addopts=-q --strict-markers")  # examples in docstrings, none of which is long
+    session.run(PYTHON, "-m", "pytest", "-m", "long", *without, *session.posargs, external=True)
 
 
 @nox.session

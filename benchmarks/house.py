@@ -36,8 +36,9 @@ WALKS = {
     "train": ["train", "events", "-o", "made.npz"],  # a table of 24 labelled impacts, made first
     "predict of one impact in memory": [],
 }
-#: What `.ci/run` allows.
-MOST_FUNCTIONS, LONGEST_CHAIN = 220, 16
+#: What `.ci/run` allows: functions that a second run enters, and modules in the longest chain of imports.
+MOST_FUNCTIONS = {"predict of one impact in memory": 168, "predict datasets/sample.csv": 443}
+LONGEST_CHAIN = 16
 RUNS = ("first", "second")
 COUNTED = "functions / files / jumps / calls deep / calls / of these checks"
 #: Runs in a process of its own, in the checkout to be measured: prints what a command has walked through, twice over.
@@ -239,11 +240,11 @@ def check_limits() -> None:
     trees = modules(HERE)
     known = set(trees)
     first = {name: set().union(*(imports(node, known) for node in at_import(tree))) for name, tree in trees.items()}
-    (_, warm) = walks("predict of one impact in memory", HERE, {**os.environ, "PYTHONPATH": str(HERE)})
+    environment = {**os.environ, "PYTHONPATH": str(HERE)}
     counts = {
-        "functions that a warm cgid.predict of one impact enters": (warm[0], MOST_FUNCTIONS),
-        "modules in the longest chain of imports": (longest_chain(first), LONGEST_CHAIN),
-    }
+        f"functions that a second {name} enters": (walks(name, HERE, environment)[1][0], most)
+        for name, most in MOST_FUNCTIONS.items()
+    } | {"modules in the longest chain of imports": (longest_chain(first), LONGEST_CHAIN)}
     for what, (count, most) in counts.items():
         print(f"{what}: {count} (at most {most})")
     if any(count > most for count, most in counts.values()):

@@ -114,13 +114,13 @@ def test_arrays_of_a_beam_must_fit_each_other(name):
 @pytest.mark.parametrize("number", [150, pytest.param(1500, marks=pytest.mark.long)])
 def test_mutants_do_no_harm_and_no_change_goes_unnoticed(audit, tmp_path, number):
     contents = {path: path.read_bytes() for path in golden_files()}
-    everything = list(contents.values())
+    everything, models = list(contents.values()), {path: StoredModel.load(path) for path in contents}
     found = {"damaged": [], "mended": [], "signed": []}
     for k in range(number):
         random = np.random.default_rng([1, k])
         kind = tuple(found)[k % 3]
         source = random.choice(list(contents))
-        content, model = contents[source], StoredModel.load(source)
+        content, model = contents[source], models[source]
         if kind == "damaged":
             content = MUTATIONS[int(random.integers(len(MUTATIONS)))](bytearray(content), random, everything)
         else:

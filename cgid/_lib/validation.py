@@ -300,7 +300,8 @@ def whole(name: str, value: Any, lowest: int, highest: int | None = None) -> int
         number = operator.index(value)
     except TypeError:
         number = lowest - 1
-    if _masked(value) or number < lowest or (highest is not None and number > highest):
+    masked = type(value) is not int and _masked(value)
+    if masked or number < lowest or (highest is not None and number > highest):
         limits = f"of {lowest} or more" if highest is None else f"between {lowest} and {highest}"
         raise InvalidValue(f"{name} must be a whole number {limits}, got {shown(value)}")
     return number

@@ -184,9 +184,7 @@ class _Stated(Generic[Part]):
         return (values[0] if values else None), bool(of_channel)
 
 
-def _stated(name: str, kind: type[Part], given: Statement | None) -> _Stated[Part]:
-    if given is None:
-        return _Stated(name)
+def _stated(name: str, kind: type[Part], given: Statement) -> _Stated[Part]:
     pairs: list[tuple[int | str | None, Any]] = []
     if isinstance(given, Mapping):
         pairs += given.items()
@@ -205,7 +203,7 @@ def units_of(given: str | None) -> _Stated[Unit]:
     """Return the units of a text: one for all channels, or NAME=UNIT of some, divided by commas."""
     is_by_name = isinstance(given, str) and "=" in given
     pairs = [one.strip() for one in given.split(",")] if is_by_name and given else given
-    return _stated("unit", Unit, pairs)
+    return _Stated("unit") if pairs is None else _stated("unit", Unit, pairs)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -236,11 +234,11 @@ class Chain:
         cls, sensitivity: Statement | None = None, gain: Statement | None = None, full_scale: Statement | None = None
     ) -> Chain:
         """Return the chain of some statements; raise `InvalidValue` if one is wrong."""
-        return cls(
-            sensitivity=_stated("sensitivity", Sensitivity, sensitivity),
-            gain=_stated("gain", Gain, gain),
-            full_scale=_stated("full_scale", FullScale, full_scale),
-        )
+        given = {"sensitivity": sensitivity, "gain": gain, "full_scale": full_scale}
+        stated: dict[str, Any] = {
+            name: _stated(name, PARTS[name], one) for name, one in given.items() if one is not None
+        }
+        return cls(**stated)
 
     @classmethod
     def of_site(cls, general: Mapping[str, Any], own: Mapping[int, Mapping[str, Any]]) -> Chain:

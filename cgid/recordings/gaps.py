@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from functools import cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -100,14 +101,39 @@ class Gaps:
     def marked(self, blocks: Iterable[NDArray[Any]]) -> Iterator[NDArray[Any]]:
         """Yield blocks (n_channels, n_samples), float32 or float64, in the units of the channels with nan in gaps."""
         for block in blocks:
-            yield self._marked(block)
+            first, known = self.n_seen, set(self._first)
+            if self._beginning is not None:
+                self._look_for_counters(np.concatenate([self._beginning, block], axis=1)[:, :COUNTED])
+            low, high = block.min(axis=1, initial=0.0), block.max(axis=1, initial=0.0)
+            # False for nan.
+            sound = (-self._limits <= low) & (high <= self._limits)
+            if sound.all():
+                if block.shape[1]:
+                    self._running[:], self._goes_on[:] = 0, False
+            else:
+                missing = ~(np.abs(block) <= self._limits[:, None])
+                self._end = self._given_up(missing, first)
+                if self._end is not None:
+                    missing, block = missing[:, : self._end - first], block[:, : self._end - first]
+                for row in np.flatnonzero(missing.any(axis=1)).tolist():
+                    self._count(row, missing[row], block[row], first)
+                self._goes_on = missing[:, -1].copy()
+                block = np.where(missing, block.dtype.type(np.nan), block)
+            if self._counting:
+                block = block.copy()
+                block[self._counting] = np.nan
+            self.n_seen += block.shape[1]
+            if self._at_once:
+                self._say_changes([row for row in self._first if row not in known])
+            yield block
             if self._end is not None:
                 break
         self.finish()
 
     def finish(self) -> None:
         """Warn of what is missing, once."""
-        self._say_missing(sorted(self._first))
+        if self._first:
+            self._say_missing(sorted(self._first))
 
     def require(self, source: str) -> None:
         """Raise `BadData` if the blocks ended because channels were given up, or contained no valid sample."""
@@ -122,8 +148,6 @@ class Gaps:
 
     def _say_missing(self, rows: Sequence[int]) -> None:
         """Say what is missing in some channels, and forget it."""
-        if not rows:
-            return
         channel = min(rows, key=lambda row: self._first[row])
         sample, value = self._first[channel]
         counts = np.stack([self.n_samples, self.n_gaps])
@@ -143,40 +167,11 @@ class Gaps:
         more = f" and {len(rows) - _MAX_NAMED} more" if len(rows) > _MAX_NAMED else ""
         return ", ".join(self._channels[row].name for row in rows[:_MAX_NAMED]) + more
 
-    def _marked(self, block: NDArray[Any]) -> NDArray[Any]:
-        first = self.n_seen
-        self._look_for_counters(block)
-        low, high = block.min(axis=1, initial=0.0), block.max(axis=1, initial=0.0)
-        # False for nan.
-        sound = (-self._limits <= low) & (high <= self._limits)
-        known = set(self._first)
-        if sound.all():
-            if block.shape[1]:
-                self._running[:], self._goes_on[:] = 0, False
-        else:
-            missing = ~(np.abs(block) <= self._limits[:, None])
-            self._end = self._given_up(missing, first)
-            if self._end is not None:
-                missing, block = missing[:, : self._end - first], block[:, : self._end - first]
-            for row in np.flatnonzero(missing.any(axis=1)).tolist():
-                self._count(row, missing[row], block[row], first)
-            self._goes_on = missing[:, -1].copy()
-            block = np.where(missing, block.dtype.type(np.nan), block)
-        if self._counting:
-            block = block.copy()
-            block[self._counting] = np.nan
-        self.n_seen += block.shape[1]
-        if self._at_once:
-            self._say_changes([row for row in self._first if row not in known])
-        return block
-
-    def _look_for_counters(self, block: NDArray[Any]) -> None:
-        """Name the channels of a live stream that only count, which are given up."""
-        if self._beginning is None:
-            return
-        self._beginning = np.concatenate([self._beginning, block], axis=1)[:, :COUNTED]
-        if self._beginning.shape[1] == COUNTED:
-            self._counting = [row for row, samples in enumerate(self._beginning) if counts("", samples, whole=False)]
+    def _look_for_counters(self, beginning: NDArray[Any]) -> None:
+        """Name the channels of a live stream that only count by its first samples, which are given up."""
+        self._beginning = beginning
+        if beginning.shape[1] == COUNTED:
+            self._counting = [row for row, samples in enumerate(beginning) if counts("", samples, whole=False)]
             self._beginning = None
             if self._counting:
                 self._say(f"channel {self._named(self._counting)} only counts and is given up; leave it out")
@@ -205,7 +200,8 @@ class Gaps:
                 f"{sample / self._rate:.6g} s ({value:.3g}); check sensor, cable and sample format"
             )
         over = self.n_seen - _OVER * self._rate
-        self._say_missing([row for row in sorted(self._first) if self._latest[row] < over])
+        if gone := [row for row in sorted(self._first) if self._latest[row] < over]:
+            self._say_missing(gone)
 
     def _count(self, row: int, missing: NDArray[np.bool_], samples: NDArray[Any], first: int) -> None:
         """Count the gaps of a channel in a block."""
@@ -222,6 +218,7 @@ def _runs(missing: NDArray[np.bool_]) -> tuple[NDArray[np.intp], NDArray[np.intp
     return edges[::2], edges[1::2]
 
 
+@cache
 def largest(unit: str | None) -> float:
     """Return the largest sample that a sensor can give, in a unit; without one, that of full scale."""
     quantity = "level" if unit is None else quantity_of(unit)

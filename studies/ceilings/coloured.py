@@ -25,7 +25,7 @@ from cgid._lib.validation import Floats
 from cgid.errors import InvalidValue
 from cgid.measure.fit.fit_samples import by_length, mixing_matrix, tied
 from cgid.measure.fit.least_squares import solve_scaled
-from cgid.measure.fit.template import MAX_SHAPE, MAX_STEPS, MIN_SHAPE, bounded, free_parameters, relative_times
+from cgid.measure.fit.template import FREE, MAX_SHAPE, MAX_STEPS, MIN_SHAPE, bounded, relative_times
 from cgid.scene import Scene
 from cgid.scene.synthesis.draws import COLOURED
 from cgid.scene.synthesis.noise import Coloured, ar_noise_of
@@ -249,7 +249,7 @@ class Whitened:
     free: list[int] = field(init=False)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "free", free_parameters(self.onset is not None))
+        object.__setattr__(self, "free", FREE[self.onset is not None])
 
     def tied(self, parameters: Floats) -> Floats:
         """Return the parameters, with the place that follows from a known onset."""

@@ -9,7 +9,7 @@ from __future__ import annotations
 from bisect import bisect_right
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -96,7 +96,6 @@ class ImpactDetector:
         joint: bool = False,
         gaps: bool = False,
     ) -> None:
-        validation.choice("kind", kind, get_args(ImpactKind))
         rate = require_rate(sampling_rate)
         if rate > FASTEST:
             raise InvalidValue(
@@ -127,7 +126,10 @@ class ImpactDetector:
         self._needed = start * self._onsets.chunk
         self._pending: list[Onset] = []
         self._cutter = FrameCutter(self._framing, self._onsets.end_of, joint)
-        self._limits = _Limits(n_channels)
+        # Extremes of each channel, and how many of the samples that were looked at are there.
+        self._lowest, self._highest = np.full(n_channels, np.inf), np.full(n_channels, -np.inf)
+        self._counted, self._counts = np.stack([self._lowest, self._highest]), np.zeros((2, n_channels))
+        self._seen, self._passed = 0, 0
         self._ended = False
 
     @property
@@ -135,7 +137,7 @@ class ImpactDetector:
         """Index of the sample before which all impacts have been returned."""
         if self._ended:
             return self._fed
-        reach = max(self._taken - self._onsets.lag - self._framing.reach(self._framing.length), 0)
+        reach = max(self._taken - self._onsets.lag - self._framing.length - self._framing.beyond, 0)
         return min([reach, *(onset.sample for onset in self._pending)])
 
     def feed(self, block: ArrayLike) -> list[Event]:
@@ -200,14 +202,14 @@ class ImpactDetector:
 
     def why_silent(self, channel: int = 0, unit: str | None = None) -> str:
         """Explain why a channel of a finished recording has no impact, and suggest a remedy."""
-        limits, in_unit = self._limits, f" {unit}" if unit else ""
-        lowest, highest = float(limits.lowest[channel]), float(limits.highest[channel])
+        in_unit = f" {unit}" if unit else ""
+        lowest, highest = float(self._lowest[channel]), float(self._highest[channel])
         if lowest > highest:
             return "no impact: no sample could be read; check the sensor and its cable"
         if not lowest < highest:
             constant = f"all {self._fed} samples are" if self._fed > 1 else "the only sample is"
             return f"no impact: {constant} {lowest:g}; check the sensor and its cable"
-        if limits.share(channel) > _CLIPPED_SHARE:
+        if float(self._counts[:, channel].sum()) > _CLIPPED_SHARE * max(self._seen, 1):
             return (
                 f"no impact: it is clipped throughout, at {lowest:.3g} and {highest:.3g}{in_unit}; record with a "
                 "larger range"
@@ -260,18 +262,24 @@ class ImpactDetector:
                     f"samples must be finite and within +-{LARGEST:g}, they reach from {least:.3g} to {most:.3g}; "
                     "was the file read in the right format?"
                 )
-            self._limits.lowest = np.minimum(self._limits.lowest, lowest)
-            self._limits.highest = np.maximum(self._limits.highest, highest)
+            self._lowest, self._highest = np.minimum(self._lowest, lowest), np.maximum(self._highest, highest)
         return samples
 
     def _join(self) -> None:
-        """Append the pending blocks to the samples."""
-        if self._blocks:
-            kept = [self._samples] if self._samples.shape[1] else []
-            n_kept = self._samples.shape[1]
-            self._samples = np.concatenate([*kept, *self._blocks], axis=1)
-            self._limits.see(self._samples[:, n_kept:])
-            self._blocks = []
+        """Append the pending blocks to the samples, and count those at the limits."""
+        if not self._blocks:
+            return
+        n_kept = self._samples.shape[1]
+        self._samples = np.concatenate([*([self._samples] if n_kept else []), *self._blocks], axis=1)
+        self._blocks = []
+        limits = np.stack([self._lowest, self._highest])
+        self._counts[limits != self._counted] = 0
+        self._counted = limits
+        # Of the recording, not of each block: the fraction must not depend on the blocks.
+        looked = self._samples[:, n_kept + -self._passed % _EVERY :: _EVERY]
+        self._passed += self._samples.shape[1] - n_kept
+        self._counts += (looked == limits[:, :, None]).sum(axis=2)
+        self._seen += looked.shape[1]
 
     def _read(self, start: int, stop: int) -> Floats:
         part = self._samples[:, max(start - self._first, 0) : max(stop - self._first, 0)]
@@ -297,14 +305,16 @@ class ImpactDetector:
         events = []
         while self._pending:
             onset = self._pending[0]
-            reach = self._framing.reach(self._framing.length_of(onset))
+            reach = self._framing.length_of(onset) + self._framing.beyond
             if not self._ended and not (onset.closed and onset.sample + reach <= known):
                 break
             del self._pending[0]
-            bounds = self._between_gaps(onset, onset.sample + reach)
-            if bounds is None:
-                continue
-            begin, end = bounds
+            begin, end = 0, None
+            if self._gap_until > max(onset.sample - self._framing.quiet, 0):
+                bounds = self._between_gaps(onset, onset.sample + reach)
+                if bounds is None:
+                    continue
+                begin, end = bounds
             by = "its end" if end is None else f"a gap at sample {end}"
             end = stop if end is None else end
             following = next((other for other in self._pending if other.row == onset.row), None)
@@ -325,10 +335,7 @@ class ImpactDetector:
 
     def _between_gaps(self, onset: Onset, reach: int) -> tuple[int, int | None] | None:
         """Return the samples around an onset up to the next gaps; None if one of joint channels misses the onset."""
-        earliest = onset.sample - self._framing.quiet
-        if earliest >= self._gap_until:
-            return 0, None
-        start = max(earliest, self._first)
+        start = max(onset.sample - self._framing.quiet, self._first)
         rows = slice(None) if self.joint else slice(onset.channel, onset.channel + 1)
         missing = np.isnan(self._samples[rows, start - self._first : reach - self._first]).any(axis=0)
         position = onset.sample - start
@@ -337,30 +344,6 @@ class ImpactDetector:
         before, after = np.flatnonzero(missing[:position]), np.flatnonzero(missing[position:])
         begin = start + int(before[-1]) + 1 if before.size else 0
         return begin, onset.sample + int(after[0]) if after.size else None
-
-
-class _Limits:
-    """Track the extremes of each channel, and the fraction of its samples there."""
-
-    def __init__(self, n_channels: int) -> None:
-        self.lowest, self.highest = np.full(n_channels, np.inf), np.full(n_channels, -np.inf)
-        self._counts, self._seen, self._passed = np.zeros((2, n_channels)), 0, 0
-        self._counted = np.stack([self.lowest, self.highest])
-
-    def see(self, samples: NDArray[Any]) -> None:
-        """Count the samples (n_channels, n) at the limits."""
-        limits = np.stack([self.lowest, self.highest])
-        self._counts[limits != self._counted] = 0
-        self._counted = limits
-        # Of the recording, not of each block: the fraction must not depend on the blocks.
-        looked = samples[:, -self._passed % _EVERY :: _EVERY]
-        self._passed += samples.shape[1]
-        self._counts += (looked == limits[:, :, None]).sum(axis=2)
-        self._seen += looked.shape[1]
-
-    def share(self, channel: int) -> float:
-        """Return the fraction of a channel's samples at either limit."""
-        return float(self._counts[:, channel].sum() / max(self._seen, 1))
 
 
 def find_impacts(

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
+from functools import cached_property, lru_cache
+from typing import Any, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
+from cgid._lib import validation
 from cgid._lib.validation import Floats
 from cgid.errors import InvalidValue
-from cgid.measure.features.table import LEAST_SAMPLES
+from cgid.measure.features.table import LEAST_SAMPLES, ImpactKind
 from cgid.measure.features.vibration import MIN_EVENT
 from cgid.signals import Signal
 
@@ -168,8 +170,10 @@ class Framing:
     late: int  # how far before its onset the next impact may begin
 
     @classmethod
+    @lru_cache
     def of(cls, kind: str, sampling_rate: float) -> Framing:
         """Return the framing for a kind of impact at a sampling rate [Hz]."""
+        validation.choice("kind", kind, get_args(ImpactKind))
         lead, late = max(round(LEAD_TIME * sampling_rate), 1), round(_LATE * sampling_rate)
         if kind == "pulse":
             quiet = max(round(PULSE_QUIET_TIME * sampling_rate), _MIN_PART)
@@ -188,9 +192,10 @@ class Framing:
             length *= _LONGER
         return length
 
-    def reach(self, length: int) -> int:
-        """Return the distance from which a later onset does not affect a frame of this length."""
-        return length + self.late + 1
+    @cached_property
+    def beyond(self) -> int:
+        """The distance behind its end from which a later onset does not affect a frame."""
+        return self.late + 1
 
 
 class FrameCutter:
@@ -238,6 +243,8 @@ class FrameCutter:
         began_cut = onset.sample <= begin
         if framing.pre_trigger is not None and onset.sample - begin < framing.lead:
             began_cut = start > begin or has_begun(part[channel], onset.sample - begin, of_unit, stretch, framing.lead)
+        recorded = length if stop is None else stop - onset.sample
+        is_partial = began_cut or ended_cut or recorded < framing.shortest
         return Event(
             channel=onset.channel,
             onset=onset.sample,
@@ -249,7 +256,7 @@ class FrameCutter:
             overlapping=running or interrupted or (onset.again is not None and onset.again < limit),
             clipped=_is_clipped(one_channel[: end - onset.sample], of_unit),
             cut=began_cut or ended_cut,
-            problem=self._problem(began_cut, ended_cut, length if stop is None else stop - onset.sample, begin, by),
+            problem=self._problem(began_cut, ended_cut, recorded, begin, by) if is_partial else "",
         )
 
     def _frame(

@@ -80,25 +80,6 @@ class _AfterImpact:
     quiet: int = 0  # samples since the last one beyond the noise
     energy: float = 0.0  # sum of their squares
 
-    def update(self, n_samples: int, energy: float, noise: float, enough: int) -> None:
-        """Add samples within the noise, with the sum of their squares; end both thresholds after the ring-down."""
-        self.quiet += n_samples
-        self.energy += energy
-        if self.quiet >= enough:
-            if self.energy <= _QUIET_POWER * noise**2 * self.quiet:
-                self.echo = self.swing = 0.0
-            self.reset()
-
-    def reset(self) -> None:
-        """Reset the quiet samples."""
-        self.quiet, self.energy = 0, 0.0
-
-    def decay(self, echo_factor: float, swing_factor: float) -> None:
-        """Multiply the state by the decay factors of some time."""
-        self.echo *= echo_factor
-        self.swing *= swing_factor
-        self.peak *= swing_factor
-
 
 @dataclass(eq=False, repr=False)
 class _OpenPulse:
@@ -221,30 +202,35 @@ class PulseOnsets:
 
     def _pass(self, n_samples: int, after: _AfterImpact) -> None:
         """Decay the thresholds over samples within the noise."""
-        after.decay(math.exp(-n_samples * self._echo_rate), math.exp(-n_samples * self._swing_rate))
+        swing_factor = math.exp(-n_samples * self._swing_rate)
+        after.echo *= math.exp(-n_samples * self._echo_rate)
+        after.swing, after.peak = after.swing * swing_factor, after.peak * swing_factor
         if n_samples:
-            after.reset()
+            after.quiet, after.energy = 0, 0.0
 
     def _needed(self, heights: Floats, limit: float, after: _AfterImpact) -> Floats:
         """Return the threshold of each sample (n,), and update the state."""
         hops = np.arange(0, heights.size, self._hop)
         peaks, depths = np.maximum.reduceat(heights, hops), -np.minimum.reduceat(heights, hops)
         energies, sizes = np.add.reduceat(heights * heights, hops), np.diff(hops, append=heights.size)
-        factors = math.exp(-self._hop * self._echo_rate), math.exp(-self._hop * self._swing_rate)
+        echo_factor, swing_factor = math.exp(-self._hop * self._echo_rate), math.exp(-self._hop * self._swing_rate)
+        quiet_power = _QUIET_POWER * (limit / THRESHOLD_OVER_NOISE) ** 2
         needed = []
         hop_values = (values.tolist() for values in (peaks, depths, energies, sizes))
         for peak, depth, energy, size in zip(*hop_values, strict=True):
             needed.append(max(limit, after.echo, after.swing))
-            after.decay(*factors)
-            after.peak = max(after.peak, peak)
-            after.echo = max(after.echo, THRESHOLD_OVER_PEAK * peak)
+            after.peak = max(after.peak * swing_factor, peak)
+            after.echo = max(after.echo * echo_factor, THRESHOLD_OVER_PEAK * peak)
+            after.swing *= swing_factor
             # A swing deeper than any ring-down is the beginning of a downward pulse.
             if limit < depth < _DEEPEST * after.peak:
                 after.swing = max(after.swing, RISE_OVER_SWING * depth)
-            if max(peak, depth) > limit:
-                after.reset()
-            else:
-                after.update(size, energy, limit / THRESHOLD_OVER_NOISE, self._quiet)
+            is_quiet = max(peak, depth) <= limit
+            after.quiet, after.energy = (after.quiet + size, after.energy + energy) if is_quiet else (0, 0.0)
+            if after.quiet >= self._quiet:  # both thresholds end after the ring-down
+                if after.energy <= quiet_power * after.quiet:
+                    after.echo = after.swing = 0.0
+                after.quiet, after.energy = 0, 0.0
         return np.repeat(needed, self._hop)[: heights.size]
 
     # -- impacts ----------------------------------------------------------------------------------------

@@ -12,6 +12,7 @@ import itertools
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from enum import StrEnum
+from functools import cache, cached_property
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Self
 
 import numpy as np
@@ -197,9 +198,9 @@ def summary(impacts: Impacts, model: StoredModel, spectrum: Floats, moves: Float
     moved = np.tile(inputs, (len(moves), 1, 1))
     moved[:, :, places] *= np.exp(moves[:, None, :2])
     levels = model.levels(moved.reshape(-1, inputs.shape[1])).reshape(len(moves), -1)
-    out[:, _LEVEL] = np.array([_of(row, 0.5) for row in levels]) + levels.std(axis=1)
+    out[:, _LEVEL] = _of(levels.T, 0.5) + levels.std(axis=1)
     novelty = model.novelty(moved.reshape(-1, inputs.shape[1]), np.tile(guards, (len(moves), 1)))
-    out[:, _ODDS] = [_log_odds(count, len(inputs)) for count in (novelty.reshape(len(moves), -1) > 1).sum(axis=1)]
+    out[:, _ODDS] = _log_odds((novelty.reshape(len(moves), -1) > 1).sum(axis=1), len(inputs))
     return out
 
 
@@ -242,15 +243,20 @@ def _more(impacts: Impacts) -> Floats:
 
 
 def _of(values: Floats, quantiles: Any) -> Any:
-    """Return quantiles as `np.quantile`, which would load masked arrays."""
-    ordered = np.sort(values)
-    if not ordered.size or np.isnan(ordered[-1]):
-        return np.full(np.shape(quantiles), np.nan)
-    return np.interp(np.asarray(quantiles) * (ordered.size - 1), np.arange(ordered.size), ordered)
+    """Return quantiles along the first axis as `np.quantile`, which would load masked arrays; of nan they are nan."""
+    at = np.asarray(quantiles) * (len(values) - 1)
+    if not len(values):
+        return np.full(at.shape, np.nan)
+    ordered, below = np.sort(values, axis=0), at.astype(np.intp)
+    low, high = ordered[below], ordered[np.minimum(below + 1, len(values) - 1)]
+    with np.errstate(invalid="ignore"):  # beside an infinite one, from the other
+        found = np.where((at == below) | (low == high), low, low + (high - low) * (at - below))
+        found = np.where(np.isnan(found), high + (high - low) * (at - below - 1), found)
+    return np.where(np.isnan(ordered[-1]), np.nan, found)
 
 
-def _log_odds(count: float, n: float) -> float:
-    return float(np.log((count + 0.5) / (n - count + 0.5)))
+def _log_odds(count: Any, n: float) -> Any:
+    return np.log((count + 0.5) / (n - count + 0.5))
 
 
 def detrended(spectra: Floats) -> Floats:
@@ -266,15 +272,16 @@ def detrended(spectra: Floats) -> Floats:
 
 def _shift(spectra: Floats, sound: Floats) -> tuple[float, float, float]:
     """Return by how many bands spectra lie above that of sound recordings, how well they fit there, and unmoved."""
-    own, fits = detrended(spectra), []
-    for shift in _SHIFTS.tolist():
-        a, b = own[max(shift, 0) : len(own) + min(shift, 0)], sound[max(-shift, 0) : len(own) + min(-shift, 0)]
-        both = np.isfinite(a) & (b != 0)
-        a, b = a[both] - a[both].mean(), b[both] - b[both].mean()
-        norm = np.sqrt(a @ a * (b @ b))
-        fits.append(float(a @ b / norm) if both.sum() >= _LEAST_BANDS and norm > 0 else -1.0)
+    own, sound = detrended(spectra), sound.astype(np.float64)
+    a, known_a, known_b = np.nan_to_num(own), np.isfinite(own) * 1.0, (sound != 0) * 1.0
+    pairs = ((known_a, known_b), (a, known_b), (known_a, sound), (a * a, known_b), (known_a, sound * sound), (a, sound))
+    # Sums over the bands that both have, at each shift.
+    n, of_a, of_b, of_aa, of_bb, of_ab = (np.correlate(x, y, "full")[len(own) - 1 + _SHIFTS] for x, y in pairs)
+    enough, n = n >= _LEAST_BANDS, np.maximum(n, 1.0)
+    norm = np.sqrt(np.maximum(of_aa - of_a**2 / n, 0.0) * np.maximum(of_bb - of_b**2 / n, 0.0))
+    fits = np.where(enough & (norm > 0), (of_ab - of_a * of_b / n) / np.where(norm > 0, norm, 1.0), -1.0)
     best = int(np.argmax(fits))
-    return float(_SHIFTS[best]), fits[best], fits[len(_SHIFTS) // 2]
+    return float(_SHIFTS[best]), float(fits[best]), float(fits[len(_SHIFTS) // 2])
 
 
 # -- densities of summaries --------------------------------------------------------------------------------
@@ -329,6 +336,7 @@ def candidates_of(is_beam: bool) -> list[Candidate]:
     return found if is_beam else [*found, Candidate((Fault.RATE, Fault.CLIPPED), Fault.CLIPPED, Fault.RATE)]
 
 
+@cache
 def moves_of(is_beam: bool) -> tuple[Floats, Mapping[Fault | None, slice]]:
     """Return the moves that undo all candidates, (n_moves, 3), the first none, and the rows of each."""
     names = [Fault.SCALE] if is_beam else list(_MOVES)
@@ -397,12 +405,18 @@ class Explanations:
         found, n = [], z.shape[1]
         for number, one in enumerate(kinds_of(self.spectrum.size > 1)):
             if one is kind:
-                whitening = np.zeros((n, n))
-                whitening[np.tril_indices(n)] = self.whitening[number, in_bin]
+                whitening, volume = self._whitenings[0][number, in_bin], self._whitenings[1][number, in_bin]
                 distance = np.square((z - self.mean[number, in_bin]) @ whitening.T).sum(axis=1)
-                volume = np.log(np.diagonal(whitening)).sum()
                 found.append(volume - (_FREEDOM + n) / 2 * np.log1p(distance / _FREEDOM))
         return np.asarray(np.logaddexp.reduce(found))
+
+    @cached_property
+    def _whitenings(self) -> tuple[Floats, Floats]:
+        """The matrices (n_kinds, n_bins, n_summary, n_summary), and the logarithms of their determinants."""
+        n = self.centre.size
+        matrices = np.zeros((*self.whitening.shape[:2], n, n))
+        matrices[:, :, *np.tril_indices(n)] = self.whitening
+        return matrices, np.log(np.diagonal(matrices, axis1=2, axis2=3)).sum(axis=2)
 
     def odds(self, impacts: Impacts, model: StoredModel, past: Floats | None = None) -> tuple[Floats, Floats]:
         """Return the log odds of each candidate against "as the training", and its factor, (n_candidates,) each.

@@ -8,6 +8,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any, ClassVar
 
 import numpy as np
@@ -60,7 +61,7 @@ class Standardiser:
         # A thousandth of the smallest training value is far outside, but its logarithm is finite.
         floor = np.where(logarithmic, np.maximum(1e-3 * features.min(axis=0), np.finfo(float).tiny), 1.0)
         standardiser = cls(logarithmic, floor, np.zeros(features.shape[1]), np.ones(features.shape[1]))
-        plain = standardiser._logs(features)
+        plain = standardiser.apply(features)  # of mean 0 and scale 1
         if weights is None:
             mean, spread = plain.mean(axis=0), plain.std(axis=0)
         else:
@@ -68,19 +69,13 @@ class Standardiser:
             spread = np.sqrt(np.average((plain - mean) ** 2, axis=0, weights=weights))
         usable = spread > 1e-12 * np.maximum(np.abs(plain).max(axis=0), 1e-300)
         standardiser = replace(standardiser, mean=mean, scale=np.where(usable, spread, 1.0))
-        return standardiser, standardiser._scaled(plain)
+        return standardiser, standardiser.apply(features)
 
     def apply(self, features: Floats) -> Floats:
         """Return the standardised rows."""
-        return self._scaled(self._logs(features))
-
-    def _logs(self, features: Floats) -> Floats:
         # Columns are picked, since numpy's `where` takes four times as long.
         columns, logs = np.flatnonzero(self.logarithmic), features.copy()
         logs[:, columns] = np.log(np.maximum(features[:, columns], self.floor[columns]))
-        return logs
-
-    def _scaled(self, logs: Floats) -> Floats:
         with np.errstate(over="ignore"):  # infinite rows are reported later
             return np.asarray((logs - self.mean) / self.scale)
 
@@ -113,11 +108,6 @@ def log_scores(probabilities: Floats) -> Floats:
     """Return the logarithms of probabilities (n, n_classes), or of the odds (n,) of the second of two classes."""
     logs = np.log(np.maximum(probabilities, _LEAST))
     return np.asarray(logs[:, 1] - logs[:, 0] if logs.shape[1] == 2 else logs)
-
-
-def _or_infinite(novelty: Floats) -> Floats:
-    """Return the novelty, infinite instead of nan: infinities have cancelled, and nan would not exceed 1."""
-    return np.where(np.isnan(novelty), np.inf, novelty)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -170,7 +160,9 @@ class Neighbourhood:
         """Return distance over limit; above 1 it is outside the training range, infinite beyond all numbers."""
         offsets = standardised[None] - self.centres[:, None]
         white = offsets @ np.swapaxes(self.whitening, 1, 2)
-        return _or_infinite(np.sqrt(np.sum(white**2, axis=2)).min(axis=0) / self.limit)
+        # Where infinities have cancelled, nan would not exceed 1.
+        distance = np.sqrt(np.sum(white**2, axis=2)).min(axis=0) / self.limit
+        return np.asarray(np.nan_to_num(distance, nan=np.inf, posinf=np.inf))
 
     @property
     def covariance(self) -> Floats:
@@ -219,7 +211,7 @@ class Family(ABC):
     def width(self) -> int:
         """Number of values held in memory per row."""
 
-    @property
+    @cached_property
     def n_scores(self) -> int:
         """Number of score columns: one for two classes."""
         return 1 if self.n_classes == 2 else self.n_classes
@@ -293,7 +285,7 @@ class Network(Family):
             self._require(f"biases_{layer}", (n_units,))
             n_inputs = n_units
 
-    @property
+    @cached_property
     def width(self) -> int:
         """Size of the larger hidden layer."""
         return max(len(self.arrays[f"biases_{k}"]) for k in (1, 2))
@@ -349,7 +341,8 @@ class Contrast:
 
     def novelty(self, features: Floats) -> Floats:
         """Return the novelty of rows of features and guards, 1 at the limit."""
-        return _or_infinite(np.exp(np.minimum((self.scores(features) - self.limit) / self.SCALE, 100.0)))
+        above = (self.scores(features) - self.limit) / self.SCALE
+        return np.asarray(np.nan_to_num(np.exp(np.minimum(above, 100.0)), nan=np.inf))
 
 
 class Fitted(Family):

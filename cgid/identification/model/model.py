@@ -313,7 +313,7 @@ class StoredModel(Model):
             f"{self.rates_text}{accuracy_text})"
         )
 
-    @property
+    @cached_property
     def quantity(self) -> str:
         """Quantity of the training signals."""
         return quantity_of(self.unit)
@@ -323,13 +323,13 @@ class StoredModel(Model):
         """Range of the sampling rates of the training, such as "50000 to 200000 Hz"."""
         return " to ".join(f"{rate:g}" for rate in dict.fromkeys(self.sampling_rates)) + " Hz"
 
-    @property
+    @cached_property
     def is_of_few(self) -> bool:
         """Whether a label has too few groups for intervals that cover another day."""
         recorded = self.training.get("recorded", {})
         return bool(recorded.get("fewest_groups", MIN_GROUPS) < MIN_GROUPS)
 
-    @property
+    @cached_property
     def is_mended(self) -> bool:
         """Whether it was trained without tones of machines, which are taken out from the first sample on."""
         return bool(self.training.get(MENDED, False))
@@ -368,7 +368,7 @@ class StoredModel(Model):
     def inputs(self) -> tuple[str, ...]:  # noqa: D102 -- in `Model`
         return inputs_of(self.features, self.n_channels)
 
-    @property
+    @cached_property
     def together(self) -> int:
         """Number of channels per prediction: those of a window, or the sensors of the beam."""
         return self.n_channels if self.beam is None else self.beam.n_sensors
@@ -500,8 +500,8 @@ class StoredModel(Model):
 
     def _contrast(self, inputs: Floats, guards: Floats) -> Floats:
         assert self.contrast is not None
-        inputs = self._floored(inputs)
-        return _in_blocks(self.contrast.novelty, np.hstack([inputs, guards]), self.contrast.scorer.width)
+        rows = np.hstack([np.maximum(inputs, self._floor), guards])
+        return _in_blocks(self.contrast.novelty, rows, self.contrast.scorer.width)
 
     @cached_property
     def contrast(self) -> Contrast | None:
@@ -645,10 +645,11 @@ class StoredModel(Model):
                 f"features must be finite rows of {len(self.inputs)} ({', '.join(self.inputs)}), "
                 f"got shape {inputs.shape}"
             )
-        return self._standardiser.apply(self._floored(np.asarray(inputs, np.float64)))
+        return self._standardiser.apply(np.maximum(np.asarray(inputs, np.float64), self._floor))
 
-    def _floored(self, inputs: Floats) -> Floats:
-        return np.asarray(np.maximum(inputs, self.arrays[FLOOR])) if FLOOR in self.arrays else inputs
+    @cached_property
+    def _floor(self) -> Floats:
+        return self.arrays.get(FLOOR, np.full(len(self.inputs), -np.inf))
 
     # -- file -----------------------------------------------------------------------------------------
 

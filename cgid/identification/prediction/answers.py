@@ -188,6 +188,8 @@ def factor_to(model: Measurand, unit: str | None, name: str, mass: float | None 
             f"{name}: the unit must be known, neither header nor option states it; give it, such as "
             f"{_unit_options(model)}, and for integers full scale, too, such as {asked('full_scale', '500 g')}"
         )
+    if unit == model.unit and mass is None:
+        return 1.0
     quantity, factor = quantity_of(unit), 1.0
     if model.quantity not in ELECTRICAL:
         require_measured(unit, name)
@@ -441,7 +443,7 @@ def answers_from(
             probabilities=dict(zip(model.labels, probabilities[row].tolist(), strict=True)),
             novelty=novelty,
             in_training_range=not (outside or untrained),
-            problem=outside or settings.doubt(labels) or untrained,
+            problem=outside or (settings.doubt(labels) if labels is not None else "") or untrained,
             prediction_set=labels,
             unexplained=float("nan") if column is None else float(column[row]),
             level=float(levels[row]),

@@ -16,18 +16,19 @@ from typing import TYPE_CHECKING, Any
 from numpy.typing import NDArray
 
 from cgid.identification.model.model import Model, StoredModel, stored
-from cgid.identification.prediction.answers import Answer
+from cgid.identification.prediction.answers import Answer, factor_to
 from cgid.identification.prediction.diagnosis import Diagnosis
 from cgid.identification.prediction.findings import Finding
 from cgid.identification.prediction.same_beam import rows_of
 from cgid.identification.prediction.settings import PredictionSettings
-from cgid.identification.prediction.stream import STRATEGIES, Step, answering_channels, factors_for, identify_blocks
+from cgid.identification.prediction.stream import STRATEGIES, Step, answering_channels, identify_blocks
 from cgid.identification.prediction.support import CavingWatch, SupportReport
 from cgid.identification.prediction.telling import Telling, of_model, warn
 from cgid.recordings import Channel, RecordingFile, open_recording
 from cgid.recordings.chain import scaled
 from cgid.recordings.gaps import Gaps
 from cgid.recordings.soundness import SensorWatch
+from cgid.signals import channel_name
 
 if TYPE_CHECKING:
     from cgid.identification.prediction.pasts import Pasts
@@ -73,7 +74,12 @@ class Pipeline:
     ) -> None:
         self.model, self.settings, self.source, self.sampling_rate = model, settings, source, sampling_rate
         self.names, self.live = [channel.name for channel in channels], live
-        self._factors = factors_for(model, channels, settings, source)
+        # To the unit of the model, negative to invert.
+        self._factors = [
+            (-1.0 if settings.invert else 1.0)
+            * factor_to(model, one.unit, channel_name(source, one.name), settings.mass)
+            for one in channels
+        ]
         joint = model.together > 1 and not settings.same_beam
         give_up = math.inf if settings.give_up is None else settings.give_up
         #: All that is found, told in order of time.
@@ -114,7 +120,7 @@ class Pipeline:
     @property
     def duration(self) -> float:
         """Duration of the samples so far [s]."""
-        return self.n_seen / self.sampling_rate
+        return self._gaps.n_seen / self.sampling_rate
 
     def steps(
         self, blocks: Iterable[NDArray[Any]], *, marked: Look | None = None, measured: Look | None = None

@@ -38,6 +38,9 @@ if TYPE_CHECKING:
 Groups = tuple[tuple[str, ...], ...]
 
 
+_DEFAULTS = PredictionSettings()
+
+
 class SupportsArray(Protocol):
     """An array, or an object that NumPy makes one of, such as a DataFrame."""
 
@@ -201,7 +204,8 @@ def predict(  # noqa: PLR0913 - one argument a setting, so that editors complete
     given |= {"dead_time": dead_time, "vote_time": vote_time, "same_beam": same_beam}
     settings = {name: value for name, value in given.items() if value is not None}
     place = NOWHERE if site is None else Site.of(site)
-    applied = PredictionSettings(**({**place.settings, **settings} if site else settings))
+    stated = {**place.settings, **settings} if site else settings
+    applied = PredictionSettings(**stated) if stated else _DEFAULTS
     model = place.get("model") if model is None and site else model
     model = cast("Model | str | Path | None", getattr(model, "model", model))  # of a Training
     if model is not None and not isinstance(model, Model | str | Path):
@@ -226,11 +230,10 @@ def predict(  # noqa: PLR0913 - one argument a setting, so that editors complete
         rate = place.get("rate") if sampling_rate is None and site else sampling_rate
         signals, beams = _measured(samples, rate, unit, Chain.of(sensitivity, gain, full_scale), place)
         read = []
-    if "same_beam" not in settings:
+    if "same_beam" not in settings and beams != applied.same_beam:
         applied = replace(applied, same_beam=beams)
     first = signals[0]
     loaded = read_model(default_model(first.quantity, applied) if model is None else model)
-    applied.check(loaded)
     channels = [Channel(name=signal.channel, unit=signal.unit) for signal in signals]
     duration = len(first.samples) / first.sampling_rate
     pipeline = Pipeline(

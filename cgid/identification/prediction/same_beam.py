@@ -229,7 +229,8 @@ def pooled(answers: Sequence[Answer], model: StoredModel, settings: PredictionSe
         label=label,
         probabilities=dict(zip(model.labels, probabilities.tolist(), strict=True)),
         novelty=max(one.novelty for one in known),
-        problem=settings.doubt(labels) or ("" if best.in_training_range else best.problem),
+        problem=(settings.doubt(labels) if labels is not None else "")
+        or ("" if best.in_training_range else best.problem),
         prediction_set=labels,
         level=float(np.mean([one.level for one in known])),
     )

@@ -141,10 +141,6 @@ class AnsweringSettings:
     vote_time: float | None = None
     batch: int = BATCH
 
-    def check(self, model: StoredModel) -> None:
-        """Raise `InvalidValue` if the model lacks a label or the coverage."""
-        self.labels(model, np.empty((0, len(model.labels))))
-
     def labels(self, model: StoredModel, probabilities: Floats) -> tuple[list[str], list[tuple[str, ...] | None]]:
         """Return the label and the prediction set of each row of probabilities."""
         if self.coverage is None:
@@ -153,9 +149,9 @@ class AnsweringSettings:
         sets = [tuple(compress(model.labels, row)) for row in prediction_sets.tolist()]
         return [one[0] if len(one) == 1 else UNKNOWN for one in sets], [*sets]
 
-    def doubt(self, labels: tuple[str, ...] | None) -> str:
+    def doubt(self, labels: tuple[str, ...]) -> str:
         """Return why a prediction set gives no label; empty for a single label."""
-        if labels is None or len(labels) == 1:
+        if len(labels) == 1:
             return ""
         if not labels:
             return f"no label is probable enough: the prediction set at coverage {self.coverage:g} is empty"
@@ -283,8 +279,9 @@ class PredictionSettings(ReadingSettings, AnsweringSettings, WatchingSettings):
                 f"{asked('coal_until')}, or leave the row out"
             )
 
-    def require_use(self, model: StoredModel) -> None:
-        """Raise `InvalidValue` for a vote time with a model of impacts, or a dead time with a model of windows."""
+    def check(self, model: StoredModel) -> None:
+        """Raise `InvalidValue` if the model lacks a label or the coverage, or decides on what a setting is not of."""
+        self.labels(model, np.empty((0, len(model.labels))))
         of_others = {"impact": ("vote_time", self.vote_time), "window": ("dead_time", self.dead_time)}
         flag, given = of_others[model.subject]
         if given is not None:

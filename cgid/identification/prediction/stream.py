@@ -23,19 +23,17 @@ from cgid.identification.detection.ear import Ear
 from cgid.identification.detection.events import Event
 from cgid.identification.detection.windows import measure_windows, windows_of
 from cgid.identification.model.model import StoredModel
-from cgid.identification.prediction.answers import Answer, answers_from, factor_to, measured_events, unmeasured
+from cgid.identification.prediction.answers import Answer, answers_from, measured_events, unmeasured
 from cgid.identification.prediction.findings import Finding
 from cgid.identification.prediction.same_beam import SameBeam, Together, pooled, rows_of
 from cgid.identification.prediction.settings import PredictionSettings
 from cgid.identification.prediction.vote import RunningVote
-from cgid.measure.features.extraction import FEATURES, require_measurable
+from cgid.measure.features.extraction import features_of, require_measurable
 from cgid.measure.features.table import MIN_BANDWIDTH, ImpactKind
 from cgid.recordings.soundness import FAR_BELOW
-from cgid.signals import channel_name
 
 if TYPE_CHECKING:
     from cgid.identification.prediction.support import SupportReport
-    from cgid.recordings.recording import Channel
 
 #: Minimum sampling rate [Hz]; a lower one is in another unit, or not of an impact recorder.
 SLOWEST = 10.0
@@ -62,16 +60,6 @@ class Step:
     reports: Sequence[SupportReport] = ()  # of the supports, up to this time
 
 
-def factors_for(
-    model: StoredModel, channels: Sequence[Channel], settings: PredictionSettings, source: str
-) -> list[float]:
-    """Return the factor of each channel to the unit of the model, negative to invert; raises as `suited`."""
-    sign = -1.0 if settings.invert else 1.0
-    return [
-        sign * factor_to(model, channel.unit, channel_name(source, channel.name), settings.mass) for channel in channels
-    ]
-
-
 def identify_blocks(
     blocks: Iterable[NDArray[Any]],
     sampling_rate: float,
@@ -83,13 +71,13 @@ def identify_blocks(
     """Return the predictions for blocks (n_channels, n_samples) in the unit of the model; nan is missing."""
     # Below this rate, features of vibrations and windows are those of models that were trained there.
     trained = 0.0 if model.kind == "pulse" else min(2 * MIN_BANDWIDTH, 0.99 * model.sampling_rates[0])
-    needed = max([SLOWEST, trained, *(2 * FEATURES[name].highest_frequency for name in model.measured)])
+    needed = max([SLOWEST, trained, *(2 * one.highest_frequency for one in features_of(model.measured))])
     if sampling_rate < needed:
         raise InvalidValue(
             f"{source}: the sampling_rate must be at least {math.ceil(needed)} Hz for this model, got "
             f"{sampling_rate:g} Hz; check it, record faster, or train a model on recordings like this one"
         )
-    settings.require_use(model)
+    settings.check(model)
     return STRATEGIES[model.subject].steps(_read(blocks), sampling_rate, model, channels, settings, source)
 
 

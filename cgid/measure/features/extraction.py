@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -119,7 +120,15 @@ def name_of(entry: Named) -> str:
     """Return the name of an entry of a list of features; a feature of one's own is known from then on."""
     if isinstance(entry, str):
         return entry
+    for cached in (features_of, _lacking):  # an earlier one of its name is replaced
+        cached.cache_clear()
     return FEATURES.add(entry if isinstance(entry, Feature) else own_feature(entry))
+
+
+@lru_cache
+def features_of(names: tuple[str, ...]) -> tuple[Feature, ...]:
+    """Return the features of these names."""
+    return tuple(FEATURES[name] for name in names)
 
 
 class UnknownFeature(InvalidValue):
@@ -159,10 +168,15 @@ def supported(features: Iterable[str], sampling_rate: float, n_samples: int) -> 
 
 def require_supported(names: Iterable[str], sampling_rate: float, n_samples: int) -> None:
     """Raise `InvalidValue` for a feature that needs another sampling rate [Hz] or longer frames."""
-    for name in names:
-        lack = _lack(FEATURES[name], sampling_rate, n_samples)
-        if lack:
-            raise InvalidValue(f"feature {name} {lack}, or leave it out")
+    if lack := _lacking(tuple(names), sampling_rate, n_samples):
+        raise InvalidValue(lack)
+
+
+@lru_cache
+def _lacking(names: tuple[str, ...], sampling_rate: float, n_samples: int) -> str:
+    """Return the first requirement that a signal does not meet; empty if it meets all."""
+    lacks = ((name, _lack(FEATURES[name], sampling_rate, n_samples)) for name in names)
+    return next((f"feature {name} {lack}, or leave it out" for name, lack in lacks if lack), "")
 
 
 def _lack(feature: Feature, sampling_rate: float, n_samples: int) -> str:
@@ -334,7 +348,7 @@ def require_measurable(
     """Raise `InvalidValue` unless features can be measured at a rate [Hz] on frames and through a beam."""
     names = tuple(names)
     require_supported(names, sampling_rate, n_samples)
-    through = next((name for name in names if FEATURES[name].beam), None)
+    through = next((feature.name for feature in features_of(names) if feature.beam), None)
     if through is not None and beam is None:
         raise InvalidValue(
             f"feature {through} must have a beam to look through, got none: train on a scene with a [tail_beam] (cgid "
@@ -357,7 +371,7 @@ def measured(
     # The frames of the sensors of a signal are adjacent; the signal has a problem if none of them can be measured. A
     # `beam` that learns from the channels of a recording gets the `channel` of each signal.
     each = 1 if beam is None else beam.n_sensors
-    features = [FEATURES[name] for name in names]
+    features = features_of(names)
     values = np.full((len(frames) // each, len(names)), np.nan)
     problems: dict[int, Problem] = {}
     max_samples = _WINDOWED_SAMPLES if any(feature.kind == "window" for feature in features) else BLOCK_SAMPLES
@@ -366,7 +380,9 @@ def measured(
     for first in range(0, len(values), n_rows):
         part = frames[first * each : (first + n_rows) * each]
         batches = _batches(part, *how)
-        faulty = _of_all(_problems(batches, features), each)
+        faulty = _problems(batches, features)
+        if each > 1:
+            faulty = _of_all(faulty, each)
         sound = np.delete(np.arange(len(part) // each), np.fromiter(faulty, np.intp))
         if faulty:
             problems |= {first + row: problem for row, problem in faulty.items()}
@@ -404,8 +420,6 @@ def as_rows(samples: ArrayLike, each: int, names: tuple[str, ...]) -> ArrayLike:
 
 def _of_all(problems: dict[int, Problem], each: int) -> dict[int, Problem]:
     """Return the problems of signals all of whose sensors, in `each` successive rows, have one."""
-    if each == 1:
-        return problems
     return {
         row // each: problems[row]
         for row in problems

@@ -150,18 +150,6 @@ class PulseBatch(Frames):
         run = np.searchsorted(starts, first_of_row + self._highest[0], side="right") - 1
         return starts[run] - first_of_row, stops[run] - first_of_row
 
-    def _half_width(self) -> Floats:
-        """Return the width at half the peak [samples], linear between samples."""
-        rows, last = np.arange(len(self.samples)), self.samples.shape[1] - 1
-        level = 0.5 * self.peak + self.offset
-        width = np.zeros(len(rows))
-        for sign, inner in zip((-1, 1), self._run_above(0.5), strict=True):
-            outer = np.minimum(np.maximum(inner + sign, 0), last)
-            high, low = (self.samples[rows, column].astype(np.float64) for column in (inner, outer))
-            share = np.maximum(high - level, 0.0) / np.where(high > low, high - low, 1.0)
-            width += sign * inner + np.minimum(share, 1.0)
-        return width
-
     @cached_property
     def window_reach(self) -> NDArray[np.intp]:
         """Last sample of the window around contact, in the frame or beyond it."""
@@ -284,7 +272,7 @@ class PulseBatch(Frames):
         alive = np.flatnonzero((self.peak > 0) & (np.ptp(self.samples, axis=1) > 0))
         fitted = fit_pulses(
             self.samples[alive],
-            self.fit_start.rows(alive),
+            self.fit_start if alive.size == len(self.samples) else self.fit_start.rows(alive),
             self.noise[alive],
             offset=self.offset[alive],
             clip_level=None if self.clip_level is None else self.clip_level[alive],
@@ -297,7 +285,15 @@ class PulseBatch(Frames):
         """Start of the fit: the largest sample, or the strongest run of samples for a faint peak."""
         faint = np.flatnonzero(~(self.peak >= FAINT * self.noise))
         peak, peak_index = self.peak.copy(), self._highest[0].astype(np.float64)
-        width = _WIDTH_OVER_HALF_WIDTH * self._half_width()
+        # The width at half the peak, linear between samples.
+        rows, last, level = np.arange(len(peak)), self.samples.shape[1] - 1, 0.5 * peak + self.offset
+        width = np.zeros(len(peak))
+        for sign, inner in zip((-1, 1), self._run_above(0.5), strict=True):
+            outer = np.minimum(np.maximum(inner + sign, 0), last)
+            high, low = (self.samples[rows, column].astype(np.float64) for column in (inner, outer))
+            share = np.maximum(high - level, 0.0) / np.where(high > low, high - low, 1.0)
+            width += sign * inner + np.minimum(share, 1.0)
+        width *= _WIDTH_OVER_HALF_WIDTH
         if faint.size:
             peak[faint], width[faint], peak_index[faint] = strongest_run(self.samples[faint], self.offset[faint])
         tiny = 1e-12 + 1e-9 * np.abs(self._highest[1])
@@ -335,9 +331,10 @@ class PulseBatch(Frames):
             residuals = fit_residual(samples, *pulse, noise[selected])
             components[selected], unexplained[selected] = residuals.components, residuals.unexplained
         # Steep, so that pulses with little clipping or ring-down keep their value.
-        guessed = MAX_UNEXPLAINED * np.minimum((self.overload / MAX_OVERLOAD) ** 8, 100.0)
-        ringing = MAX_UNEXPLAINED * np.minimum((self.ringing / MAX_RINGING) ** 4, 100.0)
-        return Residual(components, np.maximum(np.maximum(unexplained, fit.stray), np.maximum(guessed, ringing)))
+        doubt = MAX_UNEXPLAINED * np.minimum((self.ringing / MAX_RINGING) ** 4, 100.0)
+        if self.clip_level is not None:
+            doubt = np.maximum(doubt, MAX_UNEXPLAINED * np.minimum((self.overload / MAX_OVERLOAD) ** 8, 100.0))
+        return Residual(components, np.maximum(np.maximum(unexplained, fit.stray), doubt))
 
     @cached_property
     def ringing(self) -> Floats:

@@ -13,15 +13,13 @@ from numpy.typing import NDArray
 
 from cgid._lib.validation import Floats
 from cgid.measure.fit.ar_noise import ORDER, ar_noise_of
-from cgid.measure.fit.fit_samples import Selected, rows_of, windows
+from cgid.measure.fit.fit_samples import Selected, windows
 from cgid.measure.fit.optimum import Optimum, Problems, search_nearby
 from cgid.measure.fit.profile import PARABOLIC, Profiled, binned, exact, gaussian_restitution, parabolic
 from cgid.measure.fit.search import SearchResult, around, last_bin, search
 from cgid.measure.fit.template import relative_times
 from cgid.measure.frames import Problem, constant_signal, no_impact
 
-#: Rows fitted at once.
-_ROWS = 2048
 #: Extent of the samples that the search uses, over that of the initial pulse.
 _REACH = 2.0
 #: Unit of the search [samples] above which its bins contain as much information as the samples.
@@ -127,6 +125,7 @@ def without_impact(samples: NDArray[np.floating], fit: PulseFit) -> dict[int, Pr
 # -- the fit ------------------------------------------------------------------------------------------
 
 
+@np.errstate(all="ignore")  # the fit of a frame without a pulse fails; `evidence` shows it
 def fit_pulses(
     samples: NDArray[np.floating],
     start: PulseStart,
@@ -144,25 +143,8 @@ def fit_pulses(
     n = len(samples)
     offset = np.zeros(n) if offset is None else offset
     clip_level = np.full(n, np.inf) if clip_level is None else clip_level
-    parts = []
-    for first in range(0, n, _ROWS):
-        rows = slice(first, first + _ROWS)
-        block = (samples[rows], start.rows(rows), noise[rows], offset[rows], clip_level[rows])
-        with np.errstate(all="ignore"):  # the fit of a frame without a pulse fails; `evidence` shows it
-            parts.append(_fit_block(*block, rows_of(n_quiet, rows)))
-    return PulseFit.joined(parts)
-
-
-def _fit_block(
-    samples: NDArray[np.floating],
-    start: PulseStart,
-    noise: Floats,
-    offset: Floats,
-    clip_level: Floats,
-    n_quiet: Floats | None,
-) -> PulseFit:
     # In units of its first peak, every pulse is of order 1.
-    unit, n = start.peak, len(samples)
+    unit = start.peak
     noise_over_peak = np.maximum(noise / unit, _NOISE_FLOOR)
     guess, reach, results = np.empty((n, 4)), np.zeros(n), []
     for rows, window_block in around(samples, start.peak_time, start.width, offset, clip_level, _REACH):
@@ -185,8 +167,9 @@ def _fit_block(
             parts.append(window)
     guess[:, 0] /= unit
     problems = Problems(parts)
+    result = results[0][1] if len(results) == 1 else SearchResult.joined(results)
     best = search_nearby(problems, guess, sigma / np.sqrt(problems.averaged), np.arange(n))
-    return _report(problems, best, sigma, noise_over_peak, unit, SearchResult.joined(results), reach)
+    return _report(problems, best, sigma, noise_over_peak, unit, result, reach)
 
 
 def _report(

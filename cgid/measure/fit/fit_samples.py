@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from cgid._lib.validation import Floats
 from cgid.errors import InvalidValue
 from cgid.measure.fit.ar_noise import ARNoise
-from cgid.measure.fit.template import free_parameters, relative_times, slopes_and_pulse
+from cgid.measure.fit.template import FREE, relative_times, slopes_and_pulse
 
 #: Margin of a window around the contact found by the search, and its largest extent after the peak, in widths: less
 #: than 0.2 % of the peak is left there at any restitution.
@@ -57,7 +57,7 @@ class Window:
     ) -> None:
         (n, n_samples), (offset, clip_level, unit) = (len(rows), samples.shape[1]), levels
         self.rows, self.run, self.averaged, self.reach = rows, run, np.full(n, float(run)), first + length - 1
-        self.onset, self.free = onset, free_parameters(onset is not None)
+        self.onset, self.free = onset, FREE[onset is not None]
         self.largest_outside = _largest_outside(samples, rows, first, length, offset) / unit
         self.times = first[:, None] + (0.5 * (run - 1) + run * np.arange(length // run, dtype=np.float64))
         columns = first[:, None] + np.arange(length)

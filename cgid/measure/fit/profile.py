@@ -78,7 +78,7 @@ class Profiled:
     def second(self, best: Optimum, variance: Floats) -> tuple[Floats, NDArray[np.bool_]]:
         """Return parameters (n, 4) of the second likely shape, and which rows have one."""
         # The minimum that the first search did not end in.
-        away = [np.abs(self.result.shape_of(k) - best.parameters[:, 3]) for k in (0, 1)]
+        away = np.abs(self.result.valleys[2] - best.parameters[:, 3])
         guess = np.where((away[1] < away[0])[:, None], self.result.start(), self.result.start(second=True))
         guess[:, 0] *= self.parameters[:, 0, 0] / self.result.peak[:, 0]
         likely = self.result.has_second(BIN * self.result.unit * variance / self.scale)

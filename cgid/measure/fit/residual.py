@@ -30,13 +30,8 @@ def residual_bins(
     unit = width / bin_width
     origin = onset + relative_times(shape)[1] * width - bin_peak_time * unit
     bins = samples.bins(origin, unit, np.arange(len(peak)))
-    left = bins.values / peak[:, None] - _between_nodes(shape, node)
-    return Bins(left if bins.inside is None else np.where(bins.inside, left, 0.0), bins.inside), unit, node
-
-
-def _between_nodes(shape: Floats, nearest: NDArray[np.intp]) -> Floats:
-    """Return pulses of any shapes averaged over the bins, (n, n_bins): a parabola through three nodes of the bank."""
-    middle = np.clip(nearest, 1, NODES.size - 2)
+    # The pulses averaged over the bins: a parabola through three nodes of the bank.
+    middle = np.clip(node, 1, NODES.size - 2)
     before, at, after = NODES[middle - 1], NODES[middle], NODES[middle + 1]
     shares = (
         (shape - at) * (shape - after) / ((before - at) * (before - after)),
@@ -44,7 +39,9 @@ def _between_nodes(shape: Floats, nearest: NDArray[np.intp]) -> Floats:
         (shape - before) * (shape - at) / ((after - before) * (after - at)),
     )
     pulses = bank().basis[:, :, 0]
-    return np.asarray(sum(share[:, None] * pulses[middle + k] for share, k in zip(shares, (-1, 0, 1), strict=True)))
+    fitted = sum(share[:, None] * pulses[middle + k] for share, k in zip(shares, (-1, 0, 1), strict=True))
+    left = bins.values / peak[:, None] - fitted
+    return Bins(left if bins.inside is None else np.where(bins.inside, left, 0.0), bins.inside), unit, node
 
 
 @cache
@@ -69,13 +66,13 @@ def fit_residual(
 ) -> Residual:
     """Return the components of the residuals of fitted pulses; `noise` (n,) is a standard deviation."""
     bins, unit, node = residual_bins(samples, peak, width, onset, shape)
-    left, partial = bins.values, bins.partial
+    left = bins.values
     designs, inverses, bases, spreads = _components()
     per_bin = (noise / peak) ** 2 / np.maximum(BIN * unit, 1.0)
     count = np.full(len(left), float(N_BINS))
     amplitudes = np.einsum("nkb,nb->nk", inverses[node], left)
     explained = np.sum(np.einsum("nbk,nb->nk", bases[node], left) ** 2, axis=1)
-    if partial.size and bins.inside is not None:
+    if bins.inside is not None and (partial := bins.partial).size:
         inside = bins.inside[partial]
         design = designs[node[partial]] * inside[:, :, None]
         information = np.matmul(np.swapaxes(design, 1, 2), design)

@@ -82,7 +82,7 @@ class Bins:
     @property
     def partial(self) -> NDArray[np.intp]:
         """Rows with bins that do not count."""
-        return np.empty(0, np.intp) if self.inside is None else np.flatnonzero(~self.inside.all(axis=1))
+        return np.flatnonzero(~self.inside.all(axis=1)) if self.inside is not None else np.empty(0, np.intp)
 
 
 class Samples:
@@ -185,8 +185,6 @@ class SearchResult:
     @classmethod
     def joined(cls, parts: list[tuple[NDArray[np.intp], SearchResult]]) -> SearchResult:
         """Return the result of all rows from those of some."""
-        if len(parts) == 1:
-            return parts[0][1]
         order = np.argsort(np.concatenate([rows for rows, _ in parts]), kind="stable")
         return cls(**{f.name: np.concatenate([getattr(part, f.name) for _, part in parts])[order] for f in fields(cls)})
 
@@ -201,27 +199,23 @@ class SearchResult:
 
     def has_second(self, variance: Floats) -> NDArray[np.bool_]:
         """Return which pulses have a second minimum that may be the true one, for noise of this variance, (n,)."""
-        return self._likely(self._valleys[1][1], variance)
+        return self._likely(self.valleys[1][1], variance)
 
     def _likely(self, cost: Floats, variance: Floats) -> NDArray[np.bool_]:
-        lowest, scale = self._valleys[1][0], self.unit * BIN / variance
+        lowest, scale = self.valleys[1][0], self.unit * BIN / variance
         # The bins of a pulse of few samples are coarse.
         return np.asarray((cost - lowest) * scale < _MIN_COST_RISE * np.maximum(lowest * scale / N_BINS, 1.0))
 
-    def shape_of(self, valley: int) -> Floats:
-        """Return the shape of the lowest (0) or second minimum, (n,)."""
-        rows, node = np.arange(len(self.cost)), self._valleys[0][valley]
-        return np.asarray(NODES[node] + self._parabolas[0][rows, node])
-
     def depth_near(self, shape: Floats) -> Floats:
         """Return the cost of the minimum nearer to a shape, (n,)."""
-        away = np.abs(np.stack([self.shape_of(0), self.shape_of(1)]) - shape)
-        lowest, second = self._valleys[1]
+        _, (lowest, second), shapes = self.valleys
+        away = np.abs(shapes - shape)
         return np.asarray(np.where((away[1] < away[0]) & np.isfinite(second), second, lowest))
 
     def start(self, second: bool = False) -> Floats:
         """Return parameters (peak, ln width, peak time, shape) near the best, or the second best, (n, 4)."""
-        rows, node, shape = np.arange(len(self.cost)), self._valleys[0][int(second)], self.shape_of(int(second))
+        rows, valley = np.arange(len(self.cost)), int(second)
+        node, shape = self.valleys[0][valley], self.valleys[2][valley]
         middle = np.clip(node, 1, NODES.size - 2)
         share = (shape - NODES[node]) / (NODES[1] - NODES[0])  # 0 where the neighbours differ
         before, at, after = (
@@ -236,8 +230,9 @@ class SearchResult:
         return np.array([peak, log_width, peak_time, shape]).T
 
     @cached_property
-    def _parabolas(self) -> tuple[Floats, Floats]:
-        """The minimum of each node's parabola between its neighbours [s from the node], and the cost there."""
+    def valleys(self) -> tuple[NDArray[np.intp], Floats, Floats]:
+        """Nodes, costs and shapes of the two lowest minima, each (2, n); an infinite cost without a second one."""
+        # The minimum of each node's parabola between its neighbours [s from the node], and the cost there.
         move, lowest = np.zeros(self.cost.shape), self.cost.copy()
         before, at, after = self.cost[:, :-2], self.cost[:, 1:-1], self.cost[:, 2:]
         bend, tilt = before - 2 * at + after, 0.5 * (before - after)
@@ -245,21 +240,17 @@ class SearchResult:
         share = np.where(inner, tilt / np.where(inner, bend, 1.0), 0.0)
         move[:, 1:-1] = share * (NODES[1] - NODES[0])
         lowest[:, 1:-1] -= 0.5 * np.where(inner, tilt, 0.0) * share
-        return move, lowest
-
-    @cached_property
-    def _valleys(self) -> tuple[NDArray[np.intp], Floats]:
-        """The nodes of the two lowest minima and their costs, each (2, n); an infinite cost without a second one."""
         valley = np.ones(self.cost.shape, bool)
         falls = self.cost[:, 1:] <= self.cost[:, :-1]
         valley[:, 1:] = falls
         valley[:, :-1] &= ~falls | (self.cost[:, 1:] == self.cost[:, :-1])
-        depths = np.where(valley, self._parabolas[1], np.inf)
+        depths = np.where(valley, lowest, np.inf)
         rows, first = np.arange(len(depths)), np.argmin(depths, axis=1)
         deepest = depths[rows, first]
         depths[rows, first] = np.inf
         second = np.argmin(depths, axis=1)
-        return np.stack([first, second]), np.stack([deepest, depths[rows, second]])
+        nodes = np.stack([first, second])
+        return nodes, np.stack([deepest, depths[rows, second]]), NODES[nodes] + move[rows, nodes]
 
 
 def search(samples: Samples, peak_time: Floats, width: Floats) -> SearchResult:
@@ -304,7 +295,7 @@ def solve(shapes: PulseBank, bins: Bins) -> tuple[Floats, Floats]:
     # Row by row: a result must not depend on the number of rows.
     right = np.matmul(bins.values[:, None], shapes.flat).reshape(n, n_nodes, n_free)
     solution = np.einsum("kij,nkj->nki", shapes.inverse, right)
-    if (partial := bins.partial).size and bins.inside is not None:
+    if bins.inside is not None and (partial := bins.partial).size:
         inside = bins.inside[partial][:, None].astype(np.float64)
         information = np.matmul(inside, shapes.products).reshape(-1, n_nodes, n_free, n_free)
         ridge = 1e-6 * np.einsum("nkii->nki", information) + 1e-9

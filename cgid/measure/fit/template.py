@@ -86,9 +86,8 @@ def curve(fraction: Floats, shape: Floats) -> Floats:
 PARAMETERS = ("ln_peak", "ln_duration", "onset", "shape")
 
 
-def free_parameters(onset_known: bool) -> list[int]:
-    """Return the columns of (peak, ln width, peak time, shape) that are fitted."""
-    return [0, 1, 3] if onset_known else [0, 1, 2, 3]
+#: Columns of (peak, ln width, peak time, shape) that are fitted, by whether the onset is known.
+FREE = {False: [0, 1, 2, 3], True: [0, 1, 3]}
 
 
 def slopes_and_pulse(parameters: Floats, times: Floats, onset_known: bool = False) -> Floats:
@@ -120,7 +119,7 @@ def slopes_and_pulse(parameters: Floats, times: Floats, onset_known: bool = Fals
     ]
     ds, half, z0, z1, to_peak_time, in_s, s0, s1 = np.array(of_rows, np.float32)[:, :, None]
     n, n_points = times.shape
-    out = np.empty((n, len(free_parameters(onset_known)) + 1, n_points))
+    out = np.empty((n, len(FREE[onset_known]) + 1, n_points))
     x = times * scale[:, None]
     x += shift[:, None]
     np.minimum(np.maximum(x, 0.0, out=x), N_CELLS, out=x)
