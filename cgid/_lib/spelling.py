@@ -48,10 +48,10 @@ def as_option(name: str, value: str = "") -> str:
     return f"--set {name}={quoted}" if value else name
 
 
-#: What `asked` gives; the command line sets `as_option` while it runs.
+#: What `spelled` gives; the command line sets `as_option` while it runs.
 speak: Callable[[str, str], str] = as_argument
 
 
-def asked(name: str, value: str = "") -> str:
+def spelled(name: str, value: str = "") -> str:
     """Return how whoever called states a setting, for the cure in a message."""
     return speak(name, value)

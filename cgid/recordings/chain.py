@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid._lib import validation
-from cgid._lib.spelling import asked
+from cgid._lib.spelling import spelled
 from cgid._lib.validation import shown
 from cgid.errors import BadData, InvalidValue, MissingOption
 from cgid.signals import channel_name
@@ -64,7 +64,7 @@ class Sensitivity:
         if not 0 < value < math.inf:
             raise InvalidValue(
                 f"sensitivity must be above 0 and finite, got {text}; for a reversed sensor use "
-                f"{asked('invert', 'true')}"
+                f"{spelled('invert', 'true')}"
             )
         return cls(value=value, signal=ratio[0], measured=ratio[1], text=text)
 
@@ -96,7 +96,7 @@ class Gain:
             )
         if not 0 < number < math.inf:
             raise InvalidValue(
-                f"gain must be above 0 and finite, got {text}; to invert a signal use {asked('invert', 'true')}"
+                f"gain must be above 0 and finite, got {text}; to invert a signal use {spelled('invert', 'true')}"
             )
         return cls(value=number * (ratio[2] if ratio and is_of_charge else 1.0), is_of_charge=is_of_charge, text=text)
 
@@ -337,12 +337,12 @@ def _full_scale(scale: FullScale, stated: str | None, contents: Blocks, index: i
     if unit is None:
         raise MissingOption(
             f"{name}: the unit of full scale must be known, got {scale.text}; give it as in "
-            f"{asked('full_scale', '10 V')}"
+            f"{spelled('full_scale', '10 V')}"
         )
     if stated is not None and quantity_of(stated) != quantity_of(unit):
         raise InvalidValue(
             f"{name}: full_scale must be of the quantity of the samples, got {scale.text} where file or "
-            f"{asked('unit')} say {stated} ({quantity_of(stated)}); leave one out"
+            f"{spelled('unit')} say {stated} ({quantity_of(stated)}); leave one out"
         )
     largest = _of_file(contents.full_scales, index)
     if scale.bits is not None:
@@ -372,7 +372,7 @@ def _require_full_scale(unit: str | None, contents: Blocks, index: int, source: 
     example = {"acceleration": "500 g", "voltage": "10 V"}.get(quantity_of(unit), f"500 {unit}")
     raise MissingOption(
         f"{channel_name(source, contents.label(index))}: the samples are integers, and the unit ({unit}) does not "
-        f"state how many {unit} full scale is; give it as in {asked('full_scale', example + bits)}"
+        f"state how many {unit} full scale is; give it as in {spelled('full_scale', example + bits)}"
     )
 
 
@@ -440,12 +440,12 @@ def _not_electrical(name: str, unit: str | None, what: str) -> InvalidValue | Mi
     if unit is None:
         return MissingOption(
             f"{name}: the file does not state the unit, and a {what} is for samples in volts or coulombs; give it as "
-            f"in {asked('unit', 'V')}"
+            f"in {spelled('unit', 'V')}"
         )
     if unit == "FS":
         return MissingOption(
             f"{name}: the file does not state how many volts full scale is, and a {what} is for volts; give it as in "
-            f"{asked('full_scale', '10 V')}"
+            f"{spelled('full_scale', '10 V')}"
         )
     return InvalidValue(
         f"{name}: a {what} is for samples in volts or coulombs, they are in {unit} ({quantity_of(unit)}); leave it "
@@ -486,5 +486,5 @@ def require_measured(unit: str | None, name: str) -> None:
     example, other = ("10.2 mV/g", "2.3 mV/N") if quantity == "voltage" else ("3.1 pC/g", "4 pC/N")
     raise MissingOption(
         f"{name}: the samples are a {quantity} [{unit}], the sensitivity of the sensor is missing; give it as in "
-        f"{asked('sensitivity', example)}, or {other!r} of a force"
+        f"{spelled('sensitivity', example)}, or {other!r} of a force"
     )

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cgid._lib.spelling import asked
+from cgid._lib.spelling import spelled
 from cgid._lib.validation import STATED_RATE, rates_agree, require_rate, whole
 from cgid.errors import BadData, CgidError, InvalidValue, MissingOption, NoInput, optional
 from cgid.recordings.chain import Chain, scaled
@@ -235,12 +235,12 @@ class Blocks:
         stated = self.sampling_rate
         if given is None:
             if stated is None:
-                cure = f"give it with {asked('sampling_rate', 'HZ')}"
+                cure = f"give it with {spelled('sampling_rate', 'HZ')}"
                 raise MissingOption(f"{source}: the file does not state the sampling rate; {cure}")
             if not (np.isfinite(stated) and stated > 0):
                 raise BadData(
                     f"{source}: sampling rate must be above 0 and finite, the {self.rate_from} states {stated:g} Hz; "
-                    f"give it with {asked('sampling_rate', 'HZ')}"
+                    f"give it with {spelled('sampling_rate', 'HZ')}"
                 )
             return stated
         if stated is not None and not rates_agree(given, stated):
@@ -258,8 +258,8 @@ class Blocks:
             return stated
         raise BadData(
             f"{source}: channel {self.label(index)} must be in one unit, its header states {stated} "
-            f"({quantity_of(stated)}) and {asked('unit')} states {given} ({quantity_of(given)}); leave it out or "
-            f"correct the header, or pick another channel with {asked('channel')}"
+            f"({quantity_of(stated)}) and {spelled('unit')} states {given} ({quantity_of(given)}); leave it out or "
+            f"correct the header, or pick another channel with {spelled('channel')}"
         )
 
 
