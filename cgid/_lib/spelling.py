@@ -5,14 +5,32 @@ from __future__ import annotations
 import shlex
 from collections.abc import Callable
 
-#: Settings that have an option of their own in the commands that read recordings; others are keys of --set.
+#: Keywords that are an option of their own in the commands; others are keys of --set.
 _OPTIONS = {
-    "sampling_rate": "--rate",
-    "unit": "--unit",
+    "band": "--band",
+    "base": "--from",
+    "by": "--by",
     "channel": "--channel",
-    "same_beam": "--same-beam",
+    "channels": "--channels",
     "coal_until": "--coal-until",
+    "features": "--features",
+    "hammer": "--hammer",
+    "labelled": "--labelled",
+    "mirror": "--mirror",
+    "model": "--model",
+    "overwrite": "--overwrite",
+    "resume": "--resume",
+    "same_beam": "--same-beam",
+    "sample_format": "--sample-format",
+    "sampling_rate": "--rate",
+    "scene": "--scene",
+    "sensor": "--sensor",
+    "times": "--taps",
+    "unit": "--unit",
+    "window_time": "--window",
 }
+#: What is no keyword in Python: how it is stated there.
+_CALLS = {"index": "cgid.Dataset(PATH)[{}]", "laws": "cgid.physics.add_laws({})"}
 
 
 def as_argument(name: str, value: str = "") -> str:
@@ -22,9 +40,16 @@ def as_argument(name: str, value: str = "") -> str:
     ('unit', "unit='V'", 'invert=True', 'mass=KG')
     >>> as_argument("same_beam", "1+2"), as_argument("coal_until", "30s")
     ("same_beam=[('1', '2')]", 'coal_until=30')
+    >>> as_argument("overwrite", "true"), as_argument("channels.2.gain", "VALUE"), as_argument("laws", "MODULE")
+    ('overwrite=True', 'gain={2: VALUE}', 'cgid.physics.add_laws(MODULE)')
     """
     if name == "same_beam" and value:
         return f"{name}={[tuple(beam.split('+')) for beam in value.splitlines()]!r}"
+    if value and name in _CALLS:
+        return _CALLS[name].format(value)
+    if name.startswith("channels."):
+        _, channel, key = name.split(".")
+        return f"{key}={{{channel}: {value}}}"
     if not value or value in ("true", "false"):
         return f"{name}={value.title()}" if value else name
     number = value.removesuffix("s")  # [s]
@@ -38,7 +63,11 @@ def as_option(name: str, value: str = "") -> str:
 
     >>> as_option("unit"), as_option("unit", "m/s^2"), as_option("invert", "true"), as_option("full_scale", "10 V")
     ('--unit', '--unit m/s^2', '--set invert=true', "--set full_scale='10 V'")
+    >>> as_option("overwrite", "true"), as_option("window_time"), as_option("skip_broken", "true")
+    ('--overwrite', '--window', '--set skip_broken=true')
     """
+    if name in _OPTIONS and value == "true":
+        return _OPTIONS[name]
     if name == "same_beam" and value:
         return " ".join(f"{_OPTIONS[name]} {shlex.quote(beam)}" for beam in value.splitlines())
     plain = value.replace("^", "")  # no sign of shells

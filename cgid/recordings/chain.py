@@ -168,7 +168,7 @@ class _Stated(Generic[Part]):
         """Return the value for a channel, and whether it is only for this channel; two must not differ."""
         if not self.values:
             return (None, False) if self.fallback is None else self.fallback.at(index, contents, source)
-        option = f"--{self.name.replace('_', '-')} CHANNEL=VALUE"
+        option = spelled(f"channels.CHANNEL.{self.name}", "VALUE")
         of_channel = [
             value for key, value in self.values if key is not None and index in contents.selected(key, source, option)
         ]
@@ -311,7 +311,7 @@ class Chain:
             if gain is not None and gain.is_of_charge:
                 raise MissingOption(
                     f"{name}: a gain of {gain.text} gives a charge, the sensitivity of the sensor is missing; give it "
-                    "as in --set sensitivity='3.1 pC/g'"
+                    f"as in {spelled('sensitivity', '3.1 pC/g')}"
                 )
             return _bounded(link, name)
         factor, origin = link.factor * UNITS[str(quantity)][link.unit] / sensitivity.value, [link.origin]
@@ -352,10 +352,8 @@ def _full_scale(scale: FullScale, stated: str | None, contents: Blocks, index: i
     if largest is None:
         cure = f"give the bits of the converter, as in '{scale.value:g} {unit} at 24 bit'"
         if stated is not None:
-            only = f"--full-scale 'OTHER.wav:{scale.value:g} {unit}'"
-            cure = (
-                f"its numbers are in {stated}: leave it out, or give it to other files alone, as in {only}; or {cure}"
-            )
+            others = f"a command of several files takes it for others alone as in 'OTHER.wav:{scale.value:g} {unit}'"
+            cure = f"its numbers are in {stated}: leave it out ({others}), or {cure}"
         raise InvalidValue(
             f"{name}: full_scale must be that of a sound file or of signed integers of 16 bit, the file does not state "
             f"its largest number; {cure}"
@@ -387,7 +385,7 @@ def _charge_gain(
         if gain is None or not gain.is_of_charge:
             raise MissingOption(
                 f"{name}: a sensitivity of {sensitivity.text} gives a charge and the samples are a voltage, the gain "
-                "of the charge amplifier is missing; give it as in --set gain='1 mV/pC'"
+                f"of the charge amplifier is missing; give it as in {spelled('gain', '1 mV/pC')}"
             )
         return gain
     if sensitivity.signal != quantity:
@@ -411,8 +409,8 @@ def _gain_of_file(text: str, needed: bool, name: str) -> Gain | None:
     if gain is not None and gain.is_of_charge == needed and (needed or gain.value == 1.0):
         return gain if needed else None
     raise MissingOption(
-        f"{name}: the file states a gain ({text[:40]}) and not whether the samples contain it; give --set gain=VALUE "
-        "to have it divided out, or --set gain=1 if that is done"
+        f"{name}: the file states a gain ({text[:40]}) and not whether the samples contain it; give "
+        f"{spelled('gain', 'VALUE')} to have it divided out, or {spelled('gain', '1')} if that is done"
     )
 
 
@@ -449,7 +447,7 @@ def _not_electrical(name: str, unit: str | None, what: str) -> InvalidValue | Mi
         )
     return InvalidValue(
         f"{name}: a {what} is for samples in volts or coulombs, they are in {unit} ({quantity_of(unit)}); leave it "
-        f"out, or name the channel that it is for, as in --set channels.2.{what}=VALUE"
+        f"out, or name the channel that it is for, as in {spelled(f'channels.2.{what}', 'VALUE')}"
     )
 
 

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid._lib import validation
+from cgid._lib.spelling import spelled
 from cgid._lib.validation import require_rate
 from cgid.errors import BadData, InvalidValue, MissingOption
 from cgid.recordings.chain import Chain, scaled, units_of
@@ -134,9 +135,7 @@ def live_stream(
                     if name == "channels"
                     else "the WAV header states another"
                 )
-                raise InvalidValue(
-                    f"{source}: {name} must agree with the stream, {says}; leave out --{name.replace('_', '-')}"
-                )
+                raise InvalidValue(f"{source}: {name} must agree with the stream, {says}; leave out {spelled(name)}")
         is_integer = head.coding.kind != "f"
         contents = contents_of(head.n_channels, "FS", is_integer=is_integer, rate=head.sampling_rate)
         size = head.data_size if 0 < head.data_size < ENDLESS else None
@@ -147,9 +146,9 @@ def live_stream(
         if whole is not None:
             raise BadData(_NOT_RAW.format(source, whole))
         for missing, what, option in (
-            (coding is None, "how numbers are written", "--sample-format NAME, such as s16le"),
-            (given is None, "the sampling rate", "--rate HZ"),
-            (n_channels is None, "the number of channels", "--channels N"),
+            (coding is None, "how numbers are written", spelled("sample_format", "NAME") + ", such as s16le"),
+            (given is None, "the sampling rate", spelled("sampling_rate", "HZ")),
+            (n_channels is None, "the number of channels", spelled("channels", "NUMBER")),
         ):
             if missing:
                 raise MissingOption(f"{source}: a raw stream does not state {what}; give it with {option}")

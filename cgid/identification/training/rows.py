@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from cgid._lib import validation
+from cgid._lib.spelling import spelled
 from cgid._lib.validation import Floats
 from cgid._lib.workers import SERIAL, Workers
 from cgid.errors import BadData, CgidError, InvalidValue
@@ -465,7 +466,8 @@ def in_unit(batches: Iterable[Batch], unit: str, features: Iterable[str]) -> Ite
                 raise InvalidValue(
                     f"feature {', '.join(fixed)} must be left out, it cannot be converted from "
                     f"{quantity_of(batch.unit)} [{batch.unit}] of the scene to {quantity_of(unit)} [{unit}] of the "
-                    "recordings; name others by --features, or state the recordings' unit by --unit"
+                    f"recordings; name others by {spelled('features')}, or state the recordings' unit "
+                    f"by {spelled('unit')}"
                 )
         yield replace(batch, signals=batch.signals * factor, unit=unit)
 

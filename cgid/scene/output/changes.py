@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from cgid._lib.spelling import spelled
 from cgid.errors import BadData
 from cgid.scene.file.schema import Scene, stored_scene
 from cgid.scene.output import generation, recordings
@@ -82,6 +83,6 @@ def _scene_of(path: Path, attributes: Any, given: Scene | None) -> Scene:
         # An untrusted file must not open other files.
         raise BadData(
             f"{path}: was made with the recorded background {scene.background.recorded.path}; give the scene file next "
-            "to it by --scene FILE"
+            f"to it by {spelled('scene', 'FILE')}"
         )
     return scene
