@@ -386,7 +386,7 @@ def test_lvm_segments_that_follow_each_other_are_one_recording(write):
         assert np.array_equal(whole(recording), TABLE.T) and not recording.warnings
         (force, _) = read_recording(write("".join(segments)), variable="2")
         assert force.samples.tolist() == parts[1][:, 0].tolist()
-    with pytest.raises(BadData, match=r"segment 2 .* must begin where the one before ends, .* --set variable=1, 2"):
+    with pytest.raises(BadData, match=r"segment 2 .* must begin where the one before ends, .* such as 1, by variable=NUMBER"):
         whole(open_recording(write("".join([by_time[0], by_time[2]]))))
     other = lvm(list(rows_of(parts[1])), head=False, delta="2.000000E-3", time="10:00:00,52")
     with pytest.raises(BadData, match=r"segment 2 .* must have the channels and the rate"):
