@@ -119,7 +119,7 @@ REFUSED = {
     "size and step": (table("timestamp,F\n", lambda t, x, k: f"{5000000000 + 39 * k},{x}"), ["state their unit"]),
     "unit and unit": (table("t (s),F (kN)\n", lambda t, x, k: f"{t:.9f},{x} N"), ["kN", "numbers N"]),
     "more names": (table("Time, ms,Force\n", lambda t, x, k: f"{t:.9f},{x}"), ["3 fields", "rows have 2"]),
-    "decimal comma later": ("Time(s), F (N)\n0,0\n3,9e-05,1\n7,8e-05,2\n", ["decimal comma", "--set skip_broken=true"]),
+    "decimal comma later": ("Time(s), F (N)\n0,0\n3,9e-05,1\n7,8e-05,2\n", ["decimal comma", "skip_broken=True"]),
     "spectrum": (table("Frequency (Hz),Magnitude (N)\n", lambda t, x, k: f"{71.1 * k:.1f},{x}"), ["spectrum"]),
     "GCSV": (table("tscale,0.001\nt,gx,gy\n", lambda t, x, k: f"{k},{k % 7},{k % 5}"), ["GCSV"]),
     "JSON": (json.dumps({"payload": {"interval_ms": 1, "values": FORCE.tolist()}}), ["JSON"]),

@@ -180,10 +180,10 @@ class Model(ABC):
         Parameters
         ----------
         features : DataFrame, Batch or array_like, (n_impacts, n_inputs)
-            The features of a Batch are measured, through the beam of the model if it has one. Of a DataFrame the columns named in
-            `inputs` are used; an array is in their order. If the `attrs["units"]` of a DataFrame, as `cgid.extract`
-            returns it, states another scale than the model's `unit`, such as kN, the columns are converted. pandas
-            drops `attrs` easily; numbers without it must be in the model's unit.
+            The features of a Batch are measured, through the beam of the model if it has one. Of a DataFrame the
+            columns named in `inputs` are used; an array is in their order. If the `attrs["units"]` of a DataFrame, as
+            `cgid.extract` returns it, states another scale than the model's `unit`, such as kN, the columns are
+            converted. pandas drops `attrs` easily; numbers without it must be in the model's unit.
 
         Returns
         -------
