@@ -454,7 +454,7 @@ def test_npz_says_rate_and_unit_by_named_values(tmp_path):
     np.savez(path, acc=samples[0], t=np.arange(20) / 500)
     assert open_recording(path).sampling_rate == pytest.approx(500)
     np.savez(path, left=samples[0], right=samples[1], dt=1e-3)
-    with pytest.raises(BadData, match=r"left \(20\), right \(20\).*--set variable=NAME"):
+    with pytest.raises(BadData, match=r"left \(20\), right \(20\).*variable=NAME"):
         open_recording(path)
     (right,) = read_recording(path, variable="right")
     assert (right.samples.tolist(), right.sampling_rate) == (samples[1].tolist(), pytest.approx(1000))

@@ -1,11 +1,13 @@
 "use strict";
 const { percent, scale, labelColour, $, colour, make, canvas, drawShare } = common;
 const EMBEDDED = /*DATA*/null;
+const ANY_SEAM = ["any_seam", "anchor_pending", "anchor_too_few", "anchor_foreign"];  // bases whose interval is for it
 const LATE = 3, TIMEOUT = 2000;  // data are no ground for a decision after LATE [s]; an answer must come within TIMEOUT [ms]
 // Pure functions, without the page. `now` is the time of day [s], `waited` the time since new data [s], null in a file.
 function shareText(one) {
   if (one.gangue_share === null) return "gangue not known";
-  return `gangue ${percent(one.gangue_share)} (${percent(one.low)} to ${percent(one.high)}, ${one.basis.replaceAll("_", " ")})`;
+  const anySeam = ANY_SEAM.includes(one.basis) ? ", any seam" : "";
+  return `gangue ${percent(one.gangue_share)} (${percent(one.low)} to ${percent(one.high)}${anySeam})`;
 }
 function countText(one) {
   const labels = Object.keys(one.labels).sort((a, b) => (a === "unknown") - (b === "unknown") || (a < b ? -1 : 1));
