@@ -1,12 +1,12 @@
 "use strict";
 const { percent, scale, labelColour, $, colour, make, canvas, drawShare } = common;
 const EMBEDDED = /*DATA*/null;
-const ANY_SEAM = ["any_seam", "anchor_pending", "anchor_too_few", "anchor_foreign"];  // bases whose interval is for it
+const OF_THIS_SEAM = /^(anchor|trained_seam)$|gangue/;  // bases of a fraction whose interval is not for any seam
 const LATE = 3, TIMEOUT = 2000;  // data are no ground for a decision after LATE [s]; an answer must come within TIMEOUT [ms]
 // Pure functions, without the page. `now` is the time of day [s], `waited` the time since new data [s], null in a file.
 function shareText(one) {
   if (one.gangue_share === null) return "gangue not known";
-  const anySeam = ANY_SEAM.includes(one.basis) ? ", any seam" : "";
+  const anySeam = OF_THIS_SEAM.test(one.basis) ? "" : ", any seam";
   return `gangue ${percent(one.gangue_share)} (${percent(one.low)} to ${percent(one.high)}${anySeam})`;
 }
 function countText(one) {

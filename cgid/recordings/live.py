@@ -145,13 +145,16 @@ def live_stream(
         whole = _FILES.get(start) or _named_format(source) or ("text" if coding is None and _is_text(start) else None)
         if whole is not None:
             raise BadData(_NOT_RAW.format(source, whole))
-        for missing, what, option in (
-            (coding is None, "how numbers are written", spelled("sample_format", "NAME") + ", such as s16le"),
-            (given is None, "the sampling rate", spelled("sampling_rate", "HZ")),
-            (n_channels is None, "the number of channels", spelled("channels", "NUMBER")),
-        ):
-            if missing:
-                raise MissingOption(f"{source}: a raw stream does not state {what}; give it with {option}")
+        wanted = {
+            "sample_format": ("s16le", coding),
+            "sampling_rate": ("HZ", given),
+            "channels": ("NUMBER", n_channels),
+        }
+        if missing := [spelled(name, like) for name, (like, known) in wanted.items() if known is None]:
+            raise MissingOption(
+                f"{source}: a raw stream does not state how numbers are written, its rate and channels; give "
+                f"{' '.join(missing)}"
+            )
         assert coding is not None and n_channels is not None
         is_integer = coding.kind != "f"
         contents = contents_of(n_channels, "FS" if is_integer else None, is_integer=is_integer)

@@ -319,7 +319,8 @@ def _costs(value: Any, name: str) -> dict[str, float]:
 
 def site_text(recording: RecordingFile, stated: Mapping[str, Any]) -> str:
     """Return a site file for recordings like this one, with what the user states of it and a comment a line."""
-    known = {"rate": f"{recording.sampling_rate:.12g}", "unit": recording.channels[0].unit or "V"}
+    unit = "V" if any(key.endswith("sensitivity") for key in stated) else recording.channels[0].unit or "V"
+    known = {"rate": f"{recording.sampling_rate:.12g}", "unit": unit}
     lines = [
         f"# Site file for recordings such as {Path(recording.source).name}. What a # precedes is not used.",
         "# All keys: cgid predict --help-all",
