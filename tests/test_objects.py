@@ -391,14 +391,6 @@ def test_extract_takes_samples_and_no_path(dataset: cgid.Dataset) -> None:
         cgid.extract(dataset[0].samples)
 
 
-def test_a_withdrawn_name_says_what_to_use_instead(dataset: cgid.Dataset) -> None:
-    with pytest.raises(AttributeError, match=r"impactor.*studies\.impactor"):
-        _ = cgid.impactor
-    with pytest.raises(AttributeError, match=r"estimate_impactors.*cgid\.extract"):
-        _ = cgid.estimate_impactors
-    assert len(cgid.extract(dataset[0], features=["fitted_peak", "fitted_width", "fitted_restitution"])) == 1
-
-
 def test_a_rate_or_unit_that_contradicts_the_object_is_refused(dataset: cgid.Dataset) -> None:
     batch, names = next(dataset.batches(20)), ["peak_force"]
     for given in (dataset[0], batch, dataset):
