@@ -51,7 +51,7 @@ _TEXTS = {
 #: Heading -> the commands below it.
 _COMMANDS = {
     "Recordings": "predict monitor events label features info plot",
-    "Models": "train export-model models",
+    "Models": "train export-model",
     "Datasets and scenes": "generate check tap invert calibrate verify export fetch",
 }
 #: One line for the startup file of each shell.
