@@ -48,7 +48,7 @@ function stateText(one, isVoid) {
 }
 function groundText(one, old, isVoid) {  // `old` is the age of the data [s]
   const age = moment => durationText(Math.max(one.time_s - moment + old, 0));
-  const words = { seen: "seen", blind: "BLIND", fault: "FAULTY", wrong_scale: "WRONG SCALE", mostly_unknown: "MOSTLY UNKNOWN", unproven: "MODEL UNPROVEN", stopped: "STREAM STOPPED" };
+  const words = { seen: "sensor in order", blind: "BLIND", fault: "FAULTY", wrong_scale: "WRONG SCALE", mostly_unknown: "MOSTLY UNKNOWN", unproven: "MODEL UNPROVEN", stopped: "STREAM STOPPED" };
   const known = isVoid ? `last known: ${words[one.ground]}` : `${words[one.ground]} for ${age(one.ground_since_s)}`;
   const parts = [known + (one.reason ? `: ${one.reason}` : "")];
   parts.push(...(one.findings || []));
