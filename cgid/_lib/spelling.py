@@ -63,11 +63,14 @@ def as_option(name: str, value: str = "") -> str:
 
     >>> as_option("unit"), as_option("unit", "m/s^2"), as_option("invert", "true"), as_option("full_scale", "10 V")
     ('--unit', '--unit m/s^2', '--set invert=true', "--set full_scale='10 V'")
-    >>> as_option("overwrite", "true"), as_option("window_time"), as_option("skip_broken", "true")
-    ('--overwrite', '--window', '--set skip_broken=true')
+    >>> as_option("overwrite", "true"), as_option("window_time"), as_option("channels.2.unit", "VALUE")
+    ('--overwrite', '--window', '--unit 2=VALUE')
     """
     if name in _OPTIONS and value == "true":
         return _OPTIONS[name]
+    of, _, key = name.rpartition(".")
+    if key in _OPTIONS and of:
+        return f"{_OPTIONS[key]} {of.removeprefix('channels.')}={value}"
     if name == "same_beam" and value:
         return " ".join(f"{_OPTIONS[name]} {shlex.quote(beam)}" for beam in value.splitlines())
     plain = value.replace("^", "")  # no sign of shells
