@@ -8,11 +8,5 @@ from cgid._lib.lazy import on_first_use
 
 __version__ = "0.2.0"
 
-#: Name that is no longer public -> what to use instead.
-_WITHDRAWN = {
-    "impactor": "a checkout of the source has it as studies.impactor",
-    "estimate_impactors": "use cgid.extract(samples, features=['fitted_peak', 'fitted_width', 'fitted_restitution'])",
-}
-
-__all__, __getattr__, __dir__ = on_first_use(__name__, _WITHDRAWN)
+__all__, __getattr__, __dir__ = on_first_use(__name__)
 __all__ += ["__version__"]

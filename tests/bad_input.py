@@ -515,13 +515,6 @@ _COMMANDS = r"""
 65 | fetch shock --mirror http:// | mirror
 65 | fetch shock --mirror http://me:pw@h/ | mirror
 65 | fetch shock --mirror file:///etc | begins with https://
-2 | predict good.csv --impactor reference | --impactor is withdrawn; use cgid features
-2 | predict good.csv --masses=m.png | --masses is withdrawn; use cgid features
-2 | predict good.csv --drop-height 1.5 | --drop-height is withdrawn; leave it out
-2 | train reference --drop-height -o new.npz | --drop-height is withdrawn; leave it out
-2 | generate reference --compression gzip -o new.h5 | --compression is withdrawn; pack
-2 | plot good.csv -o new.png --kind vibration | --kind is withdrawn; state
-2 | predict good.csv --sensor left | --sensor is withdrawn; leave it out
 65 | predict good.csv --set miss_cost=granite=2 | granite
 73 | predict good.csv -o rows.txt | rows.txt
 73 | predict good.csv -o good.csv | good.csv
@@ -547,9 +540,6 @@ _COMMANDS = r"""
 65 | predict good.csv --model enough.npz --set coverage=0.99 | at most 0.98
 65 | predict good.csv --model uncalibrated.npz --set coverage=0.9 | coverage
 65 | predict good.csv --set coverage=0.9 --set miss_cost=coal=2 | costs and coverage
-2 | train m_group.csv --level-free -o new.npz | --level-free is withdrawn; name features
-2 | train m_group.csv --shuffle-labels -o new.npz | --shuffle-labels is withdrawn; shuffle
-2 | predict good.csv --class-conditional | --class-conditional is withdrawn; use --set coverage
 65 | predict good.csv --channel 7 | 7
 65 | predict two.h5 --set index=64 | index
 65 | predict two.h5 --set index=-1 | index
@@ -560,7 +550,6 @@ _COMMANDS = r"""
 65 | features good.csv --features nose | nose
 65 | features good.csv --features window_level | good.csv
 65 | train one.h5 -o new.npz | at least 2 labels
-2 | train reference.toml -n 600 --calibration-share 0.9 -o new.npz | --calibration-share is withdrawn
 65 | train m_device.csv -o new.npz | /dev/null
 65 | train m_group.csv --by impact -o new.npz | at least 2 groups
 65 | train m_both.csv -o new.npz | good.csv
@@ -626,10 +615,6 @@ _COMMANDS = r"""
 73 | label good.csv -o l.xlsx | l.xlsx
 65 | label good.csv -o pair.csv | pair.csv
 65 | label good.csv --labels coal,<b> | --labels
-2 | label good.csv --save m.txt | --save is withdrawn
-2 | predict good.csv --strict | --strict is withdrawn
-2 | train loose --template t.csv | --template is withdrawn
-2 | features good.csv --keep-baseline | --keep-baseline is withdrawn
 66 | label good.csv --model gone.npz | gone.npz
 2 | label good.csv --port 0 | --port
 65 | label constant.csv motion.csv | motion.csv
@@ -703,7 +688,6 @@ _COMMANDS = r"""
 65 | tap two_taps.csv -o new.csv --band 900 100 | band
 65 | tap two_taps.csv -o new.csv --band 100 20000 | --band
 65 | tap two_taps.csv -o new.csv --band 6000 7000 | 6000
-2 | tap two_taps.csv -o new.csv --max-order 9 | --max-order is withdrawn; leave
 65 | tap two_taps.csv -o new.csv --set contact=-1 | contact
 65 | tap two_taps.csv -o new.csv --taps tap_times.csv | 7.5 s
 65 | tap two_taps.csv -o new.csv --taps tap_table.csv | tap_table.csv
@@ -718,8 +702,6 @@ _COMMANDS = r"""
 65 | tap hammered.csv --hammer 2 -o new.csv --taps nowhere.csv --sensor 0.1,0.1 | nowhere.csv, line 2
 65 | tap two_taps.csv -o new.csv --scene reference | reference
 65 | tap two_taps.csv -o new.csv --set start_error=0 | start_error
-2 | tap two_taps.csv -o new.csv --window-tau 30 | --window-tau is withdrawn; record
-2 | tap two_taps.csv -o new.csv --uff new.uff | --uff is withdrawn; --plot draws
 73 | tap two_taps.csv -o modes.csv | modes.csv
 65 | invert two_taps.csv | --modes
 65 | invert two_taps.csv --scene tail_beam --modes modes.csv | --scene
@@ -744,7 +726,6 @@ _COMMANDS = r"""
 65 | generate caving.toml -o new.h5 -n 3 | one recording
 65 | train caving.toml --features decay_time -o new.npz | stream
 2 | generate reference --features peak_force -o new.h5 | --features-only
-2 | generate reference --closed-form-only -o new.h5 | --closed-form-only is withdrawn; name the columns by --quantities
 2 | generate reference --features-only --set dtype=float64 -o new.h5 | dtype
 2 | generate reference --features-only --set shard_signals=9 -o new.h5 | shard_signals
 2 | generate reference --features-only -o new | .h5

@@ -233,7 +233,7 @@ def test_check_warns_of_a_radius_without_its_unit(tmp_path: Path, capsys: pytest
     ("command", "flag"),
     [
         (("predict", "sample.csv", "--unit", "2=N"), "--unit"),
-        (("predict", "sample.csv", "--set", "channels.3.gain=2"), "--set channels"),
+        (("predict", "sample.csv", "--set", "channels.3.gain=2"), "channels of the site"),
         (("calibrate", "sample_acceleration.csv", "--scene", "caving", "-ox.toml", "--set", "drift=9"), "--set drift"),
     ],
 )

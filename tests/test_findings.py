@@ -95,6 +95,7 @@ def test_python_and_the_command_line_each_read_their_own_options() -> None:
     )
     assert "same_beam=[('1', '2')]" in finding.line("x", 2)
     assert "--same-beam 1+2" in finding.line("x", 2, as_option)
+    assert str(finding) == finding.line("", 2).strip() and str(Finding(kind="any_seam")).startswith("the interval")
     for kind, row in words().items():
         for part in ("what", "help", "over"):
             assert "--same-beam" not in row[part] and "--set lines" not in row[part], kind

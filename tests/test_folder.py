@@ -88,7 +88,7 @@ def test_a_line_is_there_when_its_file_is_whole(tmp_path):
 
 def test_a_full_disk_under_the_sums(tmp_path):
     folder, name = tmp_path / "data", DATASET.names[0]
-    with pytest.raises(WriteFailed, match="--resume"), begun(folder, DATASET) as run:
+    with pytest.raises(WriteFailed, match="resume=True"), begun(folder, DATASET) as run:
         (folder / name).touch()
         os.dup2(os.open("/dev/full", os.O_WRONLY), run._listing)
         run.add(name, DIGESTS[name])

@@ -195,7 +195,7 @@ def test_several_arrays_are_listed_and_picked_by_name_group_or_pattern(hdf5):
 
     path = hdf5(fill)
     message = refused(path)
-    assert "--set variable=NAME" in message and all(f"{name} (3001)" in message for name in ("run/ch1", "other/ch3"))
+    assert "variable=NAME" in message and all(f"{name} (3001)" in message for name in ("run/ch1", "other/ch3"))
     assert "unfit" not in message and "flags" not in message
     for variable in ("run/ch2", "/run/ch2", "ch2"):
         recording, found = read(path, variable=variable)

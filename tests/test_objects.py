@@ -295,6 +295,15 @@ def test_model_predicts_from_a_table_of_features(training: Training) -> None:
         model.predict(table.assign(**{model.features[0]: np.nan}))
 
 
+def test_model_of_a_beam_predicts_signals_through_it() -> None:
+    model = cgid.load_model("default-acceleration")
+    (batch,) = cgid.synthesise("tail_beam", 4, seed=3)
+    table = cgid.predict(batch, model=model)
+    np.testing.assert_allclose(model.predict_proba(batch)[:, 0], table["p_coal"], atol=1e-12)
+    in_g = replace(batch, signals=batch.signals / 9.80665, unit="g")
+    assert model.predict(in_g).tolist() == table["label"].tolist()
+
+
 def test_tables_in_another_unit_are_converted_or_refused(training: Training) -> None:
     (batch,) = cgid.synthesise("reference", 100, seed=9)
     in_kn = replace(batch, signals=batch.signals / 1e3, unit="kN")
@@ -380,14 +389,6 @@ def test_extract_takes_samples_and_no_path(dataset: cgid.Dataset) -> None:
             cgid.extract(wrong)
     with pytest.raises(MissingOption, match="sampling rate"):
         cgid.extract(dataset[0].samples)
-
-
-def test_a_withdrawn_name_says_what_to_use_instead(dataset: cgid.Dataset) -> None:
-    with pytest.raises(AttributeError, match=r"impactor.*studies\.impactor"):
-        _ = cgid.impactor
-    with pytest.raises(AttributeError, match=r"estimate_impactors.*cgid\.extract"):
-        _ = cgid.estimate_impactors
-    assert len(cgid.extract(dataset[0], features=["fitted_peak", "fitted_width", "fitted_restitution"])) == 1
 
 
 def test_a_rate_or_unit_that_contradicts_the_object_is_refused(dataset: cgid.Dataset) -> None:

@@ -154,7 +154,7 @@ def test_workers_make_the_same_bytes_and_another_law_is_no_resumption(cone, tmp_
 
 def test_a_scene_with_a_law_that_is_not_there_is_refused_by_name(monkeypatch):
     monkeypatch.setattr(own_laws, "_own", {})
-    with pytest.raises(BadData, match=r"got 'cone'; .* --set laws=MODULE, in Python cgid\.physics\.add_laws\(MODULE\)"):
+    with pytest.raises(BadData, match=r"got 'cone'; .* cgid\.physics\.add_laws\(MODULE\)"):
         scene_of_cones()
 
 

@@ -781,7 +781,7 @@ def test_page_names_the_ground_its_reason_and_its_age(outputs) -> None:
     assert all(text.startswith("last known: ") and "sample 10 min ago" in text for text in last)
     texts = page_functions(f"({data}).supports.map(one => groundText(one, 600, false))")
     names = (
-        "seen for",
+        "sensor in order for",
         "BLIND for",
         "WRONG SCALE for",
         "MOSTLY UNKNOWN for",
@@ -791,7 +791,7 @@ def test_page_names_the_ground_its_reason_and_its_age(outputs) -> None:
     )
     for text, name in zip(texts, names, strict=True):
         assert text.startswith(f"{name} 10 min")
-        assert ("the cable" in text) is (name != "seen for")
+        assert ("the cable" in text) is (name != "sensor in order for")
         assert "last valid sample 10 min ago" in text
         assert "last identified impact 10 min ago" in text
 

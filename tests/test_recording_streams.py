@@ -124,7 +124,7 @@ def test_rate_of_a_long_text_is_that_of_its_ends(write, small_pieces):
     [
         (250, "0.1,oops", ["sample 249", "line 251", "'oops'"]),
         (250, "0.005646258", ["sample 249", "line 251", "has 1"]),
-        (250, "0.005660,2", ["even steps to 1 %, sample 25", "--rate"]),
+        (250, "0.005660,2", ["even steps to 1 %, sample 25", "sampling_rate"]),
         (250, "0.001,2", ["increase", "sample 249"]),
         (300, "0.0068,", ["sample 299", "line 301", "column 2 is empty"]),
     ],
@@ -386,7 +386,9 @@ def test_lvm_segments_that_follow_each_other_are_one_recording(write):
         assert np.array_equal(whole(recording), TABLE.T) and not recording.warnings
         (force, _) = read_recording(write("".join(segments)), variable="2")
         assert force.samples.tolist() == parts[1][:, 0].tolist()
-    with pytest.raises(BadData, match=r"segment 2 .* must begin where the one before ends, .* --set variable=1, 2"):
+    with pytest.raises(
+        BadData, match=r"segment 2 .* must begin where the one before ends, .* such as 1, by variable=NUMBER"
+    ):
         whole(open_recording(write("".join([by_time[0], by_time[2]]))))
     other = lvm(list(rows_of(parts[1])), head=False, delta="2.000000E-3", time="10:00:00,52")
     with pytest.raises(BadData, match=r"segment 2 .* must have the channels and the rate"):
@@ -452,7 +454,7 @@ def test_npz_says_rate_and_unit_by_named_values(tmp_path):
     np.savez(path, acc=samples[0], t=np.arange(20) / 500)
     assert open_recording(path).sampling_rate == pytest.approx(500)
     np.savez(path, left=samples[0], right=samples[1], dt=1e-3)
-    with pytest.raises(BadData, match=r"left \(20\), right \(20\).*--set variable=NAME"):
+    with pytest.raises(BadData, match=r"left \(20\), right \(20\).*variable=NAME"):
         open_recording(path)
     (right,) = read_recording(path, variable="right")
     assert (right.samples.tolist(), right.sampling_rate) == (samples[1].tolist(), pytest.approx(1000))

@@ -93,7 +93,7 @@ def test_a_stopped_run_goes_on_to_the_same_bytes(whole, path, make, older):
         with pytest.raises(BadData):
             len(list(Dataset(path)))
         assert verify(path).damage
-    with pytest.raises(CannotCreate, match="--resume"):
+    with pytest.raises(CannotCreate, match="resume=True"):
         make(path)
     first = next(path.glob("*-00000.h5"))
     time = first.stat().st_mtime_ns

@@ -184,7 +184,7 @@ def test_the_table_is_one_of_a_scene(hammered, tmp_path, capsys):
     scene = load_scene(tmp_path / "support.toml")
     np.testing.assert_allclose(beam_modes(scene).frequency, every.frequency)
     np.testing.assert_allclose(beam_modes(scene).participation(), every.participation())
-    with pytest.raises(OSError, match="--overwrite"):
+    with pytest.raises(OSError, match="overwrite=True"):
         hammered.save(path)
     assert run(["check", str(tmp_path / "support.toml")]) == 0
     assert "modes of one place: only impacts there" in capsys.readouterr().err

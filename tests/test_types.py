@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import ast
 import importlib
+import re
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -94,6 +95,75 @@ def test_refusals_name_the_setting_as_it_was_given(tmp_path: Path, capsys: pytes
         assert flag in capsys.readouterr().err
     with pytest.raises(cgid.errors.InvalidValue, match="give coal_until"):
         cgid.identification.prediction.PredictionSettings(cycle_pause=30.0)
+
+
+#: Whole commands, which are the same for whoever reads them.
+COMMAND, FLAG = re.compile(r"cgid [a-z-]+\b[^;,]*"), re.compile(r"(?<![\w-])--[a-z][a-z-]+")
+#: What a command line alone runs, and the table of its options; `plant` has the outputs of `cgid monitor`.
+OF_COMMANDS = ("cli/", "labelling/", "plant/", "pages/server.py", "_lib/spelling.py")
+
+
+def test_no_message_of_python_names_an_option() -> None:
+    """Messages name settings by `cgid._lib.spelling.spelled`, so Python's keyword in Python."""
+    for path in sorted((ROOT / "cgid").rglob("*.py")):
+        content, name = path.read_text(encoding="utf-8"), path.relative_to(ROOT / "cgid").as_posix()
+        if name.startswith(OF_COMMANDS) or not FLAG.search(content):
+            continue
+        tree = ast.parse(content)
+        ignored = {id(one.value) for one in ast.walk(tree) if isinstance(one, ast.Expr)}  # docstrings
+        for node in ast.walk(tree):
+            if isinstance(node, ast.JoinedStr):
+                ignored |= {id(one) for one in node.values}
+                text = "".join(str(getattr(one, "value", "")) for one in node.values if isinstance(one, ast.Constant))
+            else:
+                text = str(getattr(node, "value", "")) if isinstance(node, ast.Constant) else ""
+            is_word = FLAG.fullmatch(text)  # of a command that is printed or run
+            assert id(node) in ignored or is_word or not FLAG.search(COMMAND.sub("", text)), (name, text)
+
+
+@pytest.mark.parametrize(
+    ("call", "keyword", "command", "option"),
+    [
+        ("open_recording('a.npz', sampling_rate=9e3)", "variable=NAME", "info a.npz --rate 9000", "variable=NAME"),
+        ("open_recording('a.npy', sampling_rate=9e3, channel=3)", "by channel", "info a.npy --channel 3", "--channel"),
+        (
+            "read_recording('a.csv', sampling_rate=9e3)",
+            "skip_broken=True",
+            "predict a.csv --rate 9000",
+            "--set skip_br",
+        ),
+        ("load_model().save('a.npz')", "overwrite=True", "export-model a.npz --to c -o a.c", "--overwrite"),
+        ("open_recording('.')", "cgid.Dataset(PATH)[0]", "predict . --set index=9", "index"),
+        (
+            "load_scene('a.toml')",
+            "cgid.physics.add_laws(MODULE)",
+            "check a.toml",
+            "laws=MODULE",
+        ),
+    ],
+)
+def test_refusals_are_those_of_their_caller(
+    call: str,
+    keyword: str,
+    command: str,
+    option: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    from cgid.cli.main import run
+
+    monkeypatch.chdir(tmp_path)
+    np.savez("a.npz", p=np.zeros(4000), q=np.zeros(4000))
+    np.save("a.npy", np.zeros((4000, 2)))
+    Path("a.csv").write_text("force [N]\n" + "1.5\n" * 300 + "broken line\n" + "2.5\n" * 9, encoding="utf-8")
+    Path("a.c").touch()
+    Path("a.toml").write_text('[impact]\ndissipation = "x"\n', encoding="utf-8")
+    with pytest.raises(cgid.errors.CgidError) as error:
+        eval(f"cgid.{call}", {"cgid": cgid})
+    assert keyword in str(error.value) and not FLAG.search(str(error.value))
+    assert run(command.split()) != 0
+    assert option in capsys.readouterr().err
 
 
 def test_a_user_of_scenes() -> None:

@@ -344,5 +344,5 @@ def test_without_its_description_only_the_kind_of_command_is_known(copies: Path)
     command = "cgid generate SCENE.toml -n 3 --seed 3 --set dtype=float32 -o {} --resume; SCENE.toml is the file of {}"
     assert remedy(copies / "recordings") == command.format(copies / "recordings", "scene stream")
     (copies / "folder" / "description.json").write_text("{")
-    assert remedy(copies / "folder") == "repeat the command that made it, with --resume"
-    assert remedy(copies / "table.h5") == "repeat the command that made it, with --overwrite"
+    assert remedy(copies / "folder") == "repeat what made it, with resume=True"
+    assert remedy(copies / "table.h5") == "repeat what made it, with overwrite=True"

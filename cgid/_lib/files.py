@@ -17,6 +17,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from cgid._lib.spelling import spelled
 from cgid.errors import BadData, CannotCreate, CgidError, NoInput, WriteFailed
 
 #: Errors of a full disk.
@@ -81,7 +82,7 @@ def whole_file(
             raise CannotCreate(f"{path}: is a folder; choose another name or move it away") from None
         if isinstance(error, FileExistsError):
             raise CannotCreate(
-                f"{path}: was created in the meantime; choose another name or give --overwrite"
+                f"{path}: was created in the meantime; choose another name or give {spelled('overwrite', 'true')}"
             ) from None
         if isinstance(error, OSError):
             hint = "free some space" if error.errno in {*FULL, None} else "choose another folder, or check the disk"
@@ -204,7 +205,7 @@ def check_new(path: Path, what: str, endings: Collection[str], *, overwrite: boo
         if not path.parent.is_dir():
             raise CannotCreate(f"{path}: the folder {path.parent} must exist; make it first")
         if path.is_dir() or (path.exists() and not overwrite):
-            raise CannotCreate(f"{path}: exists already; choose another name or give --overwrite")
+            raise CannotCreate(f"{path}: exists already; choose another name or give {spelled('overwrite', 'true')}")
     return path
 
 

@@ -22,6 +22,7 @@ from importlib.metadata import version
 from typing import Any, TypeVar
 
 from cgid._lib import validation
+from cgid._lib.spelling import spelled
 from cgid.errors import INTERRUPTIONS, ClusterFailed, InvalidValue, Stopped, optional
 
 #: The scheduler must answer and have a worker within this time [s].
@@ -219,7 +220,7 @@ def _cluster_failed(error: Exception) -> ClusterFailed | None:
     elif isinstance(error, CancelledError):
         reason = (
             f"cluster: the scheduler or all workers are lost ({getattr(error, 'reason', error)}); start some, and "
-            "continue with --resume"
+            f"continue with {spelled('resume', 'true')}"
         )
     else:
         return None

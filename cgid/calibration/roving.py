@@ -18,6 +18,7 @@ from threadpoolctl import threadpool_limits
 
 from cgid._lib import validation
 from cgid._lib.files import check_new, write_whole
+from cgid._lib.spelling import spelled
 from cgid._lib.terminal import counted
 from cgid._lib.validation import Floats
 from cgid.calibration.joint import Gram, gram_of, lines_of
@@ -174,7 +175,9 @@ def roving_test(  # noqa: PLR0913
     with threadpool_limits(1, "blas"):
         poles = poles_of(decays, sampling_rate, (low, high), max_order, progress)
     if not poles.pole.size:
-        raise BadData(f"{source}: the decays must contain a mode from {low:.4g} to {high:.4g} Hz; change --band")
+        raise BadData(
+            f"{source}: the decays must contain a mode from {low:.4g} to {high:.4g} Hz; change {spelled('band')}"
+        )
     pole = np.concatenate([poles.pole, lines_of((low, high))])
     blows = blows_of(response[0], force, hits, used, sampling_rate, RINGS / np.abs(pole.real).min())
     part = [blows[k] for k in chosen], [used[k] for k in chosen]
@@ -190,7 +193,8 @@ def roving_test(  # noqa: PLR0913
         if not kept.size or not (kept < poles.pole.size).any():
             raise BadData(
                 f"{source}: the places must be close enough for a mode to be interpolated, none of "
-                f"{counted(poles.pole.size, 'mode')} is; tap a finer grid, check the table of taps, or lower --band"
+                f"{counted(poles.pole.size, 'mode')} is; tap a finer grid, check the table of taps, or lower "
+                f"{spelled('band')}"
             )
         off = np.sqrt(np.mean(np.square(shape.left_out[:, kept < poles.pole.size]), axis=1))
         worst = int(np.argmax(shape.surprise))
@@ -268,7 +272,7 @@ def _require_enough(points: Floats, sensor: tuple[float, float], source: str) ->
     if nearest > spacing:
         raise BadData(
             f"{source}: a tap must be next to the sensor, the nearest is {1e3 * nearest:.0f} mm from it where places "
-            f"are {1e3 * spacing:.0f} mm apart; tap there, too, or correct --sensor"
+            f"are {1e3 * spacing:.0f} mm apart; tap there, too, or correct {spelled('sensor')}"
         )
 
 

@@ -20,6 +20,7 @@ from threadpoolctl import threadpool_limits
 
 from cgid._lib import validation
 from cgid._lib.files import check_new, read_cells, write_whole
+from cgid._lib.spelling import spelled
 from cgid._lib.terminal import counted
 from cgid._lib.validation import Floats
 from cgid.calibration.agreement import (
@@ -295,7 +296,7 @@ def tap_test(
             raise BadData(
                 f"{source}: the decays must contain a mode, none is found between {low:.4g} and {high:.4g} Hz in "
                 f"{counted(len(used), 'decay')} of {length / sampling_rate:.3g} s; tap harder, put the sensor where it "
-                "moves, or change --band"
+                f"moves, or change {spelled('band')}"
             )
         if force is None or hits is None:
             participation, relative = _relative_participation(poles, len(used), DERIVATIVES[quantity])
@@ -429,7 +430,7 @@ def events_in(
         raise BadData(
             f"{source}: taps must be at least {DOUBLE:g} s apart, better a second, got a median of {separation:.2g} s "
             f"between {counted(len(events), 'impact')}; record hammer taps with silence between them, or list the taps "
-            "in a table (--taps)"
+            f"in a table ({spelled('times')})"
         )
     events += ear.feed(response[:, first:]).events + ear.feed(None).events
     if not events:
@@ -630,7 +631,8 @@ def band_of(
     if low < 1 / duration or high > max_frequency:
         raise BadData(
             f"{source}: band must be between one period of the decays ({1 / duration:.3g} Hz) and 0.49 of the sampling "
-            f"rate ({max_frequency:.5g} Hz), got {low:g} to {high:g} Hz; leave more time between taps, or change --band"
+            f"rate ({max_frequency:.5g} Hz), got {low:g} to {high:g} Hz; leave more time between taps, or change "
+            f"{spelled('band')}"
         )
     return low, high
 
@@ -700,9 +702,9 @@ def factor_of(unit: str, source: str) -> tuple[str, float]:
     """Return quantity and factor to SI of a response's unit; raises `BadData` if it is not of motion."""
     quantity = quantity_of(unit)
     if quantity not in DERIVATIVES:
-        cure = "choose with --channel, and name the channel of the force with --hammer"
+        cure = f"choose with {spelled('channel')}, and name the channel of the force with {spelled('hammer')}"
         raise BadData(
             f"{source}: the response must be an acceleration, velocity or displacement, got {quantity} [{unit}]; "
-            + ("give --set full_scale='500 g'" if quantity == "level" else cure)
+            + (f"give {spelled('full_scale', '500 g')}" if quantity == "level" else cure)
         )
     return quantity, UNITS[quantity][unit]

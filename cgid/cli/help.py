@@ -48,35 +48,10 @@ _TEXTS = {
     "--sample-format": "FORMAT",
     "--dimension-error": "ERROR",
 }
-_PULSES = "use cgid features FILE --features fitted_peak,fitted_width,fitted_restitution for the pulse of each impact"
-_SHARES = "use cgid.train_on_specimens(dataset, test_share=, calibration_share=) in Python"
-#: Option that no command has any more -> what to use instead.
-WITHDRAWN = {
-    "--impactor": _PULSES,
-    "--masses": _PULSES,
-    "--strict": "the exit code tells that a file failed, and its line says why",
-    "--test-share": _SHARES,
-    "--calibration-share": _SHARES,
-    "--template": "write a table with the columns path and label, a row a recording, or name folders by their labels",
-    "--keep-baseline": "in Python, cgid.extract takes samples with their baseline",
-    "--save": "the page saves the model beside the table of labels",
-    "--no-lines": "give --set lines=false, or lines in [model] of a site file",
-    "--drop-height": "leave it out, no model needs a drop height",
-    "--kind": "state the quantity by --unit, motion and sound are vibrations",
-    "--max-order": "leave it out, --band keeps fewer modes",
-    "--window-tau": "record taps without a window, decays may last",
-    "--uff": "--plot draws the response; cgid tap -o modes.csv has its modes",
-    "--compression": "pack what cgid export writes by h5repack -f GZIP=4",
-    "--closed-form-only": "name the columns by --quantities, such as peak_force,contact_duration,impulse",
-    "--level-free": "name features free of the gain by --features (relative_level_1000_hz,relative_level_1250_hz,...)",
-    "--shuffle-labels": "shuffle the column label of a copy of the manifest instead",
-    "--class-conditional": "use --set coverage=0.9, which holds for the mixture of the training",
-    "--sensor": "leave it out, no model has reference runs of sensors; train on recordings of each sensor",
-}
 #: Heading -> the commands below it.
 _COMMANDS = {
     "Recordings": "predict monitor events label features info plot",
-    "Models": "train export-model models",
+    "Models": "train export-model",
     "Datasets and scenes": "generate check tap invert calibrate verify export fetch",
 }
 #: One line for the startup file of each shell.
@@ -128,10 +103,7 @@ class Command(click.Command):
                 raise click.UsageError(
                     f"{error.option_name} is no option; give --set {key}=VALUE, or {key} in [{section}] of a site file"
                 ) from None
-            if error.option_name not in WITHDRAWN:
-                raise
-            withdrawn = f"{error.option_name} is withdrawn; {WITHDRAWN[error.option_name]}"
-            raise click.UsageError(withdrawn) from None
+            raise
 
     def get_params(self, ctx: click.Context) -> list[click.Parameter]:
         """Return the options of this command, and those of all."""

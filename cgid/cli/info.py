@@ -168,7 +168,8 @@ def _model(file: str) -> dict[str, Any]:
     from cgid.identification.model.model import StoredModel
     from cgid.identification.model.model_file import WITHDRAWN
 
-    model = StoredModel.load(file)
+    model, path_of = StoredModel.load(file), shipped.path_of
+    about = next((one for one in shipped.model_versions() if file == str(path_of("models", f"{one['name']}.npz"))), {})
     header = {name: value for name, value in model.header.items() if name not in WITHDRAWN}
     training = header.pop("training")
     metrics = training.pop("metrics", {})
@@ -178,6 +179,7 @@ def _model(file: str) -> dict[str, Any]:
     return {
         "kind": "model",
         "file": file,
+        **about,
         **header,
         "calibration_impacts": 0 if model.conformal is None else len(model.conformal.scores),
         "training": training,

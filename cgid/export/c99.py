@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid import __version__
+from cgid._lib.spelling import spelled
 from cgid._lib.validation import Floats
 from cgid.errors import InvalidValue
 from cgid.identification.model.conformal import COVERAGES
@@ -94,7 +95,7 @@ def require_small(model: StoredModel) -> None:
     if n_numbers > MAX_NUMBERS:
         raise InvalidValue(
             f"the model must have at most {MAX_NUMBERS} numbers to be exported, got {n_numbers} for "
-            f"{len(model.inputs)} inputs; train one on fewer features (--features)"
+            f"{len(model.inputs)} inputs; train one on fewer ({spelled('features')})"
         )
 
 

@@ -132,16 +132,25 @@ function step(by) {
   const next = list[Math.min(Math.max(at + by, 0), list.length - 1)];
   if (next) select(next[0], false);
 }
-async function select(k, drawn) {
+function select(k, drawn) {
   page.selected = k; page.drawn = drawn; page.detail = null;
   const one = page.impacts[k];
   if (!one) return;
   if (one[1] < page.from || one[1] > page.to) { const half = (page.to - page.from) / 2; zoomTo(one[1] - half, one[1] + half); }
   show();
+  load();
+}
+let loading = false;
+async function load() {  // one at a time: after fast steps the last impact alone is asked for
+  if (loading) return;
+  loading = true;
   try {
-    const detail = await get(`impact?r=${page.r}&k=${k}`);
-    if (page.selected === k) { page.detail = detail; showOne(); }
-  } catch (error) { fail(error); }
+    while (page.impacts[page.selected] && !page.detail) {
+      const [r, k] = [page.r, page.selected], detail = await get(`impact?r=${r}&k=${k}`);
+      if (page.r === r && page.selected === k) page.detail = detail;
+    }
+    showOne();
+  } catch (error) { fail(error); } finally { loading = false; }
 }
 // -- the view -----------------------------------------------------------------------------------------------
 let viewing = 0;
@@ -169,7 +178,7 @@ const timeText = t => t < 120 ? t.toFixed(page.to - page.from < 1 ? 4 : page.to 
 function ticks(c, x, from, to, top, height) {
   const rough = (to - from) / 6, power = 10 ** Math.floor(Math.log10(rough)), every = [1, 2, 5, 10].find(k => k * power >= rough) * power;
   c.fillStyle = colour("--soft"); c.textAlign = "center";
-  for (let t = Math.ceil(from / every) * every; t <= to; t += every) { c.globalAlpha = .3; c.fillRect(x(t), top, 1, height); c.globalAlpha = 1; c.fillText(timeText(t), x(t), top + height + 12); }
+  for (let t = Math.ceil(from / every) * every; t <= to; t += every) { c.globalAlpha = .3; c.fillRect(x(t), top, 1, height); c.globalAlpha = 1; c.fillText(timeText(t), Math.min(Math.max(x(t), 14), x(to) - 18), top + height + 12); }
 }
 function drawOverview() {
   const [c, width, height] = canvas($("overview")), x = scale(page.from, page.to, 0, width), view = page.view;
@@ -257,7 +266,7 @@ function showOne() {
   const logs = detail.frequency.map(Math.log10), x = scale(logs[0], logs[logs.length - 1], 0, wide), level = scale(-80, 0, high - 18, 6);
   s.strokeStyle = colour("--gangue"); line(s, k => x(logs[k]), detail.level.map(one => level(Math.max(one, -80))));
   s.fillStyle = colour("--soft"); s.textAlign = "center";
-  for (const f of [10, 100, 1000, 10000, 100000]) if (Math.log10(f) > logs[0] && Math.log10(f) < logs[logs.length - 1]) { s.fillRect(x(Math.log10(f)), 0, .5, high - 18); s.fillText(f < 1000 ? `${f} Hz` : `${f / 1000} kHz`, x(Math.log10(f)), high - 4); }
+  for (const f of [10, 100, 1000, 10000, 100000]) if (Math.log10(f) > logs[0] && Math.log10(f) < logs[logs.length - 1]) { s.fillRect(x(Math.log10(f)), 0, .5, high - 18); s.fillText(f < 1000 ? `${f} Hz` : `${f / 1000} kHz`, Math.min(x(Math.log10(f)), wide - 20), high - 4); }
   s.textAlign = "left"; s.fillText("0 … −80 dB", 2, 12);
 }
 let audio = null;

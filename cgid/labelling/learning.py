@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from cgid._lib.spelling import spelled
 from cgid._lib.validation import UNKNOWN, Floats
 from cgid._lib.workers import Workers
 from cgid.errors import BadData, CgidError, InvalidValue, Stopped
@@ -130,7 +131,7 @@ class Learning:
         from cgid.identification.training.training import Training
 
         if self.base is None:
-            raise BadData("there is no model to correct; give --model")
+            raise BadData(f"there is no model to correct; give {spelled('model')}")
         made = correct(self.base, rows)
         return Training(made.model, dict(made.after), made.labels, made.probabilities, None, made.rows)
 

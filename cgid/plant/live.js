@@ -1,11 +1,13 @@
 "use strict";
 const { percent, scale, labelColour, $, colour, make, canvas, drawShare } = common;
 const EMBEDDED = /*DATA*/null;
+const OF_THIS_SEAM = /^(anchor|trained_seam)$|gangue/;  // bases of a fraction whose interval is not for any seam
 const LATE = 3, TIMEOUT = 2000;  // data are no ground for a decision after LATE [s]; an answer must come within TIMEOUT [ms]
 // Pure functions, without the page. `now` is the time of day [s], `waited` the time since new data [s], null in a file.
 function shareText(one) {
   if (one.gangue_share === null) return "gangue not known";
-  return `gangue ${percent(one.gangue_share)} (${percent(one.low)} to ${percent(one.high)}, ${one.basis.replaceAll("_", " ")})`;
+  const anySeam = OF_THIS_SEAM.test(one.basis) ? "" : ", any seam";
+  return `gangue ${percent(one.gangue_share)} (${percent(one.low)} to ${percent(one.high)}${anySeam})`;
 }
 function countText(one) {
   const labels = Object.keys(one.labels).sort((a, b) => (a === "unknown") - (b === "unknown") || (a < b ? -1 : 1));
@@ -46,7 +48,7 @@ function stateText(one, isVoid) {
 }
 function groundText(one, old, isVoid) {  // `old` is the age of the data [s]
   const age = moment => durationText(Math.max(one.time_s - moment + old, 0));
-  const words = { seen: "seen", blind: "BLIND", fault: "FAULTY", wrong_scale: "WRONG SCALE", mostly_unknown: "MOSTLY UNKNOWN", unproven: "MODEL UNPROVEN", stopped: "STREAM STOPPED" };
+  const words = { seen: "sensor in order", blind: "BLIND", fault: "FAULTY", wrong_scale: "WRONG SCALE", mostly_unknown: "MOSTLY UNKNOWN", unproven: "MODEL UNPROVEN", stopped: "STREAM STOPPED" };
   const known = isVoid ? `last known: ${words[one.ground]}` : `${words[one.ground]} for ${age(one.ground_since_s)}`;
   const parts = [known + (one.reason ? `: ${one.reason}` : "")];
   parts.push(...(one.findings || []));

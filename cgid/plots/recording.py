@@ -55,17 +55,22 @@ def overview_figure(
 ) -> Any:
     """Return a figure of waveform and spectrogram of each channel and the spectra of all, with marks by label."""
     colours = colours_of(mark.label for mark in marks)
-    strip = [_STRIP_ROW * len(colours)] if colours else []
+    by_channel = [[mark for mark in marks if mark.channel in (None, channel.name)] for channel in channels]
+    told = [{(mark.time, mark.label) for mark in of_channel} for of_channel in by_channel]
+    # Channels of one beam share their impacts, so the first of them has the rows of labels.
+    has_strip = [bool(colours) and (k == 0 or told[k] != told[k - 1]) for k in range(len(channels))]
     shrunk = 1.0 if len(channels) <= _FULL_SIZE else _SHRUNK
-    heights = [*[*strip, _WAVEFORM * shrunk, _SPECTROGRAM * shrunk] * len(channels), _SPECTRUM]
+    heights = []
+    for has in has_strip:
+        heights += [*[_STRIP_ROW * len(colours)] * has, _WAVEFORM * shrunk, _SPECTROGRAM * shrunk]
+    heights.append(_SPECTRUM)
     figure = require_matplotlib()(figsize=(WIDTH, sum(heights) + _MARGIN * len(heights) + _TITLE), layout="constrained")
     figure.suptitle("\n".join(plain(line) for line in (title, facts) if line), parse_math=False, fontsize="medium")
     grid = figure.add_gridspec(len(heights), 2, height_ratios=heights, width_ratios=(1, 0.016), wspace=0.01)
     rows, clock, shared = iter(range(len(heights))), Clock(begin, begin + overview.duration), None
-    for k, channel in enumerate(channels):
-        of_channel = [mark for mark in marks if mark.channel in (None, channel.name)]
+    for k, (channel, of_channel) in enumerate(zip(channels, by_channel, strict=True)):
         shared = top = waveform = figure.add_subplot(grid[next(rows), 0], sharex=shared)
-        if colours:
+        if has_strip[k]:
             draw_marks(top, of_channel, colours, clock)
             waveform = figure.add_subplot(grid[next(rows), 0], sharex=shared)
         top.set_title(_name(channel, len(channels)), loc="left", fontsize="medium", parse_math=False)

@@ -17,7 +17,7 @@ from numpy.lib import format as npy_format
 from numpy.typing import NDArray
 
 from cgid.errors import BadData, InvalidValue
-from cgid.recordings.recording import DATASET_HINT, MAX_ARRAYS, MAX_CHANNELS, Asked, Blocks, Remark, library_errors
+from cgid.recordings.recording import MAX_ARRAYS, MAX_CHANNELS, Asked, Blocks, Remark, dataset_hint, library_errors
 from cgid.recordings.text_layout import column_of
 from cgid.recordings.variables import (
     MATLAB_OBJECT,
@@ -265,7 +265,7 @@ def read_hdf5(path: Path, source: str, asked: Asked) -> Blocks:
     arrays, values, warnings, objects = survey(path, source, is_statement)
     warnings += [Remark(MATLAB_OBJECT.format(*one)) for one in objects]
     if stated_format is None or stated_format.startswith("cgid"):
-        raise BadData(f"{source}: an HDF5 file is a dataset, not one recording; {DATASET_HINT}")
+        raise BadData(f"{source}: an HDF5 file is a dataset, not one recording; {dataset_hint()}")
 
     def variable_of(array: ForeignArray, axes: tuple[int | None, int]) -> Variable:
         def read(length: int, channels: Sequence[int], begin: int = 0) -> Iterator[NDArray[Any]]:

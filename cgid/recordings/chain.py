@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid._lib import validation
-from cgid._lib.spelling import asked
+from cgid._lib.spelling import spelled
 from cgid._lib.validation import shown
 from cgid.errors import BadData, InvalidValue, MissingOption
 from cgid.signals import channel_name
@@ -64,7 +64,7 @@ class Sensitivity:
         if not 0 < value < math.inf:
             raise InvalidValue(
                 f"sensitivity must be above 0 and finite, got {text}; for a reversed sensor use "
-                f"{asked('invert', 'true')}"
+                f"{spelled('invert', 'true')}"
             )
         return cls(value=value, signal=ratio[0], measured=ratio[1], text=text)
 
@@ -96,7 +96,7 @@ class Gain:
             )
         if not 0 < number < math.inf:
             raise InvalidValue(
-                f"gain must be above 0 and finite, got {text}; to invert a signal use {asked('invert', 'true')}"
+                f"gain must be above 0 and finite, got {text}; to invert a signal use {spelled('invert', 'true')}"
             )
         return cls(value=number * (ratio[2] if ratio and is_of_charge else 1.0), is_of_charge=is_of_charge, text=text)
 
@@ -168,7 +168,7 @@ class _Stated(Generic[Part]):
         """Return the value for a channel, and whether it is only for this channel; two must not differ."""
         if not self.values:
             return (None, False) if self.fallback is None else self.fallback.at(index, contents, source)
-        option = f"--{self.name.replace('_', '-')} CHANNEL=VALUE"
+        option = spelled(f"channels.CHANNEL.{self.name}", "VALUE")
         of_channel = [
             value for key, value in self.values if key is not None and index in contents.selected(key, source, option)
         ]
@@ -309,7 +309,7 @@ class Chain:
             if gain is not None and gain.is_of_charge:
                 raise MissingOption(
                     f"{name}: a gain of {gain.text} gives a charge, the sensitivity of the sensor is missing; give it "
-                    "as in --set sensitivity='3.1 pC/g'"
+                    f"as in {spelled('sensitivity', '3.1 pC/g')}"
                 )
             return _bounded(link, name)
         factor, origin = link.factor * UNITS[str(quantity)][link.unit] / sensitivity.value, [link.origin]
@@ -335,12 +335,12 @@ def _full_scale(scale: FullScale, stated: str | None, contents: Blocks, index: i
     if unit is None:
         raise MissingOption(
             f"{name}: the unit of full scale must be known, got {scale.text}; give it as in "
-            f"{asked('full_scale', '10 V')}"
+            f"{spelled('full_scale', '10 V')}"
         )
     if stated is not None and quantity_of(stated) != quantity_of(unit):
         raise InvalidValue(
             f"{name}: full_scale must be of the quantity of the samples, got {scale.text} where file or "
-            f"{asked('unit')} say {stated} ({quantity_of(stated)}); leave one out"
+            f"{spelled('unit')} say {stated} ({quantity_of(stated)}); leave one out"
         )
     largest = _of_file(contents.full_scales, index)
     if scale.bits is not None:
@@ -350,10 +350,8 @@ def _full_scale(scale: FullScale, stated: str | None, contents: Blocks, index: i
     if largest is None:
         cure = f"give the bits of the converter, as in '{scale.value:g} {unit} at 24 bit'"
         if stated is not None:
-            only = f"--full-scale 'OTHER.wav:{scale.value:g} {unit}'"
-            cure = (
-                f"its numbers are in {stated}: leave it out, or give it to other files alone, as in {only}; or {cure}"
-            )
+            others = f"a command of several files takes it for others alone as in 'OTHER.wav:{scale.value:g} {unit}'"
+            cure = f"its numbers are in {stated}: leave it out ({others}), or {cure}"
         raise InvalidValue(
             f"{name}: full_scale must be that of a sound file or of signed integers of 16 bit, the file does not state "
             f"its largest number; {cure}"
@@ -370,7 +368,7 @@ def _require_full_scale(unit: str | None, contents: Blocks, index: int, source: 
     example = {"acceleration": "500 g", "voltage": "10 V"}.get(quantity_of(unit), f"500 {unit}")
     raise MissingOption(
         f"{channel_name(source, contents.label(index))}: the samples are integers, and the unit ({unit}) does not "
-        f"state how many {unit} full scale is; give it as in {asked('full_scale', example + bits)}"
+        f"state how many {unit} full scale is; give it as in {spelled('full_scale', example + bits)}"
     )
 
 
@@ -385,7 +383,7 @@ def _charge_gain(
         if gain is None or not gain.is_of_charge:
             raise MissingOption(
                 f"{name}: a sensitivity of {sensitivity.text} gives a charge and the samples are a voltage, the gain "
-                "of the charge amplifier is missing; give it as in --set gain='1 mV/pC'"
+                f"of the charge amplifier is missing; give it as in {spelled('gain', '1 mV/pC')}"
             )
         return gain
     if sensitivity.signal != quantity:
@@ -409,8 +407,8 @@ def _gain_of_file(text: str, needed: bool, name: str) -> Gain | None:
     if gain is not None and gain.is_of_charge == needed and (needed or gain.value == 1.0):
         return gain if needed else None
     raise MissingOption(
-        f"{name}: the file states a gain ({text[:40]}) and not whether the samples contain it; give --set gain=VALUE "
-        "to have it divided out, or --set gain=1 if that is done"
+        f"{name}: the file states a gain ({text[:40]}) and not whether the samples contain it; give "
+        f"{spelled('gain', 'VALUE')} to have it divided out, or {spelled('gain', '1')} if that is done"
     )
 
 
@@ -438,16 +436,16 @@ def _not_electrical(name: str, unit: str | None, what: str) -> InvalidValue | Mi
     if unit is None:
         return MissingOption(
             f"{name}: the file does not state the unit, and a {what} is for samples in volts or coulombs; give it as "
-            f"in {asked('unit', 'V')}"
+            f"in {spelled('unit', 'V')}"
         )
     if unit == "FS":
         return MissingOption(
             f"{name}: the file does not state how many volts full scale is, and a {what} is for volts; give it as in "
-            f"{asked('full_scale', '10 V')}"
+            f"{spelled('full_scale', '10 V')}"
         )
     return InvalidValue(
         f"{name}: a {what} is for samples in volts or coulombs, they are in {unit} ({quantity_of(unit)}); leave it "
-        f"out, or name the channel that it is for, as in --set channels.2.{what}=VALUE"
+        f"out, or name the channel that it is for, as in {spelled(f'channels.2.{what}', 'VALUE')}"
     )
 
 
@@ -484,5 +482,5 @@ def require_measured(unit: str | None, name: str) -> None:
     example, other = ("10.2 mV/g", "2.3 mV/N") if quantity == "voltage" else ("3.1 pC/g", "4 pC/N")
     raise MissingOption(
         f"{name}: the samples are a {quantity} [{unit}], the sensitivity of the sensor is missing; give it as in "
-        f"{asked('sensitivity', example)}, or {other!r} of a force"
+        f"{spelled('sensitivity', example)}, or {other!r} of a force"
     )

@@ -17,10 +17,11 @@ from threading import Timer
 from typing import TYPE_CHECKING, Any
 
 from cgid._lib import validation
+from cgid._lib.spelling import spelled
 from cgid._lib.validation import require_rate
 from cgid.errors import BadData, InvalidValue, NoInput, WriteFailed
 from cgid.recordings.chain import Chain, Statement, units_of
-from cgid.recordings.recording import DATASET_HINT, Asked, Blocks, RecordingFile, clear_errors, library_errors
+from cgid.recordings.recording import Asked, Blocks, RecordingFile, clear_errors, dataset_hint, library_errors
 from cgid.signals import Signal
 
 if TYPE_CHECKING:
@@ -111,7 +112,7 @@ class OutsideFormat:
 
     @contextmanager
     def _reader_errors(self, source: str = "recording") -> Iterator[None]:
-        with library_errors(source, f"the reader {self.name} failed", "choose another by --set format=NAME"):
+        with library_errors(source, f"the reader {self.name} failed", f"choose another by {spelled('format', 'NAME')}"):
             try:
                 yield
             except SystemExit as error:
@@ -193,7 +194,8 @@ def format_of(path: Path, source: str) -> Format | OutsideFormat:
         raise BadData(f"{source}: a recording must be of a known format, this is JSON; export it as CSV or WAV")
     if format_.name == "text" and suffix in _HDF5_SUFFIXES:
         raise BadData(
-            f"{source}: named like a dataset, but its content is not HDF5; rename it if it is text, else {DATASET_HINT}"
+            f"{source}: named like a dataset, but its content is not HDF5; rename it if it is text, else "
+            f"{dataset_hint()}"
         )
     return format_
 
@@ -428,7 +430,7 @@ def _regular(path: str | Path, source: str) -> tuple[Path, ExitStack]:
                 return _saved(sys.stdin.buffer, source)
             path = Path(path)
             if path.is_dir():
-                raise BadData(f"{source}: a directory is a dataset, not one recording; {DATASET_HINT}")
+                raise BadData(f"{source}: a directory is a dataset, not one recording; {dataset_hint()}")
             if path.is_char_device() or path.is_block_device():
                 raise NoInput(
                     f"{source}: a recording must be a file or a pipe, this is a device; record it to a file, or follow "

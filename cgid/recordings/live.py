@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid._lib import validation
+from cgid._lib.spelling import spelled
 from cgid._lib.validation import require_rate
 from cgid.errors import BadData, InvalidValue, MissingOption
 from cgid.recordings.chain import Chain, scaled, units_of
@@ -141,9 +142,7 @@ def live_stream(
                     if name == "channels"
                     else "the WAV header states another"
                 )
-                raise InvalidValue(
-                    f"{source}: {name} must agree with the stream, {says}; leave out --{name.replace('_', '-')}"
-                )
+                raise InvalidValue(f"{source}: {name} must agree with the stream, {says}; leave out {spelled(name)}")
         is_integer = head.coding.kind != "f"
         contents = contents_of(head.n_channels, "FS", is_integer=is_integer, rate=head.sampling_rate)
         size = head.data_size if 0 < head.data_size < ENDLESS else None
@@ -153,13 +152,16 @@ def live_stream(
         whole = _FILES.get(start) or _named_format(source) or ("text" if coding is None and _is_text(start) else None)
         if whole is not None:
             raise BadData(_NOT_RAW.format(source, whole))
-        for missing, what, option in (
-            (coding is None, "how numbers are written", "--sample-format NAME, such as s16le"),
-            (given is None, "the sampling rate", "--rate HZ"),
-            (n_channels is None, "the number of channels", "--channels N"),
-        ):
-            if missing:
-                raise MissingOption(f"{source}: a raw stream does not state {what}; give it with {option}")
+        wanted = {
+            "sample_format": ("s16le", coding),
+            "sampling_rate": ("HZ", given),
+            "channels": ("NUMBER", n_channels),
+        }
+        if missing := [spelled(name, like) for name, (like, known) in wanted.items() if known is None]:
+            raise MissingOption(
+                f"{source}: a raw stream does not state how numbers are written, its rate and channels; give "
+                f"{' '.join(missing)}"
+            )
         assert coding is not None and n_channels is not None
         is_integer = coding.kind != "f"
         contents = contents_of(n_channels, "FS" if is_integer else None, is_integer=is_integer)

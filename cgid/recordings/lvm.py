@@ -16,6 +16,7 @@ from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Any
 
+from cgid._lib.spelling import spelled
 from cgid._lib.terminal import counted
 from cgid._lib.validation import STATED_RATE
 from cgid.errors import BadData
@@ -314,7 +315,7 @@ class _Rows(Body):
         """Raise `BadData` unless a segment continues the one before with the same channels and rate."""
         step, channel = segment.number_of("Delta_X", self.channel), self.channel
         name = f"{self.source}: segment {following.number} (line {following.line})"
-        hint = f"pick one segment by --set variable={segment.number}, {following.number}, ..."
+        hint = f"pick one segment, such as {segment.number}, by {spelled('variable', 'NUMBER')}"
         if following.n_channels != segment.n_channels or following.number_of("Delta_X", channel) != step:
             raise BadData(f"{name} must have the channels and the rate of the one before, it has others; {hint}")
         if step is None:

@@ -22,15 +22,19 @@ from urllib.request import HTTPRedirectHandler, Request, build_opener
 from cgid import shipped
 from cgid._lib import validation
 from cgid._lib.files import looking_at, write_whole
+from cgid._lib.spelling import spelled
 from cgid.errors import BadData, CannotCreate, InvalidValue, NoInput
 
 __all__ = ["PublicData", "fetch"]
 
 #: Timeout of a response [s], and minimum rate of a download [bytes/s].
 TIMEOUT, MIN_RATE = 30.0, 5e3
-_HINT = "check the connection, or give --mirror with the address of a copy"
 #: Address at which GitHub serves files of a commit.
 _GITHUB = "https://raw.githubusercontent.com"
+
+
+def _hint() -> str:
+    return f"check the connection, or give {spelled('mirror')} with the address of a copy"
 
 
 @dataclass(frozen=True)
@@ -230,7 +234,7 @@ def _downloaded(address: str, file: PublicFile) -> bytes:
     thread.start()
     thread.join(timeout)
     if not results:
-        raise NoInput(f"{address}: {file.size} bytes must arrive within {timeout:.3g} s, and did not; {_HINT}")
+        raise NoInput(f"{address}: {file.size} bytes must arrive within {timeout:.3g} s, and did not; {_hint()}")
     if isinstance(results[0], Exception):
         raise results[0]
     return results[0]
@@ -251,17 +255,17 @@ def _transferred(address: str, file: PublicFile) -> bytes:
     except HTTPError as error:
         error.close()
         answer = f"the server answers {error.code} {validation.cut(str(error.reason))}"
-        raise NoInput(f"{address}: cannot be downloaded, {answer}; {_HINT}") from None
+        raise NoInput(f"{address}: cannot be downloaded, {answer}; {_hint()}") from None
     except http.client.IncompleteRead as error:
         content = error.partial
     except (OSError, URLError, http.client.HTTPException, ValueError) as error:
         reason = getattr(error, "reason", None) or error
-        raise NoInput(f"{address}: cannot be downloaded: {validation.cut(str(reason))}; {_HINT}") from None
+        raise NoInput(f"{address}: cannot be downloaded: {validation.cut(str(reason))}; {_hint()}") from None
     if len(content) < file.size:
         raise BadData(f"{address}: must have {file.size} bytes, got {len(content)}; run the command again")
     if len(content) != file.size or _sum(content) != file.sha256:
         raise BadData(
             f"{address}: has changed, its SHA-256 must begin with {file.sha256[:12]}, got {_sum(content)[:12]}; "
-            "nothing was written, give --mirror with the address of an intact copy"
+            f"nothing was written, give {spelled('mirror')} with the address of an intact copy"
         )
     return content

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cgid._lib.spelling import asked
+from cgid._lib.spelling import spelled
 from cgid._lib.validation import STATED_RATE, rates_agree, require_rate, whole
 from cgid.errors import BadData, CgidError, InvalidValue, MissingOption, NoInput, optional
 from cgid.recordings.chain import Chain, scaled
@@ -23,9 +23,6 @@ from cgid.units import meaning_of, quantity_of
 
 if TYPE_CHECKING:
     from cgid.recordings.site import Site
-
-#: Advice for a dataset given instead of a recording.
-DATASET_HINT = "read it with cgid.store, or pick one of its signals with --set index=0"
 
 #: Default length of a block [samples].
 BLOCK_LENGTH = 1 << 16
@@ -48,6 +45,11 @@ MAX_ARRAYS = 2 << 30
 #: (block length, channels) -> blocks (len(channels), at most length), from the first sample on; of a file that can be
 #: read from any place also (block length, channels, first sample).
 ReadBlocks = Callable[..., Iterator[NDArray[Any]]]
+
+
+def dataset_hint() -> str:
+    """Return what to do with a dataset where a recording is wanted."""
+    return f"read it with cgid.Dataset, or pick one of its signals with {spelled('index', '0')}"
 
 
 class Remark(str):
@@ -203,7 +205,7 @@ class Blocks:
         name = self.name(index)
         return name if self.names.count(name) == 1 else _numbered(index, name)
 
-    def selected(self, channel: int | str, source: str, option: str = "--channel") -> list[int]:
+    def selected(self, channel: int | str, source: str, option: str = "") -> list[int]:
         """Return the indices of the selected channels: a number from 1, a name, or several as in 1+2."""
         if not (isinstance(channel, str) and "+" in channel):
             return [self._index(channel, source, option)]
@@ -228,19 +230,21 @@ class Blocks:
                 return number - 1
         listed, more = ", ".join(labels[:20]), ", ..." if len(names) > 20 else ""
         fault = "is the name of several" if text and names.count(text) > 1 else "is none of them"
-        raise InvalidValue(f"{source}: channel {channel!r} {fault}; choose one of {listed}{more} by {option}")
+        raise InvalidValue(
+            f"{source}: channel {channel!r} {fault}; choose one of {listed}{more} by {option or spelled('channel')}"
+        )
 
     def rate(self, given: float | None, source: str) -> float:
         """Return the sampling rate [Hz] of the user, else of the file; one that the user overrules is told."""
         stated = self.sampling_rate
         if given is None:
             if stated is None:
-                cure = f"give it with {asked('sampling_rate', 'HZ')}"
+                cure = f"give it with {spelled('sampling_rate', 'HZ')}"
                 raise MissingOption(f"{source}: the file does not state the sampling rate; {cure}")
             if not (np.isfinite(stated) and stated > 0):
                 raise BadData(
                     f"{source}: sampling rate must be above 0 and finite, the {self.rate_from} states {stated:g} Hz; "
-                    f"give it with {asked('sampling_rate', 'HZ')}"
+                    f"give it with {spelled('sampling_rate', 'HZ')}"
                 )
             return stated
         if stated is not None and not rates_agree(given, stated):
@@ -258,8 +262,8 @@ class Blocks:
             return stated
         raise BadData(
             f"{source}: channel {self.label(index)} must be in one unit, its header states {stated} "
-            f"({quantity_of(stated)}) and {asked('unit')} states {given} ({quantity_of(given)}); leave it out or "
-            f"correct the header, or pick another channel with {asked('channel')}"
+            f"({quantity_of(stated)}) and {spelled('unit')} states {given} ({quantity_of(given)}); leave it out or "
+            f"correct the header, or pick another channel with {spelled('channel')}"
         )
 
 
@@ -448,7 +452,7 @@ class RecordingFile:
                     continue
                 raise InvalidValue(
                     f"{self.source}: {option} must name channels that are read, {self._contents.label(lacking[0])} is "
-                    "not; add it to --channel, or leave it out"
+                    f"not; add it to {spelled('channel')}, or leave it out"
                 )
             found.append(tuple(self._contents.label(row) for row in rows))
         return tuple(found)
@@ -618,7 +622,7 @@ def _require_one_start(contents: Blocks, selected: Sequence[int], rate: float, s
         if abs(later) * rate > SIMULTANEOUS:
             raise BadData(
                 f"{source}: channels must begin together, {contents.label(index)} begins {later:.9g} s after "
-                f"{contents.label(known[0][0])}; pick one by --channel"
+                f"{contents.label(known[0][0])}; pick one by {spelled('channel')}"
             )
 
 

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from cgid._lib.files import parse_toml, read_regular
+from cgid._lib.spelling import spelled
 from cgid._lib.validation import shown, similar
 from cgid.errors import BadData, InvalidValue
 from cgid.recordings.chain import PARTS, Chain
@@ -184,7 +185,7 @@ class Site:
 
     @property
     def _of_channels(self) -> str:
-        return f"[channels] of {self.path}" if self.path else "--set channels"
+        return f"[channels] of {self.path}" if self.path else "channels of the site"
 
     # -- reading the file ---------------------------------------------------------------------------------
 
@@ -300,7 +301,7 @@ def _content(path: Path) -> dict[str, Any]:
     if content.keys() & {"impact", "sampling"}:
         raise BadData(
             f"{path}: a site file must have sections such as [recorder] and [channels.1], this is a scene; give it as "
-            "--scene, or to cgid generate"
+            f"{spelled('scene')}, or to cgid generate"
         )
     return content
 
@@ -318,7 +319,8 @@ def _costs(value: Any, name: str) -> dict[str, float]:
 
 def site_text(recording: RecordingFile, stated: Mapping[str, Any]) -> str:
     """Return a site file for recordings like this one, with what the user states of it and a comment a line."""
-    known = {"rate": f"{recording.sampling_rate:.12g}", "unit": recording.channels[0].unit or "V"}
+    unit = "V" if any(key.endswith("sensitivity") for key in stated) else recording.channels[0].unit or "V"
+    known = {"rate": f"{recording.sampling_rate:.12g}", "unit": unit}
     lines = [
         f"# Site file for recordings such as {Path(recording.source).name}. What a # precedes is not used.",
         "# All keys: cgid predict --help-all",

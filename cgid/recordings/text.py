@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from cgid._lib.spelling import spelled
 from cgid._lib.terminal import counted
 from cgid._lib.validation import STATED_RATE, rates_agree
 from cgid.errors import BadData
@@ -272,7 +273,7 @@ def _checked_row(
         raise BadData(
             f"{source}: every row must have {n_needed} fields as the first one has, sample {sample} "
             f"(line {number}) has {n_fields}{_decimal_hint(fields, layout)}; repair or cut the recording there, or "
-            "leave such lines out by --set skip_broken=true"
+            f"leave such lines out by {spelled('skip_broken', 'true')}"
         )
     values = [layout.number(field) for field in fields]
     for column in needed:
@@ -283,7 +284,7 @@ def _checked_row(
             raise BadData(
                 f"{source}: every field must be a finite number, sample {sample} (line {number}) column "
                 f"{place + 1} is {shown}; repair or cut the recording there, or leave such lines out by "
-                "--set skip_broken=true"
+                f"{spelled('skip_broken', 'true')}"
             )
     return " ".join(value or "nan" for value in values)
 

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from cgid._lib.spelling import spelled
 from cgid._lib.terminal import counted
 from cgid._lib.validation import STATED_RATE
 from cgid.errors import BadData
@@ -227,7 +228,8 @@ def lost_before(
         at = int(np.argmin(rising)) + 1
         raise BadData(
             f"{source}: the time column must increase, sample {first + at} is at {times[at]:.9g} s after "
-            f"{times[at - 1]:.9g} s; print more digits, sort or cut the recording there, or give its --rate if the "
+            f"{times[at - 1]:.9g} s; print more digits, sort or cut the recording there, or give its "
+            f"{spelled('sampling_rate')} if the "
             "times are only rounded"
         )
     if not np.isfinite(steps).all():
@@ -263,7 +265,7 @@ def _uneven(times: Floats, typical: float, source: str, first: int) -> BadData:
     return BadData(
         f"{source}: the time column must have even steps to 1 %, sample {first + at} at {times[at]:.9g} s comes "
         f"{steps[at - 1]:.6g} s after the one before, the usual step is {typical:.6g} s; cut the recording there, "
-        "or give its --rate if the times are only rounded"
+        f"or give its {spelled('sampling_rate')} if the times are only rounded"
     )
 
 

@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from cgid._lib.spelling import spelled
 from cgid._lib.validation import rates_agree
 from cgid.errors import BadData
 from cgid.recordings.recording import Asked, Blocks, Remark, library, library_errors
@@ -122,7 +123,9 @@ def read_uff(path: Path, source: str, asked: Asked) -> Blocks:
     first = selected[0]
     rates = [_rate_of(one, its, source, asked.sampling_rate) for one, its in zip(data_sets, selected, strict=True)]
     if not all(rates_agree(rate, rates[0]) for rate in rates):
-        raise BadData(f"{source}: data sets must be of one rate, got {rates} Hz; pick one by --set variable=NUMBER")
+        raise BadData(
+            f"{source}: data sets must be of one rate, got {rates} Hz; pick one by {spelled('variable', 'NUMBER')}"
+        )
     names = [one.name for one in selected]
     return Blocks.of_array(
         samples,
@@ -181,7 +184,7 @@ def _select(sets: Sequence[_DataSet], source: str, variable: str | None) -> list
     if len(selected) != 1:
         raise BadData(
             f"{source}: variable {variable!r} must be one of the data sets, there are {listed}; give its number by "
-            "--set variable=NUMBER"
+            f"{spelled('variable', 'NUMBER')}"
         )
     return selected
 
@@ -211,7 +214,7 @@ def _require_recordings(selected: Sequence[_DataSet], source: str) -> None:
         if one.n_samples != first.n_samples or (both_even and not rates_agree(one.step, first.step)):
             raise BadData(
                 f"{source}: channels must be of one length and rate, data sets {first} every {first.step:g} s and "
-                f"{one} every {one.step:g} s differ; pick one by --set variable=NUMBER"
+                f"{one} every {one.step:g} s differ; pick one by {spelled('variable', 'NUMBER')}"
             )
 
 

@@ -14,6 +14,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from cgid._lib.spelling import spelled
 from cgid._lib.terminal import counted
 from cgid._lib.validation import rates_agree
 from cgid.errors import BadData
@@ -282,8 +283,8 @@ def contents_of(
     n_samples = min(one.n_samples for one in selected)
     if len(selected) > 1 and any(one.n_channels > 1 or (one.n_samples != n_samples and not is_cut) for one in selected):
         raise BadData(
-            f"{source}: channels must be of one length, got {_listed(selected)}; pick those of one by --set "
-            "variable=NAME, which may be a pattern such as 'run1/*'"
+            f"{source}: channels must be of one length, got {_listed(selected)}; pick those of one by "
+            f"{spelled('variable', 'NAME')}, which may be a pattern such as 'run1/*'"
         )
     for one in selected:
         _require_readable(one, source)
@@ -301,7 +302,7 @@ def contents_of(
         if (rate is None) != (rates[0][0] is None) or (rate and rates[0][0] and not rates_agree(rate, rates[0][0])):
             raise BadData(
                 f"{source}: channels must have one sampling rate, {first.path} has {_hertz(rates[0][0])} and "
-                f"{one.path} {_hertz(rate)}; pick one by --set variable=NAME"
+                f"{one.path} {_hertz(rate)}; pick one by {spelled('variable', 'NAME')}"
             )
     start = starts[0]
     if len(set(starts)) > 1:
@@ -324,7 +325,7 @@ def contents_of(
     gaps = gaps_of[0]
     if any(one != gaps for one in gaps_of):
         raise BadData(
-            f"{source}: channels must have the same gaps, their times differ; pick one by --set variable=NAME"
+            f"{source}: channels must have the same gaps, their times differ; pick one by {spelled('variable', 'NAME')}"
         )
     if n_lost := sum(number for _, number in gaps):
         warnings = [*warnings, f"{counted(n_lost, 'sample')} in {counted(len(gaps), 'gap')} of the times missing"]
@@ -352,7 +353,7 @@ def _begun_together(
 ) -> tuple[list[Variable], datetime | None, list[str]]:
     """Return channels of different starts from the last start on, this start, and what was left out."""
     known = [one for one in starts if one is not None]
-    hint = "pick one by --set variable=NAME"
+    hint = f"pick one by {spelled('variable', 'NAME')}"
     if len(known) < len(starts) or len({one.tzinfo is None for one in known}) > 1:
         return list(selected), starts[0], ["not all channels state when they begin; they were taken as simultaneous"]
     if rate is None:
@@ -397,13 +398,13 @@ def _select(
             f"{'; '.join(warnings) or 'save the samples as one'}"
         )
     if {"header", "neighbourhood.centres"} <= {one.path for one in signals}:
-        raise BadData(f"{source}: must be a recording, it is a model; give it by --model beside a recording")
+        raise BadData(f"{source}: must be a recording, it is a model; give it by {spelled('model')} beside a recording")
     if variable is None:
         is_one = group_is_one and len({one.group for one in signals}) == 1
         if len(signals) > 1 and not is_one:
             raise BadData(
-                f"{source}: the file contains several arrays, {_listed(signals)}; choose one by --set variable=NAME, "
-                "or several of one length by a pattern such as 'ch*'"
+                f"{source}: the file contains several arrays, {_listed(signals)}; choose one by "
+                f"{spelled('variable', 'NAME')}, or several of one length by a pattern such as 'ch*'"
             )
         return signals or list(variables[:1])
     pattern = variable
@@ -420,7 +421,8 @@ def _select(
         if matching:
             raise BadData(f"{source}: variable {variable!r} is the name of several: {_listed(matching)}; give the path")
     raise BadData(
-        f"{source}: no variable {variable!r} in this file, only {_listed(variables)}; give one by --set variable=NAME"
+        f"{source}: no variable {variable!r} in this file, only {_listed(variables)}; give one by "
+        f"{spelled('variable', 'NAME')}"
     )
 
 

@@ -23,6 +23,7 @@ from pathlib import Path
 from typing import Any
 
 from cgid._lib.files import half_written
+from cgid._lib.spelling import spelled
 from cgid._lib.validation import RATES
 from cgid.errors import BadData, CannotCreate, NoInput
 from cgid.store.description import FORMAT, PLAIN, RECORDING_FORMAT, require_schema
@@ -177,7 +178,7 @@ def require_same(output: Path, present: Mapping[str, Any], required: Mapping[str
         values = [flat.get(name, "nothing") for flat in (_flat(present), _flat(required))]
         raise CannotCreate(
             f"{output}: {name} must be that of the description, {values[0]!s:.200}, got {values[1]!s:.200}; "
-            "give the options of the first run, or start again with --overwrite"
+            f"give the options of the first run, or start again with {spelled('overwrite', 'true')}"
         )
 
 

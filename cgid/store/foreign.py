@@ -17,6 +17,7 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
+from cgid._lib.spelling import spelled
 from cgid.errors import BadData
 from cgid.store.description import DAMAGE
 from cgid.store.gates import (
@@ -45,10 +46,12 @@ _MATLAB_PLAIN = frozenset(("double", "single", "logical", "char", "cell", "struc
 _HINT = "save it again as plain arrays"
 #: Bytes of a column read at once.
 _MAX_PART = 1 << 24
-_CUT_OFF = (
-    "the HDF5 file is cut off or damaged",
-    "copy it again, or if it is a dataset, read it with cgid.store or --set index=0",
-)
+
+
+def _cut_off() -> tuple[str, str]:
+    """Return what is wrong with a file that HDF5 cannot read, and what to do."""
+    cure = f"copy it again, or if it is a dataset, read it with {spelled('index', '0')}"
+    return "the HDF5 file is cut off or damaged", cure
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -199,7 +202,7 @@ def array_blocks(
 
 @contextmanager
 def _opened(path: Path, source: str, **options: int) -> Iterator[h5py.File]:
-    with clear_damage(source, *_CUT_OFF):
+    with clear_damage(source, *_cut_off()):
         try:
             opened = readable(path, **options)
         except OSError:

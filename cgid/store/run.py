@@ -11,6 +11,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from cgid._lib.files import clear_half_written, looking_at, write_whole
+from cgid._lib.spelling import spelled
 from cgid.errors import BadData, CannotCreate, WriteFailed
 from cgid.store.description import DIGEST, is_hdf5
 from cgid.store.folder import (
@@ -82,7 +83,8 @@ class Run:
             os.fsync(self._listing)
         except OSError as error:
             raise WriteFailed(
-                f"{self.output / SUMS}: writing failed ({error.strerror}); free some space, then continue with --resume"
+                f"{self.output / SUMS}: writing failed ({error.strerror}); free some space, then continue with "
+                f"{spelled('resume', 'true')}"
             ) from None
         self._sums[name] = sha256
 
@@ -192,7 +194,8 @@ def check_output(output: str | Path, kind: str, overwrite: bool = False) -> Path
             )
         if path.exists() and content not in ([], [LOCK]) and not overwrite:
             raise CannotCreate(
-                f"{path}: exists already; choose another name, or use --overwrite, or --resume if it is not finished"
+                f"{path}: exists already; choose another name, or use {spelled('overwrite', 'true')}, or "
+                f"{spelled('resume', 'true')} if it is not finished"
             )
     return path
 
@@ -206,10 +209,13 @@ def _is_made(output: Path, description: Description, overwrite: bool) -> bool:
     if overwrite:
         return not fault and about.get(DIGEST) == description.sha256
     if kind not in ("", description.kind) or not is_hdf5(output):
-        hint = ", or replace it with --overwrite" if kind else ""
+        hint = f", or replace it with {spelled('overwrite', 'true')}" if kind else ""
         raise BadData(f"{output}: exists and is not a {description.kind}; choose another name{hint}")
     if fault:
-        raise BadData(f"{output}: exists and is incomplete; make it again with --overwrite, without --resume")
+        raise BadData(
+            f"{output}: exists and is incomplete; make it again with {spelled('overwrite', 'true')}, without "
+            f"{spelled('resume')}"
+        )
     if about.get(DIGEST) != description.sha256:
         required = {**description.content["attributes"], **description.content}
         # In this order, since everything else depends on the versions and the scene.
@@ -217,7 +223,8 @@ def _is_made(output: Path, description: Description, overwrite: bool) -> bool:
         name = next((name for name in names if about.get(name, required.get(name)) != required.get(name)), "n_samples")
         raise CannotCreate(
             f"{output}: {name} must be that of the existing file, {about.get(name, 'another')!s:.80}, got "
-            f"{required.get(name, 'another')!s:.80}; choose another name, or replace it with --overwrite"
+            f"{required.get(name, 'another')!s:.80}; choose another name, or replace it with "
+            f"{spelled('overwrite', 'true')}"
         )
     return True
 
@@ -255,10 +262,10 @@ def _is_resumed(output: Path, description: Description, overwrite: bool) -> bool
     try:
         present = parse_description(text, output / DESCRIPTION).content
     except BadData as error:
-        raise BadData(f"{error}; or start again with --overwrite") from None
+        raise BadData(f"{error}; or start again with {spelled('overwrite', 'true')}") from None
     require_same(output, present, description.content)
     # Only the layout of the text differs.
-    raise BadData(f"{output / DESCRIPTION}: is damaged; start again with --overwrite")
+    raise BadData(f"{output / DESCRIPTION}: is damaged; start again with {spelled('overwrite', 'true')}")
 
 
 def _complete_files(output: Path, description: Description) -> dict[str, str]:

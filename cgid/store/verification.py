@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from cgid._lib.files import half_written
+from cgid._lib.spelling import spelled
 from cgid.errors import BadData, CgidError, NoInput
 from cgid.store.description import FORMAT, RECORDING_FORMAT, TABLE_FORMAT
 from cgid.store.folder import (
@@ -181,7 +182,7 @@ def remedy(path: str | Path, scenes: Collection[str] = ()) -> str:
     except CgidError:
         pass
     if about.get("format") not in (FORMAT, RECORDING_FORMAT) or "seed" not in about or about.get("first_signal"):
-        return f"repeat the command that made it, with {'--resume' if is_folder else '--overwrite'}"
+        return f"repeat what made it, with {spelled('resume' if is_folder else 'overwrite', 'true')}"
     options = {"-n": about.get("n_signals", about.get("n_recordings", 1)), "--seed": about["seed"]}
     name, mode = str(about.get("scene_name")), "--resume" if is_folder else "--overwrite"
     words = [name if name in scenes else "SCENE.toml", *(word for option in options.items() for word in option)]

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cgid._lib import validation
-from cgid._lib.spelling import asked
+from cgid._lib.spelling import spelled
 from cgid._lib.validation import Floats, require_rate
 from cgid.errors import BadData, InvalidValue
 from cgid.identification.detection.events import Event, FrameCutter, Framing, Onset
@@ -46,7 +46,7 @@ _UPSIDE_DOWN = 3.0
 
 def invert_hint() -> str:
     """Return what helps where pulses point downwards."""
-    return f"invert it with {asked('invert', 'true')}, since pulses must point upwards"
+    return f"invert it with {spelled('invert', 'true')}, since pulses must point upwards"
 
 
 class ImpactDetector:

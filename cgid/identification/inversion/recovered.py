@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from cgid._lib import validation
+from cgid._lib.spelling import spelled
 from cgid._lib.validation import Complex, Floats
 from cgid.errors import BadData, InvalidValue
 from cgid.identification.inversion.through_beam import ThroughBeam
@@ -228,8 +229,8 @@ def recover_each(
     every = [modes] if isinstance(modes, Modes) else list(modes)
     if len(every) != len(response):
         raise InvalidValue(
-            f"modes must be one table for each channel, got {len(every)} for {len(response)}; choose channels by "
-            "--channel, or name a table for each"
+            f"modes must be one table for each channel, got {len(every)} for {len(response)}; choose "
+            f"channels ({spelled('channel')}), or name a table for each"
         )
     band = _band_of(every, band, sampling_rate)
     before = round(_BEFORE * sampling_rate)
@@ -277,7 +278,7 @@ def _anywhere(
     if len(response) != beam.n_sensors or derivatives != beam.derivatives:
         raise InvalidValue(
             f"response must be {beam.n_sensors} channels of {_MOTIONS[beam.derivatives]} for this beam, got "
-            f"{len(response)} of {_MOTIONS[derivatives]}; choose channels by --channel"
+            f"{len(response)} of {_MOTIONS[derivatives]}; choose channels ({spelled('channel')})"
         )
     before, n = (round(time * sampling_rate) for time in (_QUIET_TIME, _QUIET_TIME + 1.6 * SPAN_TIME))
     first = np.round(onset * sampling_rate).astype(int) - before
@@ -344,12 +345,12 @@ def _band_of(modes: Sequence[Modes], band: tuple[float, float] | None, sampling_
     if high > 0.49 * sampling_rate:
         raise BadData(
             f"band must end below 0.49 of the sampling rate ({0.49 * sampling_rate:.5g} Hz), got {high:.5g} Hz; limit "
-            "it by --band, or record faster"
+            f"it by {spelled('band')}, or record faster"
         )
     if not ((frequency >= low) & (frequency <= high)).any():
         raise BadData(
             f"band must contain a mode, they are from {frequency.min():.4g} to {frequency.max():.5g} Hz, got "
-            f"{low:.4g} to {high:.5g} Hz; change --band"
+            f"{low:.4g} to {high:.5g} Hz; change {spelled('band')}"
         )
     return float(low), float(high)
 

@@ -57,11 +57,19 @@ from cgid.identification.model.model_file import (
     stored_fields,
     with_floats,
 )
-from cgid.measure.features.extraction import FEATURES, UnknownFeature, base_of, extract, in_units, kind_of, powers_of
+from cgid.measure.features.extraction import (
+    FEATURES,
+    UnknownFeature,
+    base_of,
+    extract_array,
+    in_units,
+    kind_of,
+    powers_of,
+)
 from cgid.measure.features.table import Kind
 from cgid.measure.modal.beam import Beam
 from cgid.signals import Batch, Signal
-from cgid.units import quantity_of
+from cgid.units import UNITS, quantity_of
 
 if TYPE_CHECKING:
     import pandas
@@ -172,10 +180,10 @@ class Model(ABC):
         Parameters
         ----------
         features : DataFrame, Batch or array_like, (n_impacts, n_inputs)
-            The features of a Batch are measured, unless the model needs a beam. Of a DataFrame the columns named in
-            `inputs` are used; an array is in their order. If the `attrs["units"]` of a DataFrame, as `cgid.extract`
-            returns it, states another scale than the model's `unit`, such as kN, the columns are converted. pandas
-            drops `attrs` easily; numbers without it must be in the model's unit.
+            The features of a Batch are measured, through the beam of the model if it has one. Of a DataFrame the
+            columns named in `inputs` are used; an array is in their order. If the `attrs["units"]` of a DataFrame, as
+            `cgid.extract` returns it, states another scale than the model's `unit`, such as kN, the columns are
+            converted. pandas drops `attrs` easily; numbers without it must be in the model's unit.
 
         Returns
         -------
@@ -441,8 +449,15 @@ class StoredModel(Model):
 
     def _rows_of(self, features: Any) -> Floats:
         """Return rows of features, of a DataFrame by the names of its columns."""
-        if isinstance(features, Batch) and self.kind != "window" and self.beam is None:
-            features = extract(features, features=self.features)
+        if isinstance(features, Batch) and self.kind != "window":
+            if quantity_of(features.unit) != self.quantity:
+                raise InvalidValue(
+                    f"signals must be of the model's quantity, {self.quantity} [{self.unit}], got "
+                    f"{quantity_of(features.unit)} [{features.unit}]; train a model on such signals"
+                )
+            signals = features.signals * (UNITS[self.quantity][features.unit] / UNITS[self.quantity][self.unit])
+            rate, before = features.sampling_rate, features.pre_trigger
+            return extract_array(signals, rate, self.features, pre_trigger=before, beam=self.beam)
         columns = getattr(features, "columns", None)
         if columns is None:
             if isinstance(features, str | Path | Signal | Batch):

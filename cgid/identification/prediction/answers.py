@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from cgid._lib.spelling import asked
+from cgid._lib.spelling import spelled
 from cgid._lib.validation import UNKNOWN, Floats
 from cgid.errors import BadData, InvalidValue, MissingOption
 from cgid.identification.detection.detector import find_impacts
@@ -186,7 +186,7 @@ def factor_to(model: Measurand, unit: str | None, name: str, mass: float | None 
     if unit is None:
         raise MissingOption(
             f"{name}: the unit must be known, neither header nor option states it; give it, such as "
-            f"{_unit_options(model)}, and for integers full scale, too, such as {asked('full_scale', '500 g')}"
+            f"{_unit_options(model)}, and for integers full scale, too, such as {spelled('full_scale', '500 g')}"
         )
     if unit == model.unit and mass is None:
         return 1.0
@@ -198,13 +198,13 @@ def factor_to(model: Measurand, unit: str | None, name: str, mass: float | None 
     if quantity != model.quantity:
         hint = f"give a recording of {model.quantity}"
         if (quantity, model.quantity) == ("acceleration", "force"):
-            hint = f"if the accelerated body is the impactor, force = mass x acceleration: give {asked('mass', 'KG')}"
+            hint = f"if the accelerated body is the impactor, force = mass x acceleration: give {spelled('mass', 'KG')}"
         elif quantity == "level":
             example = "500 g" if model.quantity == "acceleration" else "2 kN"
             of_motion = "" if model.quantity == "acceleration" else ", or '500 g' of an accelerometer"
             hint = (
-                f"state full scale, as in {asked('full_scale', example)}{of_motion}, or with "
-                f"{asked('full_scale', '10 V')} and the sensitivity of the sensor; floats may be in a unit as they "
+                f"state full scale, as in {spelled('full_scale', example)}{of_motion}, or with "
+                f"{spelled('full_scale', '10 V')} and the sensitivity of the sensor; floats may be in a unit as they "
                 f"are: {_unit_options(model)}"
             )
         # Of sound without a full scale, as of volts without a sensitivity, only an option is missing.
@@ -217,8 +217,8 @@ def factor_to(model: Measurand, unit: str | None, name: str, mass: float | None 
 
 def _unit_options(model: Measurand) -> str:
     """Return the options that state the unit; a signal of unknown quantity counts as a force."""
-    option = asked("unit", model.unit)
-    return option if model.quantity != "force" else f"{option}, or {asked('unit', 'm/s^2')} of an accelerometer"
+    option = spelled("unit", model.unit)
+    return option if model.quantity != "force" else f"{option}, or {spelled('unit', 'm/s^2')} of an accelerometer"
 
 
 def identify(signal: Signal, model: Model, settings: PredictionSettings | None = None) -> list[Answer]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 
-from cgid._lib.spelling import asked
+from cgid._lib.spelling import spelled
 from cgid.errors import BadData, InvalidValue
 from cgid.identification.model.model import StoredModel
 from cgid.identification.prediction.answers import Answer, identify_frames
@@ -62,5 +62,5 @@ def require_one_signal(settings: PredictionSettings, source: str) -> None:
     """Raise `InvalidValue` for channels of one beam, which a dataset does not have."""
     if settings.same_beam:
         raise InvalidValue(
-            f"{source}: {asked('same_beam')} is for recordings, a dataset has one signal an impact; leave it out"
+            f"{source}: {spelled('same_beam')} is for recordings, a dataset has one signal an impact; leave it out"
         )

@@ -81,6 +81,9 @@ class Finding:
     instead: tuple[str, ...] = ()
     fields: Mapping[str, Any] = field(default_factory=dict, hash=False)
 
+    def __str__(self) -> str:
+        return self.line("", 2).lstrip(" :")
+
     @property
     def number(self) -> int:
         """The number of its kind, for registers."""

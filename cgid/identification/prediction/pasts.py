@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
 from cgid._lib.files import read_regular, write_whole
-from cgid._lib.spelling import asked
+from cgid._lib.spelling import spelled
 from cgid.errors import BadData, CgidError
 from cgid.identification.prediction.explanation import Past
 from cgid.identification.prediction.findings import Finding
@@ -39,7 +39,7 @@ class Pasts:
             self._read(path)
         except CgidError as error:
             self._others, self._known, self._is_damaged = [], {}, not renew
-            self._say(f"{error}; it is not used, look at the sensors and give {asked('renew')}")
+            self._say(f"{error}; it is not used, look at the sensors and give {spelled('renew')}")
         if renew and self._known:
             self._say(f"{path}: the past of {', '.join(self._known)} is replaced by the next impacts")
 

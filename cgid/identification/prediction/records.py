@@ -9,7 +9,7 @@ from datetime import UTC, datetime
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
-from cgid._lib.spelling import asked
+from cgid._lib.spelling import spelled
 from cgid._lib.terminal import counted
 from cgid._lib.validation import finite
 from cgid.errors import BadData
@@ -78,7 +78,7 @@ class Records:
 
     def finding(self, source: str, finding: Finding, n_channels: int = 1, *, withdrawn: bool = False) -> None:
         """Tell what begins or ends; `withdrawn`: the decision of a support with it."""
-        self._record("finding", source, finding.content(asked))
+        self._record("finding", source, finding.content(spelled))
 
     def summary(self, source: str, tally: RecordingTally, duration: float, start_time: Any = None) -> None:
         """Tell the summary of a recording."""
@@ -232,7 +232,7 @@ class RecordingRows:
         last = self._pipeline.finish()
         self.lines.begin(self.source, self._pipeline.model, self.settings)  # the head of an empty table
         if self._silent:
-            raise BadData(self._helped(self._silent[0]).line(self.source, len(self._pipeline.names), asked))
+            raise BadData(self._helped(self._silent[0]).line(self.source, len(self._pipeline.names), spelled))
         if not self._measured and self.tally.total:
             first = self._pending_answers[0] if self._pending_answers else None
             more = f" (and so for all {self.tally.total} {self.kind}s)" if self.tally.total > 1 else ""

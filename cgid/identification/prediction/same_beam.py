@@ -14,6 +14,7 @@ from typing import Any, Generic, NamedTuple, Protocol, TypeVar
 
 import numpy as np
 
+from cgid._lib.spelling import spelled
 from cgid._lib.validation import Floats
 from cgid.errors import BadData, InvalidValue
 from cgid.identification.detection.events import Event
@@ -71,7 +72,7 @@ def rows_of(model: StoredModel, channels: Sequence[str], same_beam: Sequence[Seq
         if model.together != len(channels):
             raise BadData(
                 f"channels must be {model.together}, which this model uses together, got {len(channels)}; pick them "
-                "with --channel"
+                f"with {spelled('channel')}"
             )
         return [tuple(range(len(channels)))]
     groups = grouped(channels, same_beam)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from cgid._lib import validation
-from cgid._lib.spelling import asked
+from cgid._lib.spelling import spelled
 from cgid._lib.validation import UNKNOWN, Floats, Rule, shown
 from cgid.errors import InvalidValue
 from cgid.identification.prediction.vote import VOTE_TIME
@@ -259,7 +259,7 @@ class PredictionSettings(ReadingSettings, AnsweringSettings, WatchingSettings):
                 object.__setattr__(self, name, require_spans(getattr(self, name), label))
         if self.cycle_pause is not None and self.coal_until is None:
             raise InvalidValue(
-                f"cycle_pause must come with coal_until, the coal of each cycle; give {asked('coal_until')}, too"
+                f"cycle_pause must come with coal_until, the coal of each cycle; give {spelled('coal_until')}, too"
             )
         coal = {
             "coal_until": self.coal_until is not None,
@@ -271,12 +271,12 @@ class PredictionSettings(ReadingSettings, AnsweringSettings, WatchingSettings):
         if self.lumps and not (self.coal or self.coal_until is not None):
             raise InvalidValue(
                 f"labelled gangue must come with stated coal, which tells the seam; label coal, or give "
-                f"{asked('coal_until')}"
+                f"{spelled('coal_until')}"
             )
         if (first := min((one.start for one in self.lumps), default=np.inf)) < (self.coal_until or 0.0):
             raise InvalidValue(
                 f"labelled gangue must begin after the {self.coal_until:g} s of coal alone, got {first:g} s; shorten "
-                f"{asked('coal_until')}, or leave the row out"
+                f"{spelled('coal_until')}, or leave the row out"
             )
 
     def check(self, model: StoredModel) -> None:

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize
 
 from cgid._lib import validation
+from cgid._lib.spelling import spelled
 from cgid._lib.validation import Floats
 from cgid.errors import BadData, InvalidValue
 from cgid.identification.model.explanations import Explanations
@@ -164,7 +165,8 @@ def _without_trained(model: StoredModel, rows: Rows) -> tuple[Rows, NDArray[np.b
     if left_out.any() and n_left < MIN_LABELLED:
         raise BadData(
             f"labelled impacts must be {MIN_LABELLED} at least that did not train the model, got {n_left} of {n}; the "
-            "other recordings trained it (by their SHA-256): label impacts of others, or name its base by --from"
+            f"other recordings trained it (by their SHA-256): label impacts of others, or name its base by "
+            f"{spelled('base')}"
         )
     return rows[~left_out], left_out
 
@@ -199,14 +201,16 @@ def _evaluated(
 def require_correctable(model: StoredModel) -> None:
     """Raise `InvalidValue` unless impacts can correct the model."""
     if model.kind == "window":
-        raise InvalidValue("--from must name a model of impacts, this one is for windows; train it again with more")
+        raise InvalidValue(
+            f"{spelled('base')} must name a model of impacts, this one is for windows; train it again with more"
+        )
 
 
 def _too_few_known(n_known: int, n: int) -> BadData:
     return BadData(
         f"labelled impacts must be within the training of the model, {MIN_LABELLED} at least, got {n_known} of {n}"
-        "; train without --from, or calibrate the beam first (cgid calibrate RECORDING --channel CHANNEL "
-        "--scene YOUR_BEAM.toml -o site.toml)"
+        f"; train without {spelled('base')}, or calibrate the beam first (cgid calibrate RECORDING "
+        "--channel CHANNEL --scene YOUR_BEAM.toml -o site.toml)"
     )
 
 
@@ -221,7 +225,7 @@ def _require_impacts(model: StoredModel, rows: Rows) -> None:
     if quantity_of(rows.unit) != model.quantity:
         raise BadData(
             f"labelled impacts must be of the model's quantity, {model.quantity} [{model.unit}], got "
-            f"{quantity_of(rows.unit)} [{rows.unit}]; give another --from"
+            f"{quantity_of(rows.unit)} [{rows.unit}]; give another {spelled('base')}"
         )
 
 

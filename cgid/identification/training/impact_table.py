@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from cgid._lib.spelling import spelled
 from cgid._lib.terminal import counted
 from cgid.errors import BadData
 from cgid.identification.detection.ear import Ear
@@ -132,7 +133,8 @@ def measured_impacts(
     events = list(compress(found, measurable(found, kind, sorted(rates))))
     if not events and len(recording.channels) > 1:  # one bad channel is enough, and train can leave it out
         told(
-            f"{recording.source}: no impact can be measured on all channels together; name a sound one by --channel, "
+            f"{recording.source}: no impact can be measured on all channels together; name a sound one by "
+            f"{spelled('channel')}, "
             "or in the column channel"
         )
         events = found

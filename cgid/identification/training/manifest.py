@@ -20,6 +20,7 @@ from typing import Any
 
 from cgid._lib import validation
 from cgid._lib.files import read_regular
+from cgid._lib.spelling import spelled
 from cgid._lib.terminal import counted, spreadsheet_cell, text_of_cell
 from cgid._lib.validation import shown
 from cgid.errors import BadData, CannotCreate, CgidError, InvalidValue, NoInput
@@ -467,7 +468,7 @@ def labelled_in(
     if not any(one.label.casefold() in known or not needs_coal for one in rows):
         raise BadData(
             f"{manifest.source}: some row of {recording} must be labelled {' or '.join(sorted(known))}, none is; label "
-            "what was coal alone, state it by --coal-until, or leave out --labelled"
+            f"what was coal alone, state it by {spelled('coal_until')}, or leave out {spelled('labelled')}"
         )
     by_name = {str(number): name for number, name in enumerate(channels, 1)} | {name: name for name in channels}
     asked = {str(channel) for one in rows for channel in one.channels or ()}

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid._lib.files import require_regular
+from cgid._lib.spelling import spelled
 from cgid._lib.validation import Floats
 from cgid.errors import BadData, CgidError, InvalidValue, MissingOption, NoInput
 from cgid.identification.detection.ear import Ear
@@ -257,14 +258,14 @@ def unit_of(recording: RecordingFile) -> str:
     names = [channel_name(recording.source, channel.name) for channel in recording.channels]
     if None in units:
         raise MissingOption(
-            f"{names[units.index(None)]}: the file does not state the unit; give it with --unit U, such as --unit g"
+            f"{names[units.index(None)]}: the file does not state the unit; give it with {spelled('unit', 'g')}"
         )
     for channel, name in zip(recording.channels, names, strict=True):
         require_measured(channel.unit, name)
     if other := next((one for one in others if one != unit), None):
         raise BadData(
             f"{names[units.index(other)]}: channels must be in one unit, got {other} after {unit}; choose with "
-            "--channel"
+            f"{spelled('channel')}"
         )
     assert unit is not None
     return unit
@@ -283,7 +284,7 @@ def require_alike(recording: RecordingFile, first: RecordingFile, *, counts: boo
     if counts and n_channels != n_first:
         raise BadData(
             f"{recording.source}: recordings must have equally many channels, got {n_channels} after {n_first} of "
-            f"{first.source}; choose with --channel, or channel in the manifest"
+            f"{first.source}; choose with {spelled('channel')}, or channel in the manifest"
         )
 
 
@@ -294,8 +295,8 @@ def _require_single(files: Sequence[AnnotatedFile], reading: Reading) -> None:
         if named and len(file.groups) > 1:
             raise InvalidValue(
                 f"{file.recording.source}: channel must be one for single impacts, got {'+'.join(map(str, named))}; "
-                "name one, leave channel out for a row per channel, give --same-beam if they are on one beam, or --by "
-                "window to combine several"
+                f"name one, leave channel out for a row per channel, give {spelled('same_beam')} if they are on one "
+                f"beam, or {spelled('by', 'window')} to combine several"
             )
 
 
@@ -338,7 +339,7 @@ def record(
     elif grouped_file := next((file for file in files if file.is_grouped), None):
         raise InvalidValue(
             f"{grouped_file.recording.source}: same_beam must be left out for windows, which use their channels "
-            "together; or give --by impact"
+            f"together; or give {spelled('by', 'impact')}"
         )
     names = _names(features, files, slicing)
     if model is None:
@@ -358,7 +359,7 @@ def record(
         first_failure = "".join(f"; {error}" for error in failures[:1])
         raise BadData(
             f"{manifest.source}: recordings must contain a {slicing.by} with a label, there is none{first_failure}; "
-            f"correct start and end, or give --by {'impact' if slicing.by == 'window' else 'window'}"
+            f"correct start and end, or give {spelled('by', 'impact' if slicing.by == 'window' else 'window')}"
         )
     for failure in failures[n_reported:]:
         reading.failed(failure)
@@ -463,7 +464,7 @@ def _require_quantity(file: AnnotatedFile, model: StoredModel) -> None:
     if quantity != model.quantity:
         raise BadData(
             f"{file.recording.source}: the quantity must be the model's, {model.quantity} [{model.unit}], got "
-            f"{quantity} [{file.unit}]; give another --from, or correct --unit"
+            f"{quantity} [{file.unit}]; give another {spelled('base')}, or correct {spelled('unit')}"
         )
 
 
@@ -481,13 +482,16 @@ def _decided(
         return replace(slicing, by="window" if kind_of(choose(features)) == "window" else "impact"), (), ()
     silence = _silence(files, slicing)
     if slicing.by is None and silence.has_single_impacts:
-        return replace(slicing, by="impact"), (f"trained on impacts, because {silence}; --by window for windows",), ()
+        note = f"trained on impacts, because {silence}; {spelled('by', 'window')} for windows"
+        return replace(slicing, by="impact"), (note,), ()
     if slicing.by is None:
-        note = f"trained on windows of {slicing.window_time:g} s, because only {silence}; --by impact for impacts"
+        other = f"{spelled('by', 'impact')} for impacts"
+        note = f"trained on windows of {slicing.window_time:g} s, because only {silence}; {other}"
         return replace(slicing, by="window"), (note,), ()
     if not silence.has_single_impacts or silence.is_cut:
         return slicing, (), ()
-    return slicing, (), (f"most windows contain no impact, {silence}; leave out --by, or give --by impact",)
+    cure = f"leave out {spelled('by')}, or give {spelled('by', 'impact')}"
+    return slicing, (), (f"most windows contain no impact, {silence}; {cure}",)
 
 
 def _silence(files: Sequence[AnnotatedFile], slicing: Slicing, background: Background | None = None) -> Silence:
@@ -597,7 +601,7 @@ def _names(features: Sequence[str] | None, files: list[AnnotatedFile], slicing: 
         if (kind_of(selected) == "window") != (slicing.by == "window"):
             raise InvalidValue(
                 f"features must be those of a {slicing.by}, got those of a {kind_of(selected)}; choose others, or "
-                "another --by"
+                f"another {spelled('by')}"
             )
         require_supported(selected, rate, _length(kind_of(selected), rate, slicing))
         return selected
@@ -647,7 +651,7 @@ def _refuse(names: Sequence[str], rate: float, slicing: Slicing) -> NoReturn:
     shortest = min(FEATURES[name].shortest_frame for name in names if 2 * FEATURES[name].highest_frequency <= rate)
     raise InvalidValue(
         f"window must last {math.ceil(shortest * rate) / rate:.6g} s at least to have a feature at {rate:g} Hz, got "
-        f"{slicing.window_time:g} s; give a longer --window"
+        f"{slicing.window_time:g} s; give a longer {spelled('window_time')}"
     )
 
 

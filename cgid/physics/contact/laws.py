@@ -655,9 +655,9 @@ def named(name: str) -> type[Law]:
     """Return the contact law of this name; raises `InvalidValue` for an unknown one."""
     law = known(name)
     if law is None:
-        from cgid.physics.contact.own_laws import HOW_TO_ADD
+        from cgid.physics.contact.own_laws import how_to_add
 
-        raise InvalidValue(f"dissipation must be one of {', '.join(LAWS)}, got {name!r}; {HOW_TO_ADD}")
+        raise InvalidValue(f"dissipation must be one of {', '.join(LAWS)}, got {name!r}; {how_to_add()}")
     return law
 
 

@@ -13,6 +13,7 @@ from types import ModuleType
 from typing import Any, NamedTuple
 
 from cgid._lib import validation
+from cgid._lib.spelling import spelled
 from cgid.errors import InvalidValue
 from cgid.physics.contact.curves import Law
 
@@ -31,10 +32,9 @@ _KEYS = (
 _VERBS = ("force", "corner", "turn")
 
 
-#: What to do about a law that no scene knows.
-HOW_TO_ADD = (
-    "give the name of a law of your own, and its module with --set laws=MODULE, in Python cgid.physics.add_laws(MODULE)"
-)
+def how_to_add() -> str:
+    """Return what to do about a law that no scene knows."""
+    return f"give the name of a law of your own, and its module with {spelled('laws', 'MODULE')}"
 
 
 class OwnLaw(NamedTuple):

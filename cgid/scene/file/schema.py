@@ -19,7 +19,7 @@ from cgid._lib.validation import cut, shown, similar, suggestion
 from cgid.errors import BadData, InvalidValue
 from cgid.physics.contact.bodies import Target
 from cgid.physics.contact.laws import named
-from cgid.physics.contact.own_laws import HOW_TO_ADD, add_laws, own_law, sources
+from cgid.physics.contact.own_laws import add_laws, how_to_add, own_law, sources
 from cgid.physics.structure.tail_beam import TailBeam
 from cgid.scene.file.background import HUM_FREQUENCY, BackgroundSection, with_spectrum
 from cgid.scene.file.distributions import DISTRIBUTION_NAMES, Section, quantity_of
@@ -492,7 +492,7 @@ def _message(entry: Any) -> str:
         hint = suggestion(given, re.findall("'([^']+)'", entry["ctx"]["expected"]))
         if "literal['rigid']" in entry["loc"]:
             hint = hint or "; or give its material as { density = ..., youngs_modulus = ..., poisson_ratio = ... }"
-        text += hint or f"; {HOW_TO_ADD}" * ("dissipation" in entry["loc"])
+        text += hint or f"; {how_to_add()}" * ("dissipation" in entry["loc"])
     return text
 
 

@@ -23,6 +23,7 @@ from threadpoolctl import threadpool_info
 from cgid import __version__
 from cgid._lib import validation
 from cgid._lib.files import require_room, write_whole
+from cgid._lib.spelling import spelled
 from cgid._lib.workers import SERIAL, Workers, workers
 from cgid.errors import BadData, InvalidValue
 from cgid.scene.file.schema import Scene, load_scene
@@ -277,7 +278,7 @@ def require_same_samples(file: Path, stored: NDArray[Any], made: NDArray[Any], s
                 cause = f"the module of {', '.join(scene.own_laws)}, or what it imports or reads,"
             raise BadData(
                 f"{file}: its signals must follow from the scene, made again they differ by {error / peak:.2g} of the "
-                f"peak; {cause} has changed: restore it, or generate all again with --overwrite"
+                f"peak; {cause} has changed: restore it, or generate all again with {spelled('overwrite', 'true')}"
             )
 
 
