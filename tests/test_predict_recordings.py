@@ -207,7 +207,7 @@ def test_predict_tells_impacts_shares_and_a_summary(two_channels: Path, capsys: 
     how = ["--rate", str(RATE), "--unit", "N", "--set", "window=0.16", "--set", "dilution_cost=2"]
     assert run(["predict", str(two_channels), "--json", *how]) == 0
     rows = lines_of(capsys)
-    assert {row["version"] for row in rows} == {6}
+    assert {row["version"] for row in rows} == {7}
     impacts = of_kind(rows, "impact")
     assert [row["time_s"] for row in impacts] == sorted(row["time_s"] for row in impacts)
     assert [row["impact"] for row in impacts if row["channel"] == "2"] == list(range(1, 17))

@@ -288,17 +288,16 @@ def compared(lines, sent, told, seen, start):
     ):
         n_wrong += not is_same
         print(f"| {name} | {what} | {'yes' if is_same else 'NO'} |")
-    began, ended = {}, {}
-    for at, one in lines:
-        if one["kind"] == "finding" and not one["note"]:
-            for channel in channels_of(one):
-                began.setdefault((channel, one["finding"]), at)
-                if one["end_s"] is not None:
-                    ended[channel, one["finding"]] = at
-                else:
-                    ended.pop((channel, one["finding"]), None)
-    for key in [key for key in began if ended.get(key, lines[-1][0]) - began[key] < LATE / 3]:
-        del began[key]  # what stood for a moment, which who looks now and then may miss
+    began, ended, opened = {}, {}, {}
+    for at, one in [*lines, (lines[-1][0], None)]:
+        if one is None or (one["kind"] == "finding" and not one["note"]):
+            for channel in channels_of(one or {"channels": []}):
+                for kind in [kind for name, kind in opened if name == channel] if one is None else [one["finding"]]:
+                    if one is not None and one["end_s"] is None:
+                        opened[channel, kind] = at
+                    elif at - (begun := opened.pop((channel, kind))) > LATE / 3:
+                        began.setdefault((channel, kind), begun)  # else who looks now and then may miss it
+                        ended[channel, kind] = at
     for name, one in seen.items():
         lacking = began.keys() - one.first.keys()
         late = [one.first[key] - began[key] for key in began.keys() & one.first.keys()]
