@@ -47,7 +47,7 @@ _ALIKE = 3.0
 #: A fault is told rather than "nothing that is known", or other rocks, if its odds are at most this far below (by eye:
 #: a rate in streams of other code, benchmarks/beam/anchor.py, has a name in three of five without the first; a scale of
 #: 5 and of .05 was up to 4 below other rocks, and steel balls, which are other rocks, 9 above a rate).
-_RATHER = {(Fault.UNKNOWN,): 10.0, (Fault.ROCKS,): 5.0}
+_RATHER: Mapping[tuple[Fault, ...], float] = {(Fault.UNKNOWN,): 10.0, (Fault.ROCKS,): 5.0}
 #: A live stream is looked at after so many impacts, then after every so many more (by a trial on 36 simulated seams).
 _LOOKS = (10, 20)
 _EVERY = 40
