@@ -199,14 +199,21 @@ def told_by(monkeypatch: pytest.MonkeyPatch, looks: list[Explained]) -> list[tup
 
 
 def test_a_fault_near_its_limit_does_not_flap(monkeypatch: pytest.MonkeyPatch) -> None:
-    told, over = Explained(faults=(Fault.SCALE,), odds=1.0), Explained(odds=-9.0)
+    told, over = Explained(faults=(Fault.SCALE,), odds=99.0), Explained(odds=-9.0)
     nearly = Explained(odds=-2.0, possible=frozenset({((Fault.SCALE,), False)}))
     found = told_by(monkeypatch, [told, over, told, *[nearly] * 4, over, over, told])
     assert found == [told.faults] * 8 + [(), told.faults]
 
 
+def test_a_fault_barely_beyond_its_limit_needs_two_looks(monkeypatch: pytest.MonkeyPatch) -> None:
+    barely, other = (Explained(faults=(fault,), odds=3.0) for fault in (Fault.CLIPPED, Fault.NOISE))
+    sound = Explained(odds=-1.0)  # the first forty impacts have three looks
+    found = told_by(monkeypatch, [sound, barely, sound, barely, other, barely, barely])
+    assert found == [()] * 6 + [barely.faults]
+
+
 def test_a_fault_does_not_alternate_between_two_names(monkeypatch: pytest.MonkeyPatch) -> None:
-    one, two = (Explained(faults=(fault,), odds=1.0) for fault in (Fault.LOW_PASS, Fault.RINGING))
+    one, two = (Explained(faults=(fault,), odds=99.0) for fault in (Fault.LOW_PASS, Fault.RINGING))
     found = told_by(monkeypatch, [one, two, one, *[two] * 3, *[one] * 3, *[two] * 2])
     assert found == [one.faults] * 4 + [two.faults] * 7
 

@@ -117,7 +117,7 @@ class Diagnosis:
     def is_doubtful(self, channel: str) -> bool:
         """Return whether something is wrong by impacts that no later ones have confirmed yet."""
         watch = self.channels[channel].watch if channel in self.channels else None
-        return watch is not None and bool(watch.explained.faults) and not watch.is_sure
+        return watch is not None and bool(watch.explained.faults or watch.suspected) and not watch.is_sure
 
     def stands(self, channel: str) -> bool:
         """Return whether anything stands of a channel, surely or not, as of the last `changes`."""

@@ -47,10 +47,13 @@ _ALIKE = 3.0
 #: A fault is told rather than "nothing that is known", or other rocks, if its odds are at most this far below (by eye:
 #: a rate in streams of other code, benchmarks/beam/anchor.py, has a name in three of five without the first; a scale of
 #: 5 and of .05 was up to 4 below other rocks, and steel balls, which are other rocks, 9 above a rate).
-_RATHER = {(Fault.UNKNOWN,): 10.0, (Fault.ROCKS,): 5.0}
+_RATHER: Mapping[tuple[Fault, ...], float] = {(Fault.UNKNOWN,): 10.0, (Fault.ROCKS,): 5.0}
 #: A live stream is looked at after so many impacts, then after every so many more (by a trial on 36 simulated seams).
 _LOOKS = (10, 20)
 _EVERY = 40
+#: A fault is told by one look from odds so far beyond the limit on, else by two (by eye: of ten fresh sound seams five
+#: were told something at one look in hundreds of impacts, up to 4 beyond it, and none at the next look).
+_AT_ONCE = 10.0
 #: A fault is over where so many looks in a row tell nothing, and have log odds of it so far below its limit (20 to 1).
 _N_QUIET = 2
 _CLEARLY = 3.0
@@ -188,8 +191,9 @@ class ChannelWatch:
     """What is wrong with one channel of a live stream, without flapping.
 
     It looks after 10, 20 and 40 impacts, then after every 40, at these and at the latest 80. A fault begins where its
-    odds exceed the limit, and ends where two looks in a row tell nothing and have odds of it clearly below. It changes
-    its name only where another one is better at two looks in a row, and to none that it had before.
+    odds exceed the limit by far, or at two looks in a row, and ends where two looks in a row tell nothing and have odds
+    of it clearly below. It changes its name only where another one is better at two looks in a row, and to none that it
+    had before.
 
     Parameters
     ----------
@@ -204,6 +208,8 @@ class ChannelWatch:
         The latest impacts.
     explained : Explained
         What stands; of the last look if nothing does.
+    suspected : tuple of Fault
+        What one look has found, and no other has confirmed yet.
     is_sure : bool
         Whether impacts that came after the look that found a fault say, too, that something is wrong: only then may it
         change a ground. It stays until the fault ends.
@@ -217,7 +223,7 @@ class ChannelWatch:
         self._is_renewing, self._n = False, 0
         self._found_at, self._quiet, self._other = 0, 0, Explained()
         self._names: set[tuple[Fault, ...]] = set()
-        self.explained, self.is_sure = Explained(), False
+        self.explained, self.suspected, self.is_sure = Explained(), tuple[Fault, ...](), False
 
     def add(self, answer: Answer) -> None:
         """Count one more impact."""
@@ -237,22 +243,25 @@ class ChannelWatch:
         looks = [explain(some, self._model, self.past, endless=endless) for some in latest]
         now = max(looks, key=lambda one: (bool(one.faults), np.nan_to_num(one.odds, nan=-np.inf)))
         if not before.faults:
-            self.explained = now
-            if now.faults:
-                self._found_at, self._quiet, self._names = self._n, 0, {now.faults}
-            return
-        is_quiet = not now.faults and not any((before.faults, before.of_past) in one.possible for one in looks)
-        self._quiet = self._quiet + 1 if is_quiet else 0
-        if self._quiet >= _N_QUIET:
-            self.explained, self.is_sure = now, False
-            return
-        is_new = bool(now.faults) and now.faults == self._other.faults and now.faults not in self._names
-        self._other = now
-        if now.faults == before.faults or is_new:
-            self.explained = now
-            self._names.add(now.faults)
+            if now.faults and now.faults != self.suspected:
+                self._found_at = self._n
+            is_told = now.faults == self.suspected or not now.odds <= _AT_ONCE  # levels have no odds
+            self.suspected = () if is_told else now.faults
+            self.explained = now if is_told else Explained(odds=now.odds)
+            self._quiet, self._names = 0, {now.faults}
+        else:
+            is_quiet = not now.faults and not any((before.faults, before.of_past) in one.possible for one in looks)
+            self._quiet = self._quiet + 1 if is_quiet else 0
+            if self._quiet >= _N_QUIET:
+                self.explained, self.is_sure = now, False
+                return
+            is_new = bool(now.faults) and now.faults == self._other.faults and now.faults not in self._names
+            self._other = now
+            if now.faults == before.faults or is_new:
+                self.explained = now
+                self._names.add(now.faults)
         n_after = min(self._n - self._found_at, MOST_OF_PAST)
-        if not self.is_sure and n_after >= _EVERY:
+        if self.explained.faults and not self.is_sure and n_after >= _EVERY:
             self.is_sure = bool(explain(list(self.answers)[-n_after:], self._model, self.past).faults)
 
     def forget(self, time: float) -> None:
@@ -264,4 +273,4 @@ class ChannelWatch:
         """Take the impacts from now on as the channel's own past, by a person's word; what stood is over."""
         self.past, self._is_renewing = None, True
         self.answers.clear()
-        self.explained, self.is_sure = Explained(), False
+        self.explained, self.suspected, self.is_sure = Explained(), (), False
