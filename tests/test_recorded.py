@@ -407,7 +407,7 @@ def test_recordings_say_whether_impacts_or_windows(gap: float, noise: float, by:
     assert rows.slicing is not None and rows.slicing.by == by
     assert (
         rows.notes[0].startswith(f"trained on {by}s")
-        and f"--by {'impact' if by == 'window' else 'window'}" in rows.notes[0]
+        and f"by={'impact' if by == 'window' else 'window'!r}" in rows.notes[0]
     )
     forced = record(read_manifest(tmp_path / "m.csv"), slicing=Slicing(by="window"))
     assert any("most windows contain no impact" in warning for warning in forced.warnings) == (by == "impact")
