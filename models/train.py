@@ -102,8 +102,8 @@ BEAM_RIGS = {name: RIGS[name] for name in ("noise_exponent", "hum", "hum_frequen
 #: Samples of a frame on all rigs, of which before touch: 4.1 ms at 1 MHz, where the longest contact lasts 2.1 ms.
 RIG_FRAME = {"samples": 4096, "pre_trigger": 300}
 #: Simulated recordings of a beam and of forces, each sound and spoilt in six or seven ways; impacts of one of forces.
-N_STREAMS_SPOILT = 49
-N_FORCES_SPOILT = 227
+N_STREAMS_SPOILT = 64
+N_FORCES_SPOILT = 400
 IMPACTS_SPOILT = 128
 #: Scenes of successive recordings of forces, of each shipped one (0, 4, 8) and its three rigs after it: half at home.
 ORDER_SPOILT = (0, 1, 4, 2, 0, 5, 3, 4, 6, 8, 7, 0, 9, 4, 10, 8, 11)
@@ -274,12 +274,11 @@ def spoilt(model: StoredModel, seed: int) -> Iterator[list[Recording]]:
         return
     scenes = []
     for scene in map(shipped_scene, ("reference", "rock", "corners")):
-        scenes += [scene, *(rig for rig, _ in on_rigs(scene, 3))]
+        scenes += [(scene, True), *((rig, False) for rig, _ in on_rigs(scene, 3))]
     for number in range(N_FORCES_SPOILT):
-        own = scenes[ORDER_SPOILT[number % len(ORDER_SPOILT)]]
-        yield from of_forces(
-            islice(synthesise(own, IMPACTS_SPOILT, 1000 * seed + number), 1), model, 1000 * seed + number
-        )
+        own, at_home = scenes[ORDER_SPOILT[number % len(ORDER_SPOILT)]]
+        drawn = 1000 * seed + number
+        yield from of_forces(islice(synthesise(own, IMPACTS_SPOILT, drawn), 1), model, drawn, at_home=at_home)
 
 
 def faults_section(told: dict[str, Any]) -> list[str]:

@@ -280,7 +280,7 @@ RECORDING_CASES: tuple[tuple[str, tuple[str, ...], int, tuple[str, ...]], ...] =
     ("sensitivity in a manifest", ("train", "deaf.csv", *_MODEL_FREE), 65, ("row 2", "'10.2 g/mV'")),
     ("two rates in a manifest", ("train", "rates.csv", *_MODEL_FREE), 65, ("one rate", "25600.0 and 51200.0")),
     ("half turned over", ("train", "turned.csv", *_MODEL_FREE), 65, ("one invert", "no and yes")),
-    ("a copy with another label", ("train", "copied.csv", *_MODEL_FREE), 65, ("must not overlap", "blow.wav")),
+    ("a copy with another label", ("train", "copied.csv", *_MODEL_FREE), 65, ("must differ", "blow.wav")),
     ("bits in other digits", ("predict", "counts.wav", "--full-scale", "1 V at ٢٤ bit"), 65, ("--full-scale must be",)),
     ("two ranges in a manifest", ("train", "ranges.csv", *_MODEL_FREE), 65, ("one full_scale", "5 V and 10 V")),
     ("hop of nothing", ("train", "day.csv", "--set", "hop=1e-9", *_MODEL_FREE), 65, ("hop", "1e-09 s")),

@@ -11,13 +11,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cgid.cli.monitor import Inbox, UnbufferedInput
+from cgid.cli.monitor import UnbufferedInput
 from cgid.errors import BadData, InvalidValue
 from cgid.identification.detection import ImpactDetector, find_impacts
 from cgid.identification.detection.vibration_onsets import onset_in
 from cgid.measure.features.extraction import extract_array
 from cgid.recordings import read_recording
-from cgid.recordings.live import live_stream
+from cgid.recordings.live import Inbox, live_stream
 from cgid.signals import Signal
 from tests.impact_truth import Stream, caving, score
 from tests.test_features import REAL_SHOCK

@@ -11,17 +11,13 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
-import numpy as np
 import pytest
-
-from tests.test_label import Page, ended
-from tests.test_labels import rung
 
 ROOT = Path(__file__).parents[1]
 #: Every module of the standard library, and what a worker, a page or a cluster imports besides.
 NAMES = (*sys.stdlib_module_names, "numpy", "scipy", "numba", "h5py", "joblib", "sklearn", "pandas", "click", "dask")
 #: The modules that start processes, each with a test below; the commands of `monitor` are the user's own programs.
-STARTERS = {"_lib/workers.py", "labelling/page.py", "plant/commands.py"}
+STARTERS = {"_lib/workers.py", "plant/commands.py"}
 #: What such a module says.
 STARTS = re.compile(r"subprocess|multiprocessing|ProcessPool|joblib\.Parallel|os\.(system|spawn|exec|popen)|webbrowser")
 FROM_PYTHON = {
@@ -87,18 +83,6 @@ def test_workers_of_a_script_have_its_path(name: str, folder: Path, tmp_path: Pa
         "    assert 'PYTHONSAFEPATH' not in os.environ\n"
     )
     do([sys.executable, str(tmp_path / "own.py")], folder)
-
-
-def test_the_report_of_a_page_does_not_import_from_the_folder(folder: Path, program: list[str]) -> None:
-    pytest.importorskip("matplotlib")
-    np.save(folder / "a.npy", rung(4)[0])
-    page = Page(folder, program=program)
-    page.wait(ended)
-    assert page.post("make-report", r=0)[0] == 200
-    state = page.wait(lambda state: state["report"]["state"] != "running", 120)
-    page.end()
-    assert ran(folder) == []
-    assert state["report"] == {"state": "ready"}
 
 
 @pytest.fixture

@@ -535,7 +535,7 @@ def test_datasets_are_told_apart(tmp_path, write):
     named = write("1\n2\n", "set.h5")
     assert not any(map(is_dataset, (named, tmp_path / "none", "-", "", "a\0b")))
     for path in (hdf5, tmp_path, named):
-        with pytest.raises(BadData, match=r"cgid\.store.*index=0"):
+        with pytest.raises(BadData, match=r"cgid\.Dataset\(PATH\)\[0\]"):
             read_recording(path, sampling_rate=1)
 
 
