@@ -1056,7 +1056,7 @@ def test_table_is_the_same_with_outlets(raw, tmp_path, capsys) -> None:
     (support,) = data["supports"]
     assert support["labels"] == {"coal": 14, "gangue": 14}
     assert (support["decision"], support["ground"]) == ("none", "stopped")
-    assert support["turns"] == []  # the interval of so few holds the limit
+    assert support["turns"] == []  # of fewer than sixty impacts in the first seconds
     assert data["ended"]
     assert data["outlets"][0]["passed"] == 0
     wave = data["waveform"]["channels"][0]

@@ -24,7 +24,7 @@ from cgid.cli.main import run
 from cgid.identification.model.model import StoredModel, stored
 from cgid.identification.prediction import Answer
 from cgid.identification.prediction.findings import Finding
-from cgid.identification.prediction.fraction import ShareWindow, ShutDecision
+from cgid.identification.prediction.fraction import FIRST, ShareWindow, ShutDecision
 from cgid.measure.overview import OverviewStream
 from cgid.plots import report as page
 from cgid.plots.report import Report, model_facts, recording_facts, report_page
@@ -65,6 +65,7 @@ def report(tmp_path_factory: pytest.TempPathFactory) -> Report:
         Answer(time=0.49, label="unknown", probabilities={}, novelty=float("nan"), problem="too <short>", cut=True)
     )
     window, rule = ShareWindow(0.2), ShutDecision()
+    rule._begun = -FIRST  # its first seconds are over
     shares, turns = [], []
     for one in answers:
         window.add(one.time, one.probabilities.get("gangue", float("nan")))

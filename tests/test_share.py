@@ -21,8 +21,10 @@ from cgid.identification.model.confusion import Confusion, StreamAnswers, wilson
 from cgid.identification.model.families import Network
 from cgid.identification.prediction.findings import Finding
 from cgid.identification.prediction.fraction import (
+    FIRST,
     LAPSE,
     MIN_IMPACTS,
+    OF_FIRST,
     HeldOut,
     NoConfusion,
     Share,
@@ -259,14 +261,27 @@ def test_a_wider_density_shuts_later_and_without_a_cost_of_shutting_nothing_goes
 
 def test_few_or_unknown_impacts_decide_nothing() -> None:
     rule = ShutDecision()
-    assert rule.watch(state(0.9, MIN_IMPACTS - 1)) is None
-    assert rule.watch(replace(state(0.9, 20), n_unknown=21)) is None
+    late = 1.0 + FIRST
+    assert rule.watch(state(0.9, MIN_IMPACTS, 1.0)) is None
+    assert rule.watch(state(0.9, MIN_IMPACTS - 1, late)) is None
+    assert rule.watch(replace(state(0.9, 20, late), n_unknown=21)) is None
     assert rule.shut is None
-    switch = rule.watch(replace(state(0.9, MIN_IMPACTS), n_unknown=MIN_IMPACTS))
+    switch = rule.watch(replace(state(0.9, MIN_IMPACTS, late), n_unknown=MIN_IMPACTS))
     assert switch is not None and switch.shut
 
 
-def test_a_wide_fraction_above_the_limit_shuts_after_a_whole_window_of_looks() -> None:
+def test_the_first_seconds_with_impacts_need_sixty() -> None:
+    rule = ShutDecision()
+    for begin in (100.0, 300.0):  # a pause begins them again, and so does the first impact of a stream
+        assert rule.watch(state(float("nan"), 0, begin - 1)) is None and rule.shut is None
+        for time in np.arange(begin, begin + FIRST):
+            assert rule.watch(state(0.1, OF_FIRST - 1, time)) is None and rule.shut is None
+        assert rule.watch(state(0.1, OF_FIRST - 1, begin + FIRST)) is None and rule.shut is False
+    first = ShutDecision().watch(state(0.9, OF_FIRST, 0.0))
+    assert first is not None and first.shut
+
+
+def test_a_wide_fraction_above_the_limit_shuts_after_a_fifth_of_a_window() -> None:
     rule, wide, narrow = ShutDecision(), state(0.8, spread=0.35), state(0.8, spread=0.2)
     assert rule.cost(wide) > 0 and wide.low < 0.5 < narrow.low
 
@@ -275,10 +290,10 @@ def test_a_wide_fraction_above_the_limit_shuts_after_a_whole_window_of_looks() -
         return [turn and turn.shut for turn in turns]
 
     # One look in between with the opposite, or with too few impacts, begins it again.
-    assert looked(wide, 20.0, 29.9) == [None, None] and (rule.shut, rule.is_sure) == (False, False)
-    assert looked(state(0.4, spread=0.3), 30.0) == looked(wide, 31.0) == looked(wide, 40.9) == [None]
-    assert looked(replace(wide, n_impacts=4), 41.0) == [None]
-    assert looked(wide, 46.0, 55.9, 56.0) == [None, None, True]
+    assert looked(wide, 20.0, 21.0) == [None, None] and (rule.shut, rule.is_sure) == (False, False)
+    assert looked(state(0.4, spread=0.3), 22.0) == looked(wide, 31.0) == looked(wide, 32.0) == [None]
+    assert looked(replace(wide, n_impacts=4), 33.0) == [None]
+    assert looked(wide, 34.0, 35.0, 36.0) == [None, None, True]
     # Withdrawn, it opens when the interval is below the limit, not before.
     rule.withdraw()
     assert looked(state(0.3, spread=0.3), 57.0) == [None] and (rule.shut, rule.is_sure) == (False, False)

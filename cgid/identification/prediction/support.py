@@ -443,6 +443,7 @@ class _Support:
         if self.rule is not None and ground == Ground.SEEN:
             if share.basis == Basis.PENDING:  # coal falls: what was decided is of the cycle before
                 self.rule.withdraw()
+                self.rule.note(share)
             elif is_known:
                 switch = self.rule.watch(share)
         elif self.rule is not None:
