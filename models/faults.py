@@ -288,9 +288,11 @@ _FOLDS = 5
 #: Windows of sound recordings that each explanation may be told in, and the least log odds (by eye: 20 to 1).
 _FALSE_RATE = 0.002
 _LEAST_ODDS = 3.0
-#: Sound recordings of which any window may be told a scale, and as many of which any may be told something else: beyond
-#: the limits of windows, since those of one rig are alike and a recording is looked at often.
-_FALSE_RECORDINGS = 0.005
+#: Rise over the standard deviation of the noise: some 4 is the largest of the samples of a frame of noise alone.
+_LEAST_RISE = 8.0
+#: Sound recordings of which any window may be told something: beyond the limits of windows, since those of one rig are
+#: alike and a recording is looked at often.
+_FALSE_RECORDINGS = 0.01
 
 
 class Window(NamedTuple):
@@ -307,9 +309,11 @@ class Window(NamedTuple):
 
 def with_faults(model: StoredModel, recordings: Iterable[Sequence[Recording]], seed: int) -> StoredModel:
     """Return a model that explains recordings, from simulated ones, sound and spoilt; nothing else changes."""
-    made, spectrum = list(recordings), np.zeros(1)
+    # A beam's streams have the noises that its fraction knows.
+    is_beam = model.beam is not None
+    made, spectrum = [parts for parts in recordings if is_beam or stands_out(parts[0])], np.zeros(1)
     arrays: dict[str, NDArray[Any]] = {}
-    if model.beam is not None:
+    if is_beam:
         sound = [detrended(one.impacts.spectra) for parts in made for one in parts if one.fault is None]
         spectrum = np.nan_to_num(np.mean(sound, axis=0))
     fold = np.random.default_rng([seed, 78]).permutation(len(made)) % _FOLDS
@@ -329,15 +333,32 @@ def with_faults(model: StoredModel, recordings: Iterable[Sequence[Recording]], s
         filled = next(found for found in odds if found)  # changes are told from more impacts on
         limits = np.array([np.quantile(found or filled, 1 - _FALSE_RATE, axis=0) for found in odds]).T
         limits = np.maximum(limits, _LEAST_ODDS)
-        is_scale = np.array([one.faults == (Fault.SCALE,) for one in candidates_of(model.beam is not None)])
-        for some in (is_scale, ~is_scale):
-            excess = np.full(len(made), -np.inf)
-            for recording, in_bin, own in judged:
-                excess[recording] = max(excess[recording], (own - limits[:, in_bin])[some].max())
-            limits[some] += max(float(np.quantile(excess, 1 - _FALSE_RECORDINGS, method="higher")), 0.0)
+        excess = np.full((len(made), len(limits)), -np.inf)
+        for recording, in_bin, own in judged:
+            excess[recording] = np.maximum(excess[recording], own - limits[:, in_bin])
+        limits += _lifts(excess)[:, None]
         arrays |= replace(known, limits=limits).arrays(prefix)
-    told = {"n_recordings": len(made), "false_rate": _FALSE_RATE, "false_recordings": 2 * _FALSE_RECORDINGS}
+    told = {"n_recordings": len(made), "false_rate": _FALSE_RATE, "false_recordings": _FALSE_RECORDINGS}
     return replace(model, arrays={**model.arrays, **arrays}, training={**model.training, "faults": told})
+
+
+def stands_out(sound: Recording) -> bool:
+    """Return whether half of the impacts of a sound recording stand out of its noise; else noise was found in it."""
+    high, _, baseline, noise = sound.impacts.sampled[:, :4].T
+    return bool(np.median((high - baseline) / np.maximum(noise, np.finfo(np.float32).tiny)) >= _LEAST_RISE)
+
+
+def _lifts(excess: Floats) -> Floats:
+    """Return by how much each limit rises, (n_candidates,), so that few sound recordings exceed any.
+
+    `excess` (n_recordings, n_candidates) is the largest of each. The least odd of those that are told something goes
+    first, and lifts the limits that it exceeds alone: one odd recording must not silence every fault.
+    """
+    lifts = np.zeros(excess.shape[1])
+    while len(told := np.flatnonzero((excess > lifts).any(axis=1))) > _FALSE_RECORDINGS * len(excess):
+        least = told[np.argmin((excess[told] - lifts).max(axis=1))]
+        lifts = np.maximum(lifts, excess[least])
+    return lifts
 
 
 def windows_of(

@@ -286,7 +286,8 @@ def faults_section(told: dict[str, Any]) -> list[str]:
     return [
         f"{told['n_recordings']} simulated recordings, each sound and spoilt, taught it to explain one that is not as "
         f"in the training. An explanation is told where its odds are above those in {1 - told['false_rate']:.1%} of "
-        "sound windows that did not teach it."
+        f"sound windows that did not teach it; at most {told['false_recordings']:.0%} of the sound recordings are told "
+        "any."
     ]
 
 

@@ -166,8 +166,9 @@ def test_whole_blocks_and_live_are_the_same_to_the_bit(kind):
         Thread(target=lambda: (pipe.write(samples.astype("<f8").tobytes()), pipe.close()), daemon=True).start()
         source = UnbufferedInput(file.fileno())
         live = live_stream(source, sampling_rate=RATE, n_channels=1, sample_format="f64le", unit="N")
-        detector, events = ImpactDetector(RATE, kind=kind), []
-        for block in Inbox(live, RATE):
+        detector, events, inbox = ImpactDetector(RATE, kind=kind), [], Inbox(RATE)
+        inbox.read(live)
+        for block in inbox:
             events += detector.feed(block)
         assert all_of(events + detector.finish()) == expected
 

@@ -29,8 +29,8 @@ OWN_SCENE = "YOUR_BEAM.toml"
 #: Minimum number of impacts to calibrate a scene, and to train on one recording (in blocks of its time, with two
 #: labels).
 CALIBRATED, _TRAINED = 20, 16
-#: Tolerance of an amplitude for a unit [decades]: it is estimated to a quarter of a decade.
-_SAME_UNIT = 0.3
+#: Tolerance of an amplitude for a unit [decades]: it is estimated to a third of a decade.
+_SAME_UNIT = 0.35
 #: Factor from which on a unit may be the cause.
 _FAR = 3.0
 

@@ -46,8 +46,9 @@ LEAST_OF_TWO = 10
 _ALIKE = 3.0
 #: A fault is told rather than "nothing that is known", or other rocks, if its odds are at most this far below (by eye:
 #: a rate in streams of other code, benchmarks/beam/anchor.py, has a name in three of five without the first; a scale of
-#: 5 and of .05 was up to 4 below other rocks, and steel balls, which are other rocks, 9 above a rate).
-_RATHER: Mapping[tuple[Fault, ...], float] = {(Fault.UNKNOWN,): 10.0, (Fault.ROCKS,): 5.0}
+#: 5 and of .05 was up to 4 below other rocks, and steel balls, which are other rocks, 9 above a rate). A beam whose
+#: modes lie higher looks like a rate, which would be corrected in vain.
+_RATHER: Mapping[tuple[Fault, ...], float] = {(Fault.UNKNOWN,): 10.0, (Fault.ROCKS,): 5.0, (Fault.RATE,): 3.0}
 #: A live stream is looked at after so many impacts, then after every so many more (by a trial on 36 simulated seams).
 _LOOKS = (10, 20)
 _EVERY = 40
@@ -170,13 +171,14 @@ def _judged(known: Explanations | None, impacts: Impacts, model: StoredModel, pa
     excess = odds - known.limits[:, bin_of(len(impacts.novelty))]
     names, is_change = [one.faults for one in candidates_of(model.beam is not None)], past is not None
     possible = frozenset((names[k], is_change) for k in np.flatnonzero(excess > -_CLEARLY).tolist())
-    weight = excess - np.array([_RATHER.get(one, 0.0) for one in names])
+    # Limits say what is told, odds alone which: a limit is of sound recordings, and knows nothing of other faults.
+    weight = odds - np.array([_RATHER.get(one, 0.0) for one in names])
     most = 2 if len(impacts.novelty) >= LEAST_OF_TWO else 1
     order = [k for k in np.argsort(-weight).tolist() if excess[k] > 0 and len(names[k]) <= most]
     if not order:
         return Explained(odds=float(excess.max()), possible=possible)
     best = order[0]
-    others = dict.fromkeys(one for k in order[1:] if excess[k] > excess[best] - _ALIKE for one in names[k])
+    others = dict.fromkeys(one for k in order[1:] if odds[k] > odds[best] - _ALIKE for one in names[k])
     return Explained(
         faults=names[best],
         factor=float(factors[best]),

@@ -211,10 +211,13 @@ class Findings:
                 one = self.all[place] = replace(self.all[place], end=one.end)
             else:
                 self.all.append(one)
-            key = (one.kind, *map(str, (one.begin, one.end, one.factor, one.others, one.commands)))
-            alike = told.get(key)
-            channels = () if alike is None else tuple(name for name in alike.channels if name not in one.channels)
-            told[key] = one if alike is None else replace(alike, channels=channels + one.channels)
+            key = (one.kind, *map(str, (one.begin, one.end, one.factor, one.commands)))
+            alike = told.get(key, one)
+            told[key] = replace(
+                alike,
+                channels=tuple(dict.fromkeys(alike.channels + one.channels)),
+                others=tuple(dict.fromkeys(alike.others + one.others)),
+            )
         return list(told.values())
 
     def standing(self, kind: str, channels: Sequence[str]) -> Finding | None:

@@ -22,11 +22,12 @@ more than shutting. Its sign changes at q = 1 / (1 + dilution_cost), the thresho
 loses 1 for each unit of fraction above it, and each second shut below it `cost_early` for each unit below.
 SHUT is issued when the expected loss of going on is the greater one, and the interval lies above the limit or it has
 been so at each look for a fifth of a window: who looks each second finds by chance what no later look confirms. Going
-on, and OPEN after a SHUT, need the opposite and an interval below the limit: until then going on is not yet sure. After a switch nothing
-changes for a least time (`hold`). By default a second too early costs more: all the coal that would have followed is
-lost with it, while a second too late is lost alone. Nothing is decided unless at least five impacts of a window, and
-half of them, are identified; in the first 25 s, sixty. Going on ends with the last impact of its window; SHUT is
-withdrawn after two minutes without enough of them, since nothing falls through a window that is shut.
+on, and OPEN after a SHUT, need the opposite and an interval below the limit: until then going on is not yet sure.
+After a switch nothing changes for a least time (`hold`). By default a second too early costs more: all the coal that
+would have followed is lost with it, while a second too late is lost alone. Nothing is decided unless at least five
+impacts of a window, and half of them, are identified; in the first 25 s, sixty. Going on ends with the last impact of
+its window; SHUT is withdrawn after two minutes without enough of them, since nothing falls through a window that is
+shut.
 """
 
 from __future__ import annotations
