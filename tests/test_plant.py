@@ -877,8 +877,8 @@ def test_command_that_fails_or_hangs_is_one_line(outputs, said, monkeypatch) -> 
     own(turn("open", 2.0, channel="2"))
     wait_for(lambda: len(said) == 2)
     first, second = sorted(said)
-    assert "--on-open: the command took longer than 0.3 s and was ended (channel 2, 2 s)" in first
-    assert "--on-shut: the command failed with exit code 3 (channel 1, 1 s)" in second
+    assert "on_open: the command took longer than 0.3 s and was ended (channel 2, 2 s)" in first
+    assert "on_shut: the command failed with exit code 3 (channel 1, 1 s)" in second
 
 
 def waiting_script(folder: Path, word: str) -> str:
@@ -917,7 +917,7 @@ def test_supports_run_side_by_side_and_the_newest_decision_last(outputs, said, t
     assert all(log(channel) == ["<shut"] for channel in channels)
     names = [(one["name"], one["waiting"], one["dropped"]) for one in own.plant.page()["outlets"]]
     assert names == [("--on-shut", 1, 3), ("--on-open", 1, 5), ("--on-blind", 1, 0)]
-    assert "--on-open: not run: replaced by BLIND before it could start (channel 2, 4 s)" in said
+    assert "on_open: not run: replaced by BLIND before it could start (channel 2, 4 s)" in said
     for channel in channels:
         (tmp_path / f"go-{channel}").touch()
     wait_for(lambda: [len(log(channel)) for channel in channels] == [4] * 3 + [2] * 6, 60)
@@ -966,7 +966,7 @@ def test_pending_open_is_no_longer_run_when_its_ground_is_gone(outputs, said, tm
     (tmp_path / "go-1").touch()
     own.__exit__(None, None, None)
     wait_for(lambda: (tmp_path / "log-1").read_text().split() == ["<shut", "shut>", "<shut", "shut>"])
-    assert any("--on-open: not run: replaced by BLIND" in line for line in said)
+    assert any("on_open: not run: replaced by BLIND" in line for line in said)
 
 
 def test_commands_run_without_descriptors(tmp_path) -> None:

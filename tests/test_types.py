@@ -100,7 +100,7 @@ def test_refusals_name_the_setting_as_it_was_given(tmp_path: Path, capsys: pytes
 #: Whole commands, which are the same for whoever reads them.
 COMMAND, FLAG = re.compile(r"cgid [a-z-]+\b[^;,]*"), re.compile(r"(?<![\w-])--[a-z][a-z-]+")
 #: What a command line alone runs, and the table of its options; `plant` has the outputs of `cgid monitor`.
-OF_COMMANDS = ("cli/", "labelling/", "plant/", "pages/server.py", "_lib/spelling.py")
+OF_COMMANDS = ("cli/", "labelling/", "_lib/spelling.py")
 
 
 def test_no_message_of_python_names_an_option() -> None:

@@ -316,7 +316,7 @@ class Workbench:
 def serve(workbench: Workbench, address: Address, warn: Callable[[str], None]) -> tuple[HttpServer, str]:
     """Return the started server of a page, and the address with its key."""
     key = secrets.token_urlsafe(24)
-    server = HttpServer("--port", address, workbench.routes(), warn, key)
+    server = HttpServer("port", address, workbench.routes(), warn, key)
     server.start()
     return server, f"http://{Address(address.host, server.port)}/#{key}"
 

@@ -91,7 +91,7 @@ class HttpServer(Server):
 
     def __init__(
         self,
-        option: str,
+        setting: str,
         address: Address,
         routes: Mapping[str, Route],
         warn: Callable[[str], None],
@@ -191,7 +191,7 @@ class HttpServer(Server):
             def log_message(self, *_: Any) -> None:
                 """Log nothing."""
 
-        super().__init__(option, address, Handler, TIMEOUT, warn)
+        super().__init__(setting, address, Handler, TIMEOUT, warn)
 
     @property
     def port(self) -> int:

@@ -11,6 +11,7 @@ from contextlib import suppress
 from threading import Condition, Lock, Thread
 from typing import Any, NamedTuple
 
+from cgid._lib.spelling import spelled
 from cgid.errors import CannotCreate, InvalidValue
 
 #: Maximum number of clients of a server; after one was disconnected, the next is accepted after this time [s], so that
@@ -72,21 +73,21 @@ class Address(NamedTuple):
     port: int
 
     @classmethod
-    def of(cls, option: str, text: str) -> Address:
+    def of(cls, setting: str, text: str) -> Address:
         """Return HOST:PORT or :PORT as an address; raises `InvalidValue`."""
         match = re.fullmatch(r"(?:\[([0-9A-Fa-f:.%]+)\]|([^\s:/\[\]]*)):(\d{1,5})", text)
         if match is None or not 1 <= int(match[3]) <= 65535:
-            file = ", or a file .html" if option == "--live" else ""
+            file = ", or a file .html" if setting == "live" else ""
             raise InvalidValue(
-                f"{option} must be HOST:PORT with a port from 1 to 65535{file}, such as :8080 (this machine alone) or "
-                f"0.0.0.0:8080 (all of the network), got {text!r}"
+                f"{spelled(setting)} must be HOST:PORT with a port from 1 to 65535{file}, such as :8080 (this machine "
+                f"alone) or 0.0.0.0:8080 (all of the network), got {text!r}"
             )
         return cls(match[1] or match[2] or "127.0.0.1", int(match[3]))
 
     def __str__(self) -> str:
         return f"[{self.host}]:{self.port}" if ":" in self.host else f"{self.host}:{self.port}"
 
-    def bound(self, option: str) -> socket.socket:
+    def bound(self, setting: str) -> socket.socket:
         """Return a socket bound to this address; raises `CannotCreate` if impossible."""
         try:
             family = socket.getaddrinfo(self.host, self.port, type=socket.SOCK_STREAM)[0][0]
@@ -100,12 +101,12 @@ class Address(NamedTuple):
                 raise
         except PermissionError:
             raise CannotCreate(
-                f"{option} {self}: this user may not listen on a port below 1024; choose a higher one"
+                f"{spelled(setting)} {self}: this user may not listen on a port below 1024; choose a higher one"
             ) from None
         except OSError as error:
             raise CannotCreate(
-                f"{option} {self}: the address must be free and of this machine ({error.strerror or error}); choose "
-                "another, or stop the program that listens there"
+                f"{spelled(setting)} {self}: the address must be free and of this machine ({error.strerror or error}); "
+                "choose another, or stop the program that listens there"
             ) from None
         return bound_socket
 
@@ -118,14 +119,14 @@ class Server(Service):
 
     def __init__(
         self,
-        option: str,
+        setting: str,
         address: Address,
         handler: Callable[..., socketserver.BaseRequestHandler],
         timeout: float,
         warn: Callable[[str], None],
     ) -> None:
-        super().__init__(f"{option.removeprefix('--')} {address}", warn)
-        self._listener = _Listener(address.bound(option), handler, timeout, self.report)
+        super().__init__(f"{setting} {address}", warn)
+        self._listener = _Listener(address.bound(setting), handler, timeout, self.report)
 
     def run(self) -> None:
         """Serve until stopped."""

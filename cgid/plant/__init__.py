@@ -9,6 +9,7 @@ from typing import Any
 
 from numpy.typing import NDArray
 
+from cgid._lib.spelling import spelled
 from cgid.errors import InvalidValue
 from cgid.pages.server import Service
 from cgid.plant.output import Output
@@ -109,7 +110,8 @@ class PlantOutputs:
         decision = next((kind for kind in self._commands if kind != "blind"), None)
         if decision is not None and threshold is None:
             raise InvalidValue(
-                f"--on-{decision} needs a model with gangue among its labels; name that of gangue by --set gangue=LABEL"
+                f"{spelled(f'on_{decision}')} needs a model with gangue among its labels; name that of gangue by "
+                f"{spelled('gangue', 'LABEL')}"
             )
         self.plant.begin(threshold=threshold, **stream)
         self.start()

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from threading import Lock, Thread
 from typing import Any
 
+from cgid._lib.spelling import spelled
 from cgid.errors import InvalidValue
 from cgid.identification.prediction.support import Ground
 from cgid.pages.server import since
@@ -63,7 +64,7 @@ class _Turn:
 
     def line(self, text: str) -> str:
         """Return a line about it."""
-        return f"--on-{self.kind}: {text} (channel {self.record['channel']}, {self.record['time_s']:.6g} s)"
+        return f"{spelled(f'on_{self.kind}')}: {text} (channel {self.record['channel']}, {self.record['time_s']:.6g} s)"
 
 
 class Commands(Output):
@@ -75,7 +76,7 @@ class Commands(Output):
     def __init__(self, lines: Mapping[str, str], plant: PlantState, warn: Callable[[str], None]) -> None:
         super().__init__("commands", warn)
         self._plant, self._longest = plant, MAX_RUN_TIME
-        self._commands = {kind: EventCommand.of(f"--on-{kind}", line) for kind, line in lines.items()}
+        self._commands = {kind: EventCommand.of(spelled(f"on_{kind}"), line) for kind, line in lines.items()}
         self._turns: dict[str, _Turn] = {}  # those that wait, by channel
         self._running: set[str] = set()
         self._blind: set[str] = set()
@@ -96,7 +97,13 @@ class Commands(Output):
         with self._changed:
             waiting = [turn.kind for turn in self._turns.values()]
         return [
-            {"name": of.option, "up": of.up, "passed": of.passed, "dropped": of.dropped, "waiting": waiting.count(kind)}
+            {
+                "name": f"--on-{kind}",
+                "up": of.up,
+                "passed": of.passed,
+                "dropped": of.dropped,
+                "waiting": waiting.count(kind),
+            }
             for kind, of in self._commands.items()
         ]
 

@@ -62,7 +62,7 @@ class Modbus(Server):
                     self.wfile.write(struct.pack(">HHHB", transaction, 0, len(answer) + 1, unit) + answer)
                     self.server.completed(self.request)
 
-        super().__init__("--modbus", Address.of("--modbus", address), RegisterHandler, TIMEOUT, warn)
+        super().__init__("modbus", Address.of("modbus", address), RegisterHandler, TIMEOUT, warn)
 
 
 def answered(request: bytes, plant: PlantState) -> bytes:

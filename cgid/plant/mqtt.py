@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 from urllib.parse import quote, unquote, urlsplit
 
+from cgid._lib.spelling import spelled
 from cgid.errors import BadData, InvalidValue, NoInput
 from cgid.pages.server import since
 from cgid.plant.output import FIRST_PAUSE, MAX_PAUSE, Output, library
@@ -49,8 +50,8 @@ class Broker(NamedTuple):
             host, port = url.hostname, url.port
             if url.username is not None or url.password is not None:
                 raise InvalidValue(
-                    "--mqtt must not contain a user or a password, which others can read there; set CGID_MQTT_USER and "
-                    "CGID_MQTT_PASSWORD, or CGID_MQTT_PASSWORD_FILE"
+                    f"{spelled('mqtt')} must not contain a user or a password, which others can read there; set "
+                    "CGID_MQTT_USER and CGID_MQTT_PASSWORD, or CGID_MQTT_PASSWORD_FILE"
                 )
             topic = unquote(url.path.strip("/"), errors="strict")
         except (UnicodeDecodeError, ValueError) as error:
@@ -60,8 +61,8 @@ class Broker(NamedTuple):
         bad = host is None or url.scheme not in _PORTS or port == 0 or "?" in text
         if bad or not topic or re.search(r"[+#\0]", topic + url.fragment) or "#" in text or len(topic) > 200:
             raise InvalidValue(
-                "--mqtt must be mqtt://HOST[:PORT]/TOPIC (mqtts:// with TLS), the topic without + and #, got "
-                f"{text!r}; such as mqtt://127.0.0.1:1883/plant/support7"
+                f"{spelled('mqtt')} must be mqtt://HOST[:PORT]/TOPIC (mqtts:// with TLS), the topic without + and #, "
+                f"got {text!r}; such as mqtt://127.0.0.1:1883/plant/support7"
             )
         return cls(str(host), port or _PORTS[url.scheme], topic, url.scheme == "mqtts")
 
@@ -74,7 +75,7 @@ class Mqtt(Output):
     def __init__(self, url: str, plant: PlantState, warn: Callable[[str], None]) -> None:
         self._broker = broker = Broker.of(url)
         super().__init__(f"mqtt {broker.host}:{broker.port}", warn)
-        paho = library("paho.mqtt.client", "--mqtt", "paho-mqtt")
+        paho = library("paho.mqtt.client", spelled("mqtt"), "paho-mqtt")
         self._plant = plant
         self._on_cycle: Callable[[str], object] | None = None
         self._number = self._on_the_way = 0

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from cgid._lib.files import write_whole
+from cgid._lib.spelling import spelled
 from cgid.errors import CannotCreate
 from cgid.identification.prediction.support import Decision, Ground
 from cgid.pages.http import COMMON, JSON, HttpServer, Route, of_bytes, of_file
@@ -28,21 +29,21 @@ def web_services(
 ) -> Iterator[Service]:
     """Yield the servers and the file that were requested; one address may serve both."""
     routes: dict[Address, dict[str, Route]] = {}
-    options: dict[Address, str] = {}
+    settings: dict[Address, str] = {}
     if prometheus is not None:
-        address = Address.of("--prometheus", prometheus)
-        its_routes, options[address] = routes.setdefault(address, {}), "--prometheus"
+        address = Address.of("prometheus", prometheus)
+        its_routes, settings[address] = routes.setdefault(address, {}), "prometheus"
         its_routes["/metrics"] = of_bytes(metrics_of(plant), "text/plain; version=0.0.4; charset=utf-8")
     if live is not None and live.lower().endswith((".html", ".htm")):
         yield PageFile(live, plant, warn)
     elif live is not None:
-        address = Address.of("--live", live)
-        its_routes, options[address] = routes.setdefault(address, {}), options.get(address, "--live")
+        address = Address.of("live", live)
+        its_routes, settings[address] = routes.setdefault(address, {}), settings.get(address, "live")
         its_routes |= {**COMMON, "/": of_file(_FOLDER / "live.html")}
         its_routes |= {f"/{name}": of_file(_FOLDER / name) for name in ("live.css", "live.js")}
         its_routes["/state.json"] = of_bytes(lambda: _json(plant).encode(), JSON)
     for address, its_routes in routes.items():
-        yield HttpServer(options[address], address, its_routes, warn)
+        yield HttpServer(settings[address], address, its_routes, warn)
 
 
 class PageFile(Service):
@@ -52,13 +53,13 @@ class PageFile(Service):
         super().__init__(f"live {path}", warn)
         self._path, self._plant = Path(path), plant
         if self._path.exists() and not self._path.is_file():
-            raise CannotCreate(f"--live {path}: it must be a regular file; choose another name")
+            raise CannotCreate(f"{spelled('live')} {path}: it must be a regular file; choose another name")
         if self._path.exists():
             begin = page()[:60].encode()
             with self._path.open("rb") as file:
                 if file.read(len(begin)) != begin:
                     raise CannotCreate(
-                        f"--live {path}: the file exists already and is not a live page; choose another name"
+                        f"{spelled('live')} {path}: the file exists already and is not a live page; choose another name"
                     )
         self._write()
 
@@ -100,8 +101,9 @@ def _json(plant: PlantState) -> str:
 
 def metrics_of(plant: PlantState) -> Callable[[], bytes]:
     """Return a function for the text of a scrape; raises `MissingExtra` without prometheus-client."""
-    client = library("prometheus_client", "--prometheus", "prometheus-client")
-    core = library("prometheus_client.core", "--prometheus", "prometheus-client")
+    what = spelled("prometheus")
+    client = library("prometheus_client", what, "prometheus-client")
+    core = library("prometheus_client.core", what, "prometheus-client")
     gauge, counter = core.GaugeMetricFamily, core.CounterMetricFamily
 
     class Collector:
