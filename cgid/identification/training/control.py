@@ -261,11 +261,15 @@ class Background:
             self._paths[key] = np.exp(np.fft.rfft(cepstrum))
         return self._paths[key]
 
-    def floor(self, names: Sequence[str], n: int, pre_trigger: int | None) -> Floats:
-        """Return the level below which nothing counts, for each feature; minus infinity for what is no level."""
+    def floor(self, names: Sequence[str], framed: Callable[[float], tuple[int, int | None]]) -> Floats:
+        """Return the level below which nothing counts, for each feature; minus infinity for what is no level.
+
+        `framed` gives the length and the pre-trigger [samples] of rows at a rate [Hz].
+        """
         levels = [name for name in names if FEATURES[name].unit.startswith("log10") and "U" in FEATURES[name].unit]
         found = dict.fromkeys(names, -np.inf)
         for source in self.sources if levels else ():
+            n, pre_trigger = framed(source.rate)
             frames = [_fitted(piece, n) for piece in source.pieces]
             if frames:
                 table = extract_array(

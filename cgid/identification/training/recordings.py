@@ -400,10 +400,13 @@ def _controlled(
     again = np.concatenate([features for features, _ in parts])[complete]
     known = {name: number for number, name in enumerate(rows.groups)}
     donor = np.array([known.get(name, -1) for _, names in parts for name in names], np.intp)[complete]
-    framing = Framing.of("vibration", rows.sampling_rates[0])
-    n = _length(kind_of(cutting.names), rows.sampling_rates[0], cutting.slicing)
-    pre_trigger = framing.pre_trigger if kind_of(cutting.names) == "vibration" else None
-    floor = background.floor(cutting.names, n, pre_trigger) if cutting.mended and cutting.model is None else np.empty(0)
+    kind = kind_of(cutting.names)
+
+    def framed(rate: float) -> tuple[int, int | None]:
+        pre_trigger = Framing.of("vibration", rate).pre_trigger if kind == "vibration" else None
+        return _length(kind, rate, cutting.slicing), pre_trigger
+
+    floor = background.floor(cutting.names, framed) if cutting.mended and cutting.model is None else np.empty(0)
     return replace(rows, background=again, donor=donor, levels_of_sources=tuple(table), floor=floor)
 
 
