@@ -206,10 +206,15 @@ def test_a_fault_near_its_limit_does_not_flap(monkeypatch: pytest.MonkeyPatch) -
 
 
 def test_a_fault_barely_beyond_its_limit_needs_two_looks(monkeypatch: pytest.MonkeyPatch) -> None:
-    barely, other = (Explained(faults=(fault,), odds=3.0) for fault in (Fault.CLIPPED, Fault.NOISE))
+    barely, other = (
+        Explained(faults=(fault,), odds=3.0, possible=frozenset({((fault,), False)}))
+        for fault in (Fault.CLIPPED, Fault.NOISE)
+    )
     sound = Explained(odds=-1.0)  # the first forty impacts have three looks
     found = told_by(monkeypatch, [sound, barely, sound, barely, other, barely, barely])
     assert found == [()] * 6 + [barely.faults]
+    # Not what only impacts of the first look say.
+    assert told_by(monkeypatch, [sound, *[replace(barely, possible=frozenset())] * 4]) == [()] * 5
 
 
 def test_a_fault_does_not_alternate_between_two_names(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -52,8 +52,9 @@ _RATHER: Mapping[tuple[Fault, ...], float] = {(Fault.UNKNOWN,): 10.0, (Fault.ROC
 #: A live stream is looked at after so many impacts, then after every so many more (by a trial on 36 simulated seams).
 _LOOKS = (10, 20)
 _EVERY = 40
-#: A fault is told by one look from odds so far beyond the limit on, else by two (by eye: of ten fresh sound seams five
-#: were told something at one look in hundreds of impacts, up to 4 beyond it, and none at the next look).
+#: A fault is told by one look from odds so far beyond the limit on, else by two of which the second finds it possible
+#: by its new impacts alone (by eye: of ten fresh sound seams five were told something at one look in hundreds of
+#: impacts, up to 4 beyond it; two that end alike by chance are among the latest 80 at two looks).
 _AT_ONCE = 10.0
 #: A fault is over where so many looks in a row tell nothing, and have log odds of it so far below its limit (20 to 1).
 _N_QUIET = 2
@@ -247,7 +248,11 @@ class ChannelWatch:
         if not before.faults:
             if now.faults and now.faults != self.suspected:
                 self._found_at = self._n
-            is_told = now.faults == self.suspected or not now.odds <= _AT_ONCE  # levels have no odds
+            is_told = not now.odds <= _AT_ONCE  # levels have no odds
+            if not is_told and now.faults and now.faults == self.suspected:
+                later = explain(list(self.answers)[self._found_at - self._n :], self._model, self.past)
+                is_told = (now.faults, now.of_past) in later.possible
+                self._found_at = self._found_at if is_told else self._n
             self.suspected = () if is_told else now.faults
             self.explained = now if is_told else Explained(odds=now.odds)
             self._quiet, self._names = 0, {now.faults}
