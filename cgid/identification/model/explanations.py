@@ -169,7 +169,7 @@ def summary(impacts: Impacts, model: StoredModel, spectrum: Floats, moves: Float
     rise = np.maximum(high - baseline, np.finfo(np.float32).tiny)
     fall = np.maximum(baseline - low, _NO_NOISE * rise)
     clear = -np.log(np.maximum(noise / rise, _NO_NOISE))
-    ends = max(int(np.sum(np.abs(end) > (1 - _SAME_LIMIT) * np.abs(end).max())) for end in (high, low))
+    at_high, at_low = (np.abs(end) > (1 - _SAME_LIMIT) * np.abs(end).max() for end in (high, low))
     alike = len(peak) < _FEW or min(peak.std(), width.std()) == 0
     rest = [
         *_of(restitution, _QUARTILES),
@@ -178,8 +178,10 @@ def summary(impacts: Impacts, model: StoredModel, spectrum: Floats, moves: Float
         *(_of(np.arctanh(0.999 * one) if model.beam else one, 0.5) for one in columns[5:]),
         *([_of(np.log(impacts.misshapen[np.isfinite(impacts.misshapen)] + _NOTHING), 0.5)] if model.beam else []),
         np.nan if alike else np.arctanh(0.99 * np.corrcoef(peak, width)[0, 1]),
-        *(_log_odds(count, n) for count in (n - known.sum(), impacts.flagged.sum(), max(ends - 1, 0))),
-        _log_odds(((n_high > 2) | (n_low > 2)).sum(), n),
+        *(_log_odds(count, n) for count in (n - known.sum(), impacts.flagged.sum())),
+        _log_odds(max(at_high.sum(), at_low.sum()) - 1, n),
+        # Small impacts end flat by the steps of a recorder.
+        _log_odds(((at_high & (n_high > 2)) | (at_low & (n_low > 2))).sum(), n),
         *_of(clear, [0.5, 0.9]),
         _of(np.log(fall / rise), 0.5),
         np.log(fall.max() / rise.max()),
