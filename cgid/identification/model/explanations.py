@@ -179,7 +179,7 @@ def summary(impacts: Impacts, model: StoredModel, spectrum: Floats, moves: Float
         *([_of(np.log(impacts.misshapen[np.isfinite(impacts.misshapen)] + _NOTHING), 0.5)] if model.beam else []),
         np.nan if alike else np.arctanh(0.99 * np.corrcoef(peak, width)[0, 1]),
         *(_log_odds(count, n) for count in (n - known.sum(), impacts.flagged.sum())),
-        _log_odds(max(at_high.sum(), at_low.sum()) - 1, n),
+        _log_odds(max(at_high.sum(), at_low.sum(), 1) - 1, n),
         # Small impacts end flat by the steps of a recorder.
         _log_odds(((at_high & (n_high > 2)) | (at_low & (n_low > 2))).sum(), n),
         *_of(clear, [0.5, 0.9]),
