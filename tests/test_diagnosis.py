@@ -335,8 +335,17 @@ def test_each_channel_is_told_whatever_is_wrong_with_another() -> None:
     diagnosis = Diagnosis(StoredModel.load(ROOT / "models" / "default.npz"), RATE)
     for channel, answers in parts:
         diagnosis.add([replace(one, channel=channel) for one in answers])
-    told = {one.kind: one.channels for one in diagnosis.findings()}
+    findings = diagnosis.findings()
+    told = {one.kind: one.channels for one in findings}
     assert told["unknown"] == ("1",) and told["scale"] == ("2",)
+    # The commands read the channel that is wrong.
+    steps = NextSteps(diagnosis, RATE, "x.wav", channels=["1", "2", "3"])
+    for one in findings:
+        commands = [*steps.of(one).commands, *steps.of(one).instead]
+        assert all("--channel" not in step or f"--channel {one.channels[0]}" in step for step in commands)
+    assert any("--channel 1" in step for one in findings for step in steps.of(one).commands)
+    # No text stands in empty brackets where impacts are unknown as a whole.
+    assert "()" not in Finding(kind="unknown", fields={"unknown": "", "what": "impacts"}).line("x")
 
 
 @pytest.mark.parametrize("model", OF_FORCES)

@@ -109,6 +109,10 @@ def test_a_finding_is_told_once_when_it_begins_and_once_when_it_ends() -> None:
     (over,) = told.tell([Finding(kind="scale", channels=("1",), end=9.0)])
     assert (over.begin, over.end, over.factor) == (3.0, 9.0, 5.0)
     assert told.tell([Finding(kind="scale", channels=("1",), end=10.0)]) == []  # nothing stands
+    # What goes on under another name is not over: one line, not two.
+    told.tell([Finding(kind="rings", channels=("1",), begin=1.0)])
+    (over,) = told.tell([Finding(kind="rings", channels=("1",), end=2.0, fields={"renamed": True})])
+    assert over.is_over and over.line("x") == ""
     # Many channels with one fault are one line.
     silent = [Finding(kind="silent", channels=(f"{k}",), fields={"text": "nothing"}) for k in range(84)]
     (one,) = told.tell(silent)

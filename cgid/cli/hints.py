@@ -69,7 +69,7 @@ class NextSteps:
         named = () if finding.is_over else words()[finding.kind].get("ways", ())
         ways = [getattr(self, f"_{way}")(finding) for way in named]
         first, second = ([way for way in ways if way] + [(), ()])[:2]
-        is_enough = not ways or first or self.model.subject == "window" or self._has_usable(CALIBRATED)
+        is_enough = not ways or first or self.model.subject == "window" or self._has_usable(CALIBRATED, finding)
         fields = {
             **finding.fields,
             "correct_rate": self._correction("--rate"),
@@ -90,15 +90,15 @@ class NextSteps:
         stated = {"--coal-until", "--labelled"} & {*self._answering}
         return () if stated else (self._predict("--coal-until", "10s"),)
 
-    def _calibration(self, _: Finding) -> tuple[str, ...]:
-        return self._calibrated(is_of_scene=False)
+    def _calibration(self, finding: Finding) -> tuple[str, ...]:
+        return self._calibrated(finding, is_of_scene=False)
 
     def _calibration_of_beam(self, finding: Finding) -> tuple[str, ...]:
         is_of_beam = self.model.beam is not None and not self._labelled
         return self._calibration(finding) if is_of_beam else ()
 
-    def _calibration_of_scene(self, _: Finding) -> tuple[str, ...]:
-        return self._calibrated(is_of_scene=self._is_of_shipped_beam)
+    def _calibration_of_scene(self, finding: Finding) -> tuple[str, ...]:
+        return self._calibrated(finding, is_of_scene=self._is_of_shipped_beam)
 
     @property
     def _is_of_shipped_beam(self) -> bool:
@@ -113,10 +113,10 @@ class NextSteps:
         options = _without([*self._options, *self._answering], more)
         return shlex.join(["cgid", "predict", self._source, *options, *more])
 
-    def _predict_with(self, model: str) -> str:
+    def _predict_with(self, model: str, finding: Finding) -> str:
         """Return the command for a model made here, without options for the former one."""
         is_for_all = self.model.together > 1 or self._diagnosis.channels.keys() >= set(self._all_channels)
-        options = self._options if is_for_all else self._for_rows()  # others may be of another quantity
+        options = self._options if is_for_all else self._for_rows(finding)  # others may be of another quantity
         return shlex.join(["cgid", "predict", self._source, *options, *self._beams, "--model", model])
 
     def _invert(self, finding: Finding) -> tuple[str, ...]:
@@ -156,36 +156,37 @@ class NextSteps:
         """Return whether a flag is the unit of volts, which a sensitivity converts."""
         return flag == "--unit" and "--sensitivity" in self._options
 
-    def _for_rows(self) -> tuple[str, ...]:
+    def _for_rows(self, finding: Finding) -> tuple[str, ...]:
         """Return the options to read what gives one row: channels of a beam that were named, else one channel."""
-        return self._options if self._beams else self._for_one()
+        return self._options if self._beams else self._for_one(finding)
 
-    def _for_one(self) -> tuple[str, ...]:
-        """Return the options to read one channel: that with the most usable impacts."""
+    def _for_one(self, finding: Finding) -> tuple[str, ...]:
+        """Return the options to read one channel, of those of a finding: that with the most usable impacts."""
         if len(self._all_channels) < 2:
             return self._options
-        best = self._best()
+        best = self._best(finding)
         # Channels used together have one name.
         name = next((one for one in self._all_channels if best == one or best.startswith(f"{one}+")), best)
         return (*_without(self._options, ("--channel",)), "--channel", name)
 
-    def _best(self) -> str:
+    def _best(self, finding: Finding) -> str:
         channels = self._diagnosis.channels
-        return max(channels, key=lambda name: channels[name].n_usable)
+        own = [name for name in channels if finding.concerns(name)] or channels
+        return max(own, key=lambda name: channels[name].n_usable)
 
-    def _has_usable(self, n_impacts: int) -> bool:
-        return self._labelled or self._diagnosis.channels[self._best()].n_usable >= n_impacts
+    def _has_usable(self, n_impacts: int, finding: Finding) -> bool:
+        return self._labelled or self._diagnosis.channels[self._best(finding)].n_usable >= n_impacts
 
-    def _training(self, _: Finding) -> tuple[str, ...]:
+    def _training(self, finding: Finding) -> tuple[str, ...]:
         """Return the steps to train a model on this recording; none if it is too short."""
         if self.model.subject == "window" and not self._labelled:
-            return self._training_on_windows()
-        if not self._has_usable(_TRAINED):
+            return self._training_on_windows(finding)
+        if not self._has_usable(_TRAINED, finding):
             return ()
         model = _unused("mine", ".npz")
         if self._labelled:
-            return (shlex.join(["cgid", "train", self._source, "-o", model]), self._predict_with(model))
-        options, table = list(self._for_rows()), _unused("events", ".csv")
+            return (shlex.join(["cgid", "train", self._source, "-o", model]), self._predict_with(model, finding))
+        options, table = list(self._for_rows(finding)), _unused("events", ".csv")
         if self.model.quantity == "level" and "--unit" not in options:
             options += ["--unit", "FS"]
         kept = ("--site", "--set")
@@ -194,10 +195,10 @@ class NextSteps:
             shlex.join(["cgid", "events", self._source, *options, *self._beams, "-o", table]),
             InWords(f"fill in the label column of {table}"),
             shlex.join(["cgid", "train", table, *stated, "-o", model]),
-            self._predict_with(model),
+            self._predict_with(model, finding),
         )
 
-    def _training_on_windows(self) -> tuple[str, ...]:
+    def _training_on_windows(self, finding: Finding) -> tuple[str, ...]:
         """Return the steps to train a model on parts of this recording; none if train cannot read it."""
         table, model = _unused("parts", ".csv"), _unused("mine", ".npz")
         return (
@@ -205,24 +206,24 @@ class NextSteps:
                 f"write {table} with the columns path, start_s, end_s and label, a row for each part of the recording"
             ),
             shlex.join(["cgid", "train", table, *as_keys(self._options, self._source), "--by", "window", "-o", model]),
-            self._predict_with(model),
+            self._predict_with(model, finding),
         )
 
-    def _calibrated(self, *, is_of_scene: bool) -> tuple[str, ...]:
+    def _calibrated(self, finding: Finding, *, is_of_scene: bool) -> tuple[str, ...]:
         """Return the steps to calibrate this recording's beam; none if the shipped scene does not suit."""
-        if not self._has_usable(CALIBRATED) or not rates_agree(self._rate, SCENE_RATE):
+        if not self._has_usable(CALIBRATED, finding) or not rates_agree(self._rate, SCENE_RATE):
             return ()
         name = _unused("site", ".toml", "-modes.csv", ".npz")
         # From another beam the modes of the shipped one are sought for minutes in vain.
         channels = self._diagnosis.channels.values()
         alone = sum(one.n_usable for one in channels) >= _ALONE * sum(one.n_answers for one in channels)
         scene = OWN_SCENE if not is_of_scene else SCENE if alone else STREAM_SCENE
-        given = as_keys(self._for_one(), self._source)
+        given = as_keys(self._for_one(finding), self._source)
         return (
             *(() if is_of_scene else [InWords(f"write {scene}, a scene with the size and sensor of your beam")]),
             shlex.join(["cgid", "calibrate", self._source, *given, "--scene", scene, "-o", f"{name}.toml"]),
             f"cgid train {name}.toml -o {name}.npz",
-            self._predict_with(f"{name}.npz"),
+            self._predict_with(f"{name}.npz", finding),
         )
 
 

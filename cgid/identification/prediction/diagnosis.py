@@ -185,8 +185,8 @@ class Diagnosis:
             drowned = self.model.noise_novelty(measured[:, : len(self.model.inputs)]) > 1
             if drowned.mean() > 0.5:
                 return [self._finding(str(Fault.NOISE), name)]
-        problem = +channel.problems
-        return [self._finding(str(Fault.UNKNOWN), name, problem=problem.most_common(1)[0][0] if problem else "")]
+        problem = next((f" ({text})" for text, _ in (+channel.problems).most_common(1)), "")
+        return [self._finding(str(Fault.UNKNOWN), name, problem=problem)]
 
     def _finding(
         self,

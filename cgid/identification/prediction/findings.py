@@ -208,7 +208,8 @@ class Findings:
                 place = next((k for k, known in enumerate(self.all) if _is_of(known, one)), None)
                 if place is None:
                     continue
-                one = self.all[place] = replace(self.all[place], end=one.end)
+                known = self.all[place]
+                one = self.all[place] = replace(known, end=one.end, fields={**known.fields, **one.fields})
             else:
                 self.all.append(one)
             key = (one.kind, *map(str, (one.begin, one.end, one.factor, one.commands)))
