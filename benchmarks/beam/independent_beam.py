@@ -25,7 +25,7 @@ import time
 import tomllib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, partial
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
@@ -260,6 +260,16 @@ def noise_of(variant: Variant, n: int, rng: np.random.Generator) -> Floats:
     for k, amplitude in enumerate(variant.hum):
         out += amplitude * np.sin((k + 1) * (2 * np.pi * 50 / RATE * np.arange(SAMPLES) + start) + 0.7 * k)
     return NOISE * out
+
+
+def record_at(rate: float) -> Callable[[Complex], Complex]:
+    """Sample at another rate [Hz] from now on; return the recorder, whose filter ends at the same share of it."""
+    global RATE, SAMPLES, PRE_TRIGGER, HIGHEST, NOISE, _PERIOD
+    ratio = rate / RATE
+    RATE, HIGHEST, NOISE = rate, HIGHEST * ratio, NOISE * np.sqrt(ratio)
+    SAMPLES, PRE_TRIGGER, _PERIOD = round(SAMPLES * ratio), round(PRE_TRIGGER * ratio), round(_PERIOD * ratio)
+    modes_for.cache_clear()
+    return partial(chain, edge=_EDGE * ratio)
 
 
 def digitised(signals: Floats) -> Floats:

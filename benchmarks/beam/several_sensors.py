@@ -1,24 +1,24 @@
 """Several sensors on one beam, and on two: rows, accuracy and gangue fraction, judged without `cgid`.
 
-    python benchmarks/beam/several_sensors.py [-n 600] [--noise 1 5]
+    python benchmarks/beam/several_sensors.py [-n 600] [--noise 1 5] [--rate 51200]
 
 Rocks of `tail_beam` fall on a beam of finite elements, of which `independent_beam` gives the samples at three places;
 here they become a stream: rocks at random times, noise of each sensor of its own, a converter. `cgid` looks through the
 modes that it computes from the scene's dimensions, behind each place, and the shipped classifier answers, as in a model
-of `cgid train SCENE --sensor X,Y --sensor X,Y --same-beam 1+2`. Seeds of the streams are those of no training and of no
-choice in the package.
+of `cgid train SCENE --sensor X,Y --sensor X,Y --same-beam 1+2`. The filter of a recorder of another rate ends at the
+same share of it. Seeds of the streams are those of no training and of no choice in the package.
 """
 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.beam.independent_beam import NOISE, RATE, digitised, generate
+from benchmarks.beam import independent_beam as beam
 from cgid import load_model
 from cgid.identification.model import Model
 from cgid.identification.prediction import Answer, PredictionSettings, Share
@@ -28,6 +28,7 @@ from cgid.scene import load_scene
 from cgid.scene.synthesis.through_beam import full_beam
 
 Floats = NDArray[np.float64]
+Recorder = Callable[[NDArray[np.complex128]], NDArray[np.complex128]]
 PLACES = ((0.5, 0.45), (1.1, 1.0), (0.8, 0.3))
 #: Thin plate with smeared ribs, but for a thousandth of shear and rotary inertia: nearly the beam that cgid computes.
 VARIANT = "0.001 mindlin"
@@ -47,31 +48,32 @@ class Stream:
     gangue: NDArray[np.bool_]
 
     @classmethod
-    def of(cls, n: int, seed: int) -> Stream:
+    def of(cls, n: int, seed: int, recorder: Recorder) -> Stream:
         """Make a stream of about n rocks."""
-        made, rng = generate(n, seed, VARIANT, noise=0.0, sensors=PLACES), np.random.default_rng([seed, 9])
+        rng = np.random.default_rng([seed, 9])
+        made = beam.generate(n, seed, VARIANT, noise=0.0, sensors=PLACES, recorder=recorder)
         gangue = made["labels"] == "gangue"
         kept = ~gangue | (rng.random(n) < GANGUE / (1 - GANGUE))
         start = np.cumsum(APART + rng.exponential(1 / ARRIVALS - APART, n))[: kept.sum()]
-        first = np.round(start * RATE).astype(int)
+        first = np.round(start * beam.RATE).astype(int)
         frames = made["acceleration"][kept]
-        clean = np.zeros((len(PLACES), first[-1] + frames.shape[2] + round(0.2 * RATE)))
+        clean = np.zeros((len(PLACES), first[-1] + frames.shape[2] + round(0.2 * beam.RATE)))
         for at, frame in zip(first, frames, strict=True):
             clean[:, at : at + frame.shape[1]] += frame
-        return cls(clean, first / RATE + made["onset"][kept], gangue[kept])
+        return cls(clean, first / beam.RATE + made["onset"][kept], gangue[kept])
 
     def recorded(self, level: float, seed: int) -> Floats:
         """Return what the recorder gives at a multiple of the scene's noise."""
-        noise = np.random.default_rng([seed, 10]).normal(0, level * NOISE, self.clean.shape)
-        return digitised(self.clean + noise)
+        noise = np.random.default_rng([seed, 10]).normal(0, level * beam.NOISE, self.clean.shape)
+        return beam.digitised(self.clean + noise)
 
 
 def looking(sensors: Sequence[int]) -> Model:
     """Return the shipped model behind some of the places, without its rates of rocks that bounce: here none does."""
     model = load_model("default-acceleration")
-    beam = full_beam(load_scene("tail_beam"), [PLACES[sensor] for sensor in sensors])
+    own = full_beam(load_scene("tail_beam"), [PLACES[sensor] for sensor in sensors])
     arrays = {name: one for name, one in model.arrays.items() if not name.startswith(("beam.", "share."))}
-    return replace(model, arrays=arrays | beam.arrays)
+    return replace(model, arrays=arrays | own.arrays)
 
 
 @dataclass(frozen=True)
@@ -85,12 +87,12 @@ class Found:
     @classmethod
     def of(cls, samples: Floats, model: Model, same_beam: tuple[tuple[str, ...], ...] = ()) -> Found:
         """Answer for a recording, in blocks of a second."""
-        duration = samples.shape[1] / RATE
+        duration = samples.shape[1] / beam.RATE
         settings = PredictionSettings(same_beam=same_beam, share_time=duration, share_step=duration)
         channels = [str(number) for number in range(1, len(samples) + 1)]
-        blocks = (samples[:, first : first + int(RATE)] for first in range(0, samples.shape[1], int(RATE)))
+        blocks = (samples[:, first : first + int(beam.RATE)] for first in range(0, samples.shape[1], int(beam.RATE)))
         answers, lines = [], []
-        for step in identify_blocks(blocks, RATE, model, channels, settings):
+        for step in identify_blocks(blocks, beam.RATE, model, channels, settings):
             answers += step.answers
             lines += [one.line("stream", len(channels)) for one in step.found if not one.is_note]
         watch = CavingWatch(model, answering_channels(model, channels, same_beam), settings)
@@ -131,11 +133,13 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("-n", "--rocks", type=int, default=600)
     parser.add_argument("--noise", type=float, nargs="+", default=[1.0, 5.0])
+    parser.add_argument("--rate", type=float, default=beam.RATE, help="of the recorder [Hz]")
     given = parser.parse_args()
+    recorder = beam.record_at(given.rate)
     models = {sensors: looking(sensors) for sensors in ((0,), (1,), (2,), (0, 1), (0, 1, 2))}
-    stream, other = Stream.of(given.rocks, SEED), Stream.of(given.rocks, OTHER_SEED)
+    stream, other = (Stream.of(given.rocks, seed, recorder) for seed in (SEED, OTHER_SEED))
     lines: dict[str, Sequence[str]] = {}
-    print(f"{len(stream.time)} rocks in {stream.clean.shape[1] / RATE:.0f} s, gangue {stream.gangue.mean():.3f}\n")
+    print(f"{len(stream.time)} rocks in {stream.clean.shape[1] / beam.RATE:.0f} s, gangue {stream.gangue.mean():.3f}\n")
     print(
         "| noise | channels | rows | heard | accuracy | of rocks that each sensor hears | unknown | "
         "fraction of gangue (95 %) | lines |"
