@@ -357,7 +357,7 @@ def test_a_wrong_scale_is_told_from_ten_impacts_on(model: str) -> None:
         assert sum(level_of(model, own[part]) is not None for part in parts) <= most
     # Of those of 9.81, some have a hint instead: most of their impacts are unknown.
     told = [level_of(model, wrong[first : first + 10]) for first in range(0, len(wrong), 10)]
-    assert sum(one is not None for one in told) >= 0.75 * len(told)
+    assert sum(one is not None for one in told) >= 0.65 * len(told)
     assert level_of(model, wrong[:9]) is None
     text = level_of(model, wrong)
     assert text is not None
@@ -506,3 +506,22 @@ def test_sound_recordings_are_warned_once_in_hundreds(n_groups: int, between: fl
             told += [factor_of((one + np.log(9.81)).tolist(), model) != 1 for one in drawn(4, n_levels)]
     assert np.mean(warned) < 0.01
     assert np.mean(told) > 0.95
+
+
+def test_noise_that_hides_small_pulses_makes_no_scale() -> None:
+    """The levels that are heard rise, though no scale is wrong; pulses far above the noise tell a factor as before."""
+    model, rng = StoredModel.load(ROOT / "models" / "default.npz"), np.random.default_rng(83)
+    all_levels = model.level_deviation * rng.standard_normal((200, 120))
+
+    def told(factor: float, noise: float, *, by_noise: bool) -> float:
+        heard = [one[one > noise] for one in all_levels]
+        heights = [4.0 * np.exp(one - noise) if by_noise else None for one in heard]
+        levels = [(one + np.log(factor)).tolist() for one in heard]
+        return np.mean([factor_of(*of, model, heights=one) != 1 for *of, one in zip(levels, heights, strict=True)])
+
+    for by_noise in (False, True):  # `noise`: ln of what is just heard, over the middle of the training
+        assert told(1.0, -6.0, by_noise=by_noise) <= 0.01 and told(9.81, -6.0, by_noise=by_noise) == 1
+    assert told(1.0, 0.5, by_noise=False) > 0.9
+    assert told(1.0, 0.5, by_noise=True) < 0.02 and told(9.81, 0.5, by_noise=True) > 0.9
+    nothing = np.zeros(120, bool)
+    assert factor_of((all_levels[0] + 3).tolist(), model, known=nothing) == 1

@@ -9,6 +9,7 @@ and 100. The models of force get `reference`, `rock`, and `rock` recorded on man
 a recording; that of acceleration gets `tail_beam`, blows everywhere, many noises, and all that the detector finds
 in streams like `caving` with every share of gangue. A factor on the samples multiplies the measured peak and changes
 nothing else that the models see, so that each impact is measured once (a test compares this with scaled samples).
+Their levels alone are judged, as of models without explanations of faults, which `false_alarms` and `anchor` measure.
 
 With `--labelled`, models are trained by `cgid train` on a few labelled recordings made by code that shares nothing with
 the package: forces, and vibrations of two sensors, of `foreign_beam`; flows on it, by windows; and the default model of
@@ -25,6 +26,7 @@ import sys
 import tempfile
 from collections import Counter
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import partial
 from itertools import groupby
 from pathlib import Path
@@ -37,6 +39,7 @@ from benchmarks.beam import foreign_beam, independent_beam
 from cgid import shipped
 from cgid._lib.validation import UNKNOWN
 from cgid.cli.main import run
+from cgid.identification.model.explanations import Explanations
 from cgid.identification.model.model import StoredModel
 from cgid.identification.prediction import PredictionSettings
 from cgid.identification.prediction.answers import Answer, answers_from
@@ -334,6 +337,8 @@ def main() -> None:
         return
     for name in (shipped.DEFAULT_MODEL, shipped.ACCELERATION_MODEL):
         model = StoredModel.load(shipped.path_of("models", name))
+        kept = {key: one for key, one in model.arrays.items() if not key.startswith(Explanations.PREFIXES)}
+        model = replace(model, arrays=kept)
         if model.beam is None:
             parts = of_force(model, arguments.impacts)
         else:

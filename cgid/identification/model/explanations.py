@@ -81,6 +81,13 @@ def sampled(frames: NDArray[np.floating], sampling_rate: float, before: int, *, 
     return np.concatenate([np.stack(columns, axis=1), spectra], axis=1).astype(np.float32)
 
 
+def heights_of(samples: NDArray[np.floating]) -> Floats:
+    """Return how far pulses rise over their noise, (n,), from what `sampled` gives of them."""
+    high, low, baseline, noise = samples[:, : _NOISE + 1].T
+    rise = np.maximum(high - baseline, baseline - low)
+    return np.asarray(rise / np.maximum(noise, np.maximum(_NO_NOISE * rise, np.finfo(np.float32).tiny)))
+
+
 class Impacts(NamedTuple):
     """What is known of some impacts, in order of time; nan where nothing was measured."""
 

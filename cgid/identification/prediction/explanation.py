@@ -26,9 +26,10 @@ from cgid.identification.model.explanations import (
     Impacts,
     bin_of,
     candidates_of,
+    heights_of,
     reference,
 )
-from cgid.identification.prediction.levels import factor_of
+from cgid.identification.prediction.levels import MIN_LEVELS, factor_of
 
 if TYPE_CHECKING:
     from cgid.identification.model.model import StoredModel
@@ -161,7 +162,14 @@ def explain(
             return found
     if 2 * sum(one.label == UNKNOWN for one in latest) > len(latest):
         return found  # levels of impacts that the model does not know mean nothing
-    factor = factor_of([one.level for one in latest if np.isfinite(one.level)], model, endless=endless)
+    heard = [one for one in latest if np.isfinite(one.level)]
+    if len(heard) < MIN_LEVELS:
+        return found
+    levels, known, heights = [one.level for one in heard], None, None
+    if model.beam is None and not model.level_range and all(one.sampled is not None for one in heard):
+        known = np.array([one.label != UNKNOWN and not one.cut for one in heard])
+        heights = heights_of(np.array([one.sampled for one in heard]))
+    factor = factor_of(levels, model, known=known, heights=heights, endless=endless)
     return found if factor == 1 else replace(found, faults=(Fault.SCALE,), factor=factor, odds=np.nan)
 
 

@@ -9,6 +9,8 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.special import log_ndtr
 
 from cgid._lib.validation import Floats
 
@@ -23,37 +25,58 @@ _ENDLESS = 3.5
 #: deviation together, is about this one in the training. In standard deviations of the training.
 _CLIPPED, _UPPER = 2.0, 0.85
 #: The upper end of n levels lies above and below that by more than sqrt(a / n + b) in less than one of 200 recordings
-#: each, by simulation (benchmarks/plant/wrong_scale.py): (a, b) above and below, for a force and for what a beam gives.
-#: Slow rebounds on a beam only lower the level.
-_SPREAD = {False: ((7.0, 0.10), (10.0, 0.12)), True: ((3.5, 0.05), (15.0, 0.34))}
+#: each, by simulation (forces: benchmarks/plant/false_alarms.py, beams: benchmarks/plant/wrong_scale.py): (a, b) above
+#: and below, for a force and for what a beam gives. Slow rebounds on a beam only lower the level.
+_SPREAD = {False: ((6.5, 0.09), (9.0, 0.02)), True: ((3.5, 0.05), (15.0, 0.34))}
+#: Pulses below so many times the noise are not heard. Of 3 to 20 it tells most factors of 2 at the same false alarms.
+_HEARD = 4.0
 #: So many latest levels, n, may be a mixture with the coal of an anchor if their upper end is no further below the
 #: coal's than sqrt(a / n + a / n of the coal), and no further above that of the training than hard simulated seams
 #: reach: but for one of 100 cycles of such seams. In standard deviations of the training.
 OF_ANCHOR, _BELOW_COAL, _HARDEST = 60, 6.3, 1.3
 
 
-def factor_of(levels: Sequence[float], model: StoredModel, *, endless: bool = False) -> float:
+def factor_of(
+    levels: Sequence[float],
+    model: StoredModel,
+    *,
+    known: NDArray[np.bool_] | None = None,
+    heights: Floats | None = None,
+    endless: bool = False,
+) -> float:
     """Return the likely factor of a signal with these levels; 1 if they are as in recordings like the training's.
 
-    `endless` is one of the many looks at a live stream.
+    Whether it is told is decided by the `known` impacts, without what noise made of pulses; how large it is, by all.
+    `heights` are those of the pulses over the noise, which hides small ones that the training had. `endless` is one of
+    the many looks at a live stream.
     """
-    n, known, deviation = len(levels), model.level_range, model.level_deviation
-    if n < MIN_LEVELS:
-        return 1.0
+    own, stated, deviation = np.array(levels), model.level_range, model.level_deviation
     looks = _ENDLESS if endless else 1.0
-    if known:  # of a model of labelled recordings
-        end = upper_end(np.array(levels), known["deviation"])
-        excess = max(end - known["high"], 0.0) + min(end - known["low"], 0.0)
-        likely = float(np.exp(end - (known["low"] + known["high"]) / 2))
-        return likely if abs(excess) > np.sqrt(known["between"] + looks * known["within"] / n) else 1.0
+    if stated:  # of a model of labelled recordings
+        end = upper_end(own, stated["deviation"])
+        excess = max(end - stated["high"], 0.0) + min(end - stated["low"], 0.0)
+        likely = float(np.exp(end - (stated["low"] + stated["high"]) / 2))
+        return likely if abs(excess) > np.sqrt(stated["between"] + looks * stated["within"] / own.size) else 1.0
     # Of labelled vibrations and windows without levels, it is not known by how much recordings differ.
     if not deviation or ("recorded" in model.training and model.kind != "pulse"):
         return 1.0
-    excess = upper_end(np.array(levels), deviation) / deviation - _UPPER
+    counted = np.ones(own.size, bool) if known is None else known
+    if not counted.any():
+        return 1.0
+    excess = upper_end(own[counted], deviation) / deviation - _UPPER
+    if heights is not None and excess > 0:
+        least = (own - np.log(np.maximum(heights, 1.0) / _HEARD))[counted] / deviation
+        excess = max(excess - _raised_by(float(np.median(least))), 0.0)
     chance, spread = _SPREAD[model.beam is not None][0 if excess > 0 else 1]
     # Includes the uncertainty of the training for few impacts.
-    limit = np.sqrt(looks * chance / n + chance / model.training.get("n_train", np.inf) + spread)
-    return float(np.exp(excess * deviation)) if abs(excess) > limit else 1.0
+    limit = np.sqrt(looks * chance / counted.sum() + chance / model.training.get("n_train", np.inf) + spread)
+    return float(np.exp(upper_end(own, deviation) - _UPPER * deviation)) if abs(excess) > limit else 1.0
+
+
+def _raised_by(least: float) -> float:
+    """Return by how much the mean and the deviation of a standard normal rise, together, where only more is seen."""
+    mean = float(np.exp(-(least**2) / 2 - log_ndtr(-least)) / np.sqrt(2 * np.pi))
+    return mean + float(np.sqrt(max(1 + mean * (least - mean), 0.0))) - 1.0
 
 
 def fits_coal(levels: Sequence[float], coal: Sequence[float], model: StoredModel) -> bool:
