@@ -5,12 +5,12 @@ A level is the logarithm of a peak over that of the training for such a pulse.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import log_ndtr
 
 from cgid._lib.validation import Floats
 
@@ -75,8 +75,9 @@ def factor_of(
 
 def _raised_by(least: float) -> float:
     """Return by how much the mean and the deviation of a standard normal rise, together, where only more is seen."""
-    mean = float(np.exp(-(least**2) / 2 - log_ndtr(-least)) / np.sqrt(2 * np.pi))
-    return mean + float(np.sqrt(max(1 + mean * (least - mean), 0.0))) - 1.0
+    least = min(least, 8.0)  # the tail beyond has no digits
+    mean = math.sqrt(2 / math.pi) * math.exp(-(least**2) / 2) / math.erfc(least / math.sqrt(2))
+    return mean + math.sqrt(max(1 + mean * (least - mean), 0.0)) - 1.0
 
 
 def fits_coal(levels: Sequence[float], coal: Sequence[float], model: StoredModel) -> bool:
