@@ -24,7 +24,7 @@ the same impacts (`models/beside_force.py`).
 import argparse
 import hashlib
 import json
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from datetime import date
 from itertools import chain, islice
@@ -34,12 +34,12 @@ from typing import Any
 import numpy as np
 from beside_force import beside_force, force_model, force_table
 from domain_shift import domain_shift, domain_shift_table
-from faults import Recording, of_forces, of_seams, with_faults
 from selection import select, selection_section
 from single_forces import pool_of_pulses
 
 from cgid import shipped
 from cgid._lib.files import write_together
+from cgid.identification.model.explanations import Impacts
 from cgid.identification.model.families import Neighbourhood
 from cgid.identification.model.model import StoredModel
 from cgid.identification.model.model_file import UNEXPLAINED
@@ -53,11 +53,13 @@ from cgid.identification.training.rows import (
     measure,
 )
 from cgid.identification.training.training import train_on_specimens
+from cgid.learning.faults import SPOILT, Recording, answers_of, counted, of_seams, spoilt, with_faults
 from cgid.learning.seams import N_POOLS, N_STREAMS, Pool, pool_of, wide, with_seams
 from cgid.learning.streams import StreamRows, finished, rows_of_streams, variations
 from cgid.measure.modal.beam import Beam
 from cgid.scene import Scene, load_scene, parse_scene, synthesise
 from cgid.scene.synthesis.through_beam import beam_of
+from cgid.signals import Batch
 
 HERE = Path(__file__).parent
 #: Where blows fall on the tail beam in the training of the model of acceleration: not only where the window opens.
@@ -107,6 +109,8 @@ N_FORCES_SPOILT = 400
 IMPACTS_SPOILT = 128
 #: Scenes of successive recordings of forces, of each shipped one (0, 4, 8) and its three rigs after it: half at home.
 ORDER_SPOILT = (0, 1, 4, 2, 0, 5, 3, 4, 6, 8, 7, 0, 9, 4, 10, 8, 11)
+#: So many recordings of forces have one noise between all impacts, the others that of each (assumed).
+_ONE_NOISE = 0.5
 #: How often a lump is drawn for each sphere of the same law, and crushing by strength for each by equal restitution.
 LUMPS, STRENGTHS = 0.3, 0.7
 #: Impacts of `corners` on the rig of `reference` and on others, over those of `rock` on others. More of them cost
@@ -267,7 +271,7 @@ def finish(model: StoredModel, n_impacts: int, n_streams: int, seed: int) -> Sto
     return replace(model, training={**model.training, **told})
 
 
-def spoilt(model: StoredModel, seed: int) -> Iterator[list[Recording]]:
+def recordings(model: StoredModel, seed: int) -> Iterator[list[Recording]]:
     """Yield simulated recordings of a model, each sound and spoilt."""
     if model.beam is not None:
         yield from of_seams(load_scene(shipped.scene_path("caving")), model, range(N_STREAMS_SPOILT), seed)
@@ -279,6 +283,28 @@ def spoilt(model: StoredModel, seed: int) -> Iterator[list[Recording]]:
         own, at_home = scenes[ORDER_SPOILT[number % len(ORDER_SPOILT)]]
         drawn = 1000 * seed + number
         yield from of_forces(islice(synthesise(own, IMPACTS_SPOILT, drawn), 1), model, drawn, at_home=at_home)
+
+
+def of_forces(batches: Iterable[Batch], model: StoredModel, seed: int, *, at_home: bool) -> Iterator[list[Recording]]:
+    """Yield the frames of single forces of each batch as a recording, and the same spoilt in each way."""
+    for number, batch in enumerate(batches):
+        rng = np.random.default_rng([seed, number, 76])
+        frames, before = np.asarray(batch.signals, np.float64), max(int(batch.pre_trigger or 0), 2)
+        gap = round(10e-3 * batch.sampling_rate)
+        # What is before a frame goes on before it, to and fro; or one noise is between all.
+        quiet = np.pad(frames[:, :before], ((0, 0), (gap, 0)), mode="symmetric")[:, :gap]
+        if rng.random() < _ONE_NOISE:
+            quiet = frames[:, :before].std() * rng.standard_normal(quiet.shape)
+        samples = np.hstack([quiet, frames]).ravel()
+        length = gap + frames.shape[1]
+        made = []
+        for fault in (None, *SPOILT):
+            own, rate, factor = spoilt(samples, batch.sampling_rate, fault, rng, is_force=True)
+            answers = answers_of(own, rate, model)
+            frame = np.array([answer.time * batch.sampling_rate // length for answer in answers], np.intp)
+            gangue = np.asarray(batch.labels)[np.minimum(frame, len(frames) - 1)] == "gangue"
+            made.append(Recording(Impacts.of(answers, model), gangue[counted(answers)], fault, factor, at_home))
+        yield made
 
 
 def faults_section(told: dict[str, Any]) -> list[str]:
@@ -294,7 +320,7 @@ def faults_section(told: dict[str, Any]) -> list[str]:
 def simulated(model: StoredModel, seed: int) -> StoredModel:
     """Return a model with what simulated seams and recordings teach beside its answers."""
     model = with_seams(model, [pool(model, N_STREAMS, seed + 20 + k) for k in range(N_POOLS)], seed)
-    return with_faults(model, spoilt(model, seed + 8799), seed)
+    return with_faults(model, recordings(model, seed + 8799), seed)
 
 
 def write_finished(model: StoredModel, output: Path, name: str) -> None:
@@ -336,7 +362,7 @@ def main() -> None:
     output = check_model_output(arguments.output or HERE / name, plots=True, overwrite=True)
     if arguments.faults:
         model = StoredModel.load(HERE / name)
-        write_finished(with_faults(model, spoilt(model, arguments.seed + 8799), arguments.seed), output, name)
+        write_finished(with_faults(model, recordings(model, arguments.seed + 8799), arguments.seed), output, name)
         return
     if arguments.finish or arguments.seams:
         name = shipped.ACCELERATION_MODEL if arguments.finish else name

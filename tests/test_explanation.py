@@ -19,9 +19,9 @@ from cgid.identification.prediction.answers import Answer
 from cgid.identification.prediction.diagnosis import Diagnosis
 from cgid.identification.prediction.explanation import ChannelWatch, Explained, Past, explain
 from cgid.identification.prediction.pasts import Pasts
+from cgid.learning.faults import answers_of
 from cgid.scene import load_scene, synthesise
 from cgid.scene.synthesis.stream import record
-from models.faults import answers_of
 
 #: Seeds that trained nothing.
 SEED = 7407

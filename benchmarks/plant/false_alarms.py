@@ -20,11 +20,11 @@ from cgid import shipped
 from cgid.identification.model.confusion import wilson_interval
 from cgid.identification.model.model import StoredModel
 from cgid.identification.prediction.explanation import ChannelWatch, explain
+from cgid.learning.faults import answers_of, any_seam
 from cgid.scene import load_scene, synthesise
 from cgid.scene.synthesis.stream import record
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "models"))
-from faults import answers_of, any_seam
 from train import ORDER_SPOILT, on_rigs, shipped_scene
 
 Recording = tuple[str, np.ndarray, float]

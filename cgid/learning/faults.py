@@ -43,7 +43,6 @@ from cgid.learning.streams import impact_of, labels_of
 from cgid.scene.file.schema import Scene, parse_scene
 from cgid.scene.synthesis.stream import record
 from cgid.scene.synthesis.through_beam import spread_over
-from cgid.signals import Batch
 from cgid.units import number_and_unit
 
 #: Rocks of a stream, and the range of their rate [Hz] (assumed: from a trickle to a full window).
@@ -53,8 +52,6 @@ _BUSIEST = 16.0
 #: So many streams have the noise of the scene, the others up to this many times it (assumed).
 _QUIET_SHARE = 0.4
 _LOUDEST = 10.0
-#: So many recordings of forces have one noise between all impacts, the others that of each (assumed).
-_ONE_NOISE = 0.5
 #: Last part of a stream that is spoilt in each way: enough for the most impacts that count, and no rock of the first.
 _SPOILT_PART = 0.55
 #: Thickness of other beams over the model's, at least this far from it, and what counts as the same.
@@ -184,29 +181,7 @@ def _of_stream(
     answers = answers_of(samples, rate, model)
     own = impact_of(np.array([answer.time for answer in answers]), truth["time"], truth["peak_force"])
     gangue = np.where(own >= 0, truth["label"][own] == labels_of(scene)[1], rng.random(len(own)) < 0.5)
-    return Recording(Impacts.of(answers, model), gangue[_counted(answers)], fault, factor)
-
-
-def of_forces(batches: Iterable[Batch], model: StoredModel, seed: int, *, at_home: bool) -> Iterator[list[Recording]]:
-    """Yield the frames of single forces of each batch as a recording, and the same spoilt in each way."""
-    for number, batch in enumerate(batches):
-        rng = np.random.default_rng([seed, number, 76])
-        frames, before = np.asarray(batch.signals, np.float64), max(int(batch.pre_trigger or 0), 2)
-        gap = round(10e-3 * batch.sampling_rate)
-        # What is before a frame goes on before it, to and fro; or one noise is between all.
-        quiet = np.pad(frames[:, :before], ((0, 0), (gap, 0)), mode="symmetric")[:, :gap]
-        if rng.random() < _ONE_NOISE:
-            quiet = frames[:, :before].std() * rng.standard_normal(quiet.shape)
-        samples = np.hstack([quiet, frames]).ravel()
-        length = gap + frames.shape[1]
-        made = []
-        for fault in (None, *SPOILT):
-            own, rate, factor = spoilt(samples, batch.sampling_rate, fault, rng, is_force=True)
-            answers = answers_of(own, rate, model)
-            frame = np.array([answer.time * batch.sampling_rate // length for answer in answers], np.intp)
-            gangue = np.asarray(batch.labels)[np.minimum(frame, len(frames) - 1)] == "gangue"
-            made.append(Recording(Impacts.of(answers, model), gangue[_counted(answers)], fault, factor, at_home))
-        yield made
+    return Recording(Impacts.of(answers, model), gangue[counted(answers)], fault, factor)
 
 
 def answers_of(samples: Floats, sampling_rate: float, model: StoredModel) -> list[Answer]:
@@ -220,7 +195,7 @@ def answers_of(samples: Floats, sampling_rate: float, model: StoredModel) -> lis
     return [answer for step in steps for answer in step.answers]
 
 
-def _counted(answers: list[Answer]) -> NDArray[np.bool_]:
+def counted(answers: list[Answer]) -> NDArray[np.bool_]:
     """Return which answers `Impacts.of` takes."""
     return np.array([answer.sampled is not None and not answer.cut for answer in answers], bool)
 
