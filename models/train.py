@@ -53,7 +53,7 @@ from cgid.identification.training.rows import (
     measure,
 )
 from cgid.identification.training.training import train_on_specimens
-from cgid.learning.faults import SPOILT, Recording, answers_of, counted, of_seams, spoilt, with_faults
+from cgid.learning.faults import N_RECORDINGS, SPOILT, Recording, answers_of, counted, of_seams, spoilt, with_faults
 from cgid.learning.seams import N_POOLS, N_STREAMS, Pool, pool_of, wide, with_seams
 from cgid.learning.streams import StreamRows, finished, rows_of_streams, variations
 from cgid.measure.modal.beam import Beam
@@ -274,7 +274,7 @@ def finish(model: StoredModel, n_impacts: int, n_streams: int, seed: int) -> Sto
 def recordings(model: StoredModel, seed: int) -> Iterator[list[Recording]]:
     """Yield simulated recordings of a model, each sound and spoilt."""
     if model.beam is not None:
-        yield from of_seams(load_scene(shipped.scene_path("caving")), model, range(N_STREAMS_SPOILT), seed)
+        yield from of_seams(load_scene(shipped.scene_path("caving")), model, range(N_RECORDINGS), seed)
         return
     scenes = []
     for scene in map(shipped_scene, ("reference", "rock", "corners")):

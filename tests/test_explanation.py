@@ -19,9 +19,11 @@ from cgid.identification.prediction.answers import Answer
 from cgid.identification.prediction.diagnosis import Diagnosis
 from cgid.identification.prediction.explanation import ChannelWatch, Explained, Past, explain
 from cgid.identification.prediction.pasts import Pasts
+from cgid.learning import faults
 from cgid.learning.faults import answers_of
-from cgid.scene import load_scene, synthesise
+from cgid.scene import load_scene, parse_scene, synthesise
 from cgid.scene.synthesis.stream import record
+from cgid.scene.synthesis.through_beam import full_beam
 
 #: Seeds that trained nothing.
 SEED = 7407
@@ -329,3 +331,51 @@ def test_a_damaged_past_is_told_and_not_used(damage: Any, tmp_path: Path) -> Non
     assert path.read_bytes() == spoilt
     told_beside(path, ("none", 0, 120), renew=True)
     assert Pasts(path, model_of("beam"), RATE).of("1") is not None
+
+
+def test_a_training_of_few_impacts_explains_nothing() -> None:
+    """A dozen simulated recordings do not tell what is rare among sound ones."""
+    model, scene = model_of("beam"), load_scene(shipped.scene_path("caving"))
+    n_least = faults.LEAST_RECORDINGS * faults.IMPACTS_EACH
+    assert faults.explained(model, scene, n_least - 1, 0) is model
+    plain = {name: one for name, one in model.arrays.items() if not name.startswith(("seams.", *Explanations.PREFIXES))}
+    other = replace(model, labels=("coal", "stone"), arrays=plain)
+    assert faults.explained(other, scene, 2 * n_least, 0) is other
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("beam", ["panel", "modes"])
+def test_a_model_of_a_user_explains_recordings(beam: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What `cgid train SCENE` learns of spoilt recordings: of a panel, and of a table of modes without thickness."""
+    scene = load_scene(shipped.scene_path("caving"))
+    model = model_of("beam")
+    if beam == "modes":
+        content = json.loads(scene.text)
+        content["tail_beam"] = {"modes": [mode(number) for number in range(12)]}
+        scene = parse_scene(content)
+        arrays = {name: one for name, one in model.arrays.items() if not name.startswith("beam.")}
+        model = replace(model, arrays=arrays | full_beam(scene).arrays)
+    plain = {name: one for name, one in model.arrays.items() if not name.startswith(Explanations.PREFIXES)}
+    monkeypatch.setattr(faults, "LEAST_RECORDINGS", 10)
+    monkeypatch.setattr(faults, "_N_ROCKS", 130)
+    counted: list[int] = []
+    made = faults.explained(replace(model, arrays=plain), scene, 10 * faults.IMPACTS_EACH, 3, progress=counted.append)
+    assert counted == [1] * 10 and made.training["faults"]["n_recordings"] == 10
+    assert made.explanations is not None and made.changes is not None
+    again = StoredModel.from_bytes(made.to_bytes())
+    sound, *spoilt = next(faults.of_seams(scene, again, [70], 3))
+    parts = {one.fault: explain_impacts(again, one.impacts) for one in (sound, *spoilt)}
+    assert parts[None] == ()
+    assert parts[Fault.UPSIDE_DOWN] == (Fault.UPSIDE_DOWN,)
+    assert sum(bool(found) for found in parts.values()) >= 4
+
+
+def mode(number: int) -> dict[str, float]:
+    """Return a row of a table of modes."""
+    shapes = {"shape_impact": 1.0, "shape_sensor": 0.8 * (-1) ** number}
+    return {"frequency": 150 * 1.4**number, "damping_ratio": 0.02, "modal_mass": 80.0, **shapes}
+
+
+def explain_impacts(model: StoredModel, impacts: Impacts) -> tuple[Fault, ...]:
+    last = impacts.at(slice(-explanation.MOST_IMPACTS, None))
+    return explanation._judged(model.explanations, last, model).faults

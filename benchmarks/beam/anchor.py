@@ -25,6 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.beam.independent_beam import NOISE, RATE, Rocks, digitised, generate
+from benchmarks.beam.independent_modes import Beam
 from cgid import load_model
 from cgid.identification.model.anchor import MIN_LUMPS, Anchor, Basis
 from cgid.identification.model.model import Model
@@ -38,6 +39,8 @@ from cgid.identification.prediction.support import CavingWatch, Ground, SupportR
 
 Floats = NDArray[np.float64]
 VARIANT = "0.001 mindlin"
+#: That of the scene; `second_beam` has another one.
+PLATE = Beam()
 SEED = 591
 #: Noise over that of `independent_beam`, rocks a second, and length of the streams of coal and of both [s].
 QUIET, ARRIVALS, COAL, BOTH = 0.3, 8.0, 110.0, 90.0
@@ -161,7 +164,7 @@ def stream(
         if not rock.size:
             break
         given = Rocks(np.where(is_gangue[rock], "gangue", "coal"), *(state[name] for name in Rocks._fields[1:]))
-        made = generate(rock.size, seed, VARIANT, noise=0.0, given=given, law=law)
+        made = generate(rock.size, seed, VARIANT, noise=0.0, given=given, law=law, beam=PLATE)
         frames = made["acceleration"].astype(float)
         fade = 512  # the lowest modes still ring at the end of a frame
         frames[:, -fade:] *= np.cos(np.linspace(0, np.pi / 2, fade)) ** 2

@@ -7,7 +7,8 @@ fraction of gangue; those of forces are of the scenes and rigs of the training.
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import closing
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -18,6 +19,7 @@ from sklearn.covariance import ledoit_wolf
 from threadpoolctl import threadpool_limits
 
 from cgid._lib.validation import Floats
+from cgid._lib.workers import SERIAL, Workers
 from cgid.errors import InvalidValue
 from cgid.identification.model.explanations import (
     BINS,
@@ -45,6 +47,8 @@ from cgid.scene.synthesis.stream import record
 from cgid.scene.synthesis.through_beam import spread_over
 from cgid.units import number_and_unit
 
+#: Recordings from which a model learns at most and at least, and impacts of its training for each.
+N_RECORDINGS, LEAST_RECORDINGS, IMPACTS_EACH = 64, 24, 800
 #: Rocks of a stream, and the range of their rate [Hz] (assumed: from a trickle to a full window).
 _N_ROCKS = 220
 _SLOWEST = 3.0
@@ -103,7 +107,7 @@ def any_seam(scene: Scene, seed: int, number: int) -> Scene:
     stream |= {"duration": _N_ROCKS / rate, "arrivals": {"rate": rate}}
     stream["mixture"] = {"times": [0.0], labels_of(scene)[1]: [0.5]}
     noise, background = (1.0 if rng.random() < _QUIET_SHARE else _log_uniform(rng, 1, _LOUDEST) for _ in range(2))
-    content["sensor"]["noise_density"] *= noise
+    content["sensor"]["noise_density"] = noise * (content["sensor"].get("noise_density") or 0.0)
     for tone in content.get("background", {}).get("hum", ()):
         tone["amplitude"] = _times(tone["amplitude"], background)
     if coloured := content.get("background", {}).get("coloured"):
@@ -149,22 +153,55 @@ def _times(value: float | str, factor: float) -> float | str:
     return f"{number[0] * factor!r} {number[1]}" if number else float(value) * factor
 
 
-def of_seams(scene: Scene, model: StoredModel, numbers: Iterable[int], seed: int) -> Iterator[list[Recording]]:
+def explained(
+    model: StoredModel,
+    scene: Scene,
+    n_impacts: int,
+    seed: int,
+    *,
+    progress: Callable[[int], object] | None = None,
+    workers: Workers = SERIAL,
+) -> StoredModel:
+    """Return a model of the streams of a scene that explains recordings, from a recording for some of its impacts.
+
+    With fewer than `LEAST_RECORDINGS` it stays as it is: they do not tell what is rare.
+    """
+    n = min(n_impacts // IMPACTS_EACH, N_RECORDINGS)
+    if n < LEAST_RECORDINGS or "gangue" not in model.labels or model.beam is None:
+        return model
+    made = []
+    for parts in of_seams(scene, model, range(n), seed, workers=workers):
+        made.append(parts)
+        if progress is not None:
+            progress(1)
+    return with_faults(model, made, seed)
+
+
+def of_seams(
+    scene: Scene, model: StoredModel, numbers: Iterable[int], seed: int, *, workers: Workers = SERIAL
+) -> Iterator[list[Recording]]:
     """Yield a sound stream of any seam, and the same spoilt in each way."""
-    for number in numbers:
-        rng = np.random.default_rng([seed, number, 75])
-        own = any_seam(scene, seed, number)
-        made = [_of_stream(own, model, seed, number, rng, None)]
-        made += [_of_stream(own, model, seed, number, rng, fault) for fault in (*SPOILT, Fault.RATE)]
-        content = json.loads(own.text)
-        thickness = 1.0
-        while abs(thickness - 1) < _SAME_BEAM:
-            thickness = _log_uniform(rng, *_THICKNESS)
-        content["tail_beam"]["thickness"] *= thickness
-        content["stream"]["duration"] *= _SPOILT_PART
-        other = parse_scene(content | {"name": f"{own.name}, another beam"})
-        made.append(_of_stream(other, model, seed, number, rng, Fault.BEAM))
-        yield made
+    with closing(workers.each(_of_seam, (seed, model, scene), numbers)) as found:
+        yield from found
+
+
+def _of_seam(settings: tuple[int, StoredModel, Scene], number: int) -> list[Recording]:
+    (seed, model, scene), rng = settings, np.random.default_rng([settings[0], number, 75])
+    own = any_seam(scene, seed, number)
+    made = [_of_stream(own, model, seed, number, rng, None)]
+    made += [_of_stream(own, model, seed, number, rng, fault) for fault in (*SPOILT, Fault.RATE)]
+    content, thickness = json.loads(own.text), 1.0
+    while abs(thickness - 1) < _SAME_BEAM:
+        thickness = _log_uniform(rng, *_THICKNESS)
+    beam = content["tail_beam"]
+    beam.pop("learned", None)  # of this beam alone
+    if modes := beam.get("modes"):
+        beam["modes"] = [mode | {"frequency": thickness * mode["frequency"]} for mode in modes]
+    else:
+        beam["thickness"] *= thickness
+    content["stream"]["duration"] *= _SPOILT_PART
+    other = parse_scene(content | {"name": f"{own.name}, another beam"})
+    return [*made, _of_stream(other, model, seed, number, rng, Fault.BEAM)]
 
 
 def _of_stream(
