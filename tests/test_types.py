@@ -19,6 +19,8 @@ import pytest
 from numpy.typing import NDArray
 
 import cgid
+from cgid.identification.prediction.monitor import News
+from cgid.identification.prediction.settings import GivenSettings, PredictionSettings
 
 ROOT = Path(__file__).parents[1]
 
@@ -67,10 +69,15 @@ def test_settings_have_names_that_checkers_know() -> None:
         lambda: cgid.predict(two, 25600.0, "N", same_beam=12),  # type: ignore[arg-type]
         lambda: cgid.identify_recording(path, cgid.load_model(), coverage=0.9),  # type: ignore[call-arg]
         lambda: cgid.identification.prediction.PredictionSettings(coal_untill=30.0),  # type: ignore[call-arg]
+        lambda: cgid.Monitor(25600.0, 1, "m/s^2", coal_untill=30.0),  # type: ignore[call-arg]
+        lambda: cgid.Monitor(25600.0, 1, "m/s^2", coal_until="half an hour"),  # type: ignore[arg-type]
     )
     for call in refused:
-        with pytest.raises((cgid.errors.CgidError, TypeError), match=r"coverag|samples|same_beam|coal_untill"):
+        with pytest.raises((cgid.errors.CgidError, TypeError), match=r"coverag|samples|same_beam|coal_until"):
             call()
+    with cgid.Monitor(25600.0, 1, "m/s^2", coal_until=30.0, share_time=20.0, coverage=None) as watch:
+        assert_type(watch.feed(np.zeros(5)), News)
+    assert GivenSettings.__annotations__.keys() == PredictionSettings.__dataclass_fields__.keys()
 
 
 def test_refusals_name_the_setting_as_it_was_given(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -99,7 +106,7 @@ def test_refusals_name_the_setting_as_it_was_given(tmp_path: Path, capsys: pytes
 
 #: Whole commands, which are the same for whoever reads them.
 COMMAND, FLAG = re.compile(r"cgid [a-z-]+\b[^;,]*"), re.compile(r"(?<![\w-])--[a-z][a-z-]+")
-#: What a command line alone runs, and the table of its options; `plant` has the outputs of `cgid monitor`.
+#: What a command line alone runs, and the table of its options.
 OF_COMMANDS = ("cli/", "labelling/", "_lib/spelling.py")
 
 

@@ -92,15 +92,12 @@ class AnswerLines(Records):
     def turn(self, source: str, name: str, state: SupportState, turn: Switch, costs: Mapping[str, float]) -> None:
         """Print that continuing costs more than shutting, or less again."""
         super().turn(source, name, state, turn, costs)
-        word, side = ("SHUT", "above") if turn.shut else ("OPEN", "below")
-        share, limit, sure = turn.share, 1 / (1 + costs["dilution_cost"]), f"{min(turn.evidence, 0.999):.1%} sure"
-        why = f"{'going on' if turn.shut else 'staying shut'} is expected to lose {abs(turn.cost):.2f} coal a rock"
-        if not turn.shut:
-            why += f", as shut too early costs {costs['cost_early']:g} times as much as too late"
+        share, limit = turn.share, 1 / (1 + costs["dilution_cost"])
+        word, other = ("SHUT", "going on") if turn.shut else ("OPEN", "staying shut")
         self._turns.setdefault(name, []).append(f"{word} at {turn.time:.6g} s")
         self._note(
-            f"{word} {turn.time:.6g} s: {why} (gangue fraction {share.share:.2f}, {sure} that it is {side} "
-            f"{limit:.2f}, the limit where a drawn gangue costs {costs['dilution_cost']:g} coal)  {name}"
+            f"{word} {turn.time:.6g} s: {other} is expected to lose more coal than it wins, at a gangue fraction of "
+            f"{share.share:.2f} ({share.low:.2f} to {share.high:.2f}) beside the limit of {limit:.2f}  {name}"
         )
 
     def summary(self, source: str, tally: RecordingTally, duration: float, start_time: Any = None) -> None:

@@ -208,14 +208,11 @@ def _switches(report: Report) -> Iterator[str]:
     many = len({share.channel for share in report.shares}) > 1
     for switch in report.turns:
         where = f", channel {switch.share.channel}" if many else ""
-        what, side, other = (
-            ("Shut the window", "above", "continuing") if switch.shut else ("Open it again", "below", "staying shut")
-        )
-        limit = "" if report.threshold is None else f" that it is {side} the limit of {report.threshold:.0%}"
+        what, other = ("Shut the window", "going on") if switch.shut else ("Open it again", "staying shut")
+        limit = "" if report.threshold is None else f", beside the limit of {report.threshold:.0%}"
         text = (
-            f"{what} at {switch.time:.2f} s{where}: gangue fraction {switch.share.share:.0%} "
-            f"({switch.share.low:.0%} to {switch.share.high:.0%}), {switch.evidence:.1%} sure{limit}; {other} is "
-            f"expected to lose {abs(switch.cost):.2g} coal per rock"
+            f"{what} at {switch.time:.2f} s{where}: {other} is expected to lose more coal than it wins, at a gangue "
+            f"fraction of {switch.share.share:.0%} ({switch.share.low:.0%} to {switch.share.high:.0%}){limit}"
         )
         yield f'<p class="turn">{_text(text)}</p>'
 

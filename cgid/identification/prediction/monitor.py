@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from threading import RLock, Thread
 from types import TracebackType
-from typing import TYPE_CHECKING, Any, NoReturn, Self
+from typing import TYPE_CHECKING, Any, NoReturn, Self, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -21,7 +21,7 @@ from cgid.identification.prediction.answers import Answer
 from cgid.identification.prediction.findings import Finding
 from cgid.identification.prediction.pipeline import Pipeline
 from cgid.identification.prediction.records import RecordingRows, Records
-from cgid.identification.prediction.settings import PredictionSettings
+from cgid.identification.prediction.settings import GivenSettings, PredictionSettings
 from cgid.identification.prediction.stream import Step
 from cgid.identification.prediction.support import STEPS, SupportReport, SupportState
 from cgid.recordings.chain import Chain, Statement, scaled
@@ -128,7 +128,7 @@ class Monitor:
         source: str = "stream",
         renew: bool = False,
         outputs: PlantOutputs | None = None,
-        **settings: Any,
+        **settings: Unpack[GivenSettings],
     ) -> None:
         from cgid.identification.prediction.pasts import Pasts
         from cgid.identification.prediction.prediction import default_model, read_model

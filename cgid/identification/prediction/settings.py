@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import compress
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, TypedDict
 
 import numpy as np
 
@@ -22,6 +22,9 @@ __all__ = ["PredictionSettings"]
 
 #: Channels of one beam, as `require_groups` takes them.
 BeamGroups = str | Sequence[str] | Sequence[Sequence[str]]
+
+#: Begin and end [s] of each span, and perhaps its channel, as `require_spans` takes them.
+Spans = Sequence[tuple[float, float] | tuple[float, float, str]]
 
 #: Number of impacts in one batch, which takes little longer than a single one.
 BATCH = 256
@@ -286,6 +289,33 @@ class PredictionSettings(ReadingSettings, AnsweringSettings, WatchingSettings):
         flag, given = of_others[model.subject]
         if given is not None:
             raise InvalidValue(f"{flag} must be left out, this model decides on {model.subject}s")
+
+
+class GivenSettings(TypedDict, total=False):
+    """Fields of `PredictionSettings` as arguments, of which editors and checkers know names and types."""
+
+    mass: float | None
+    invert: bool
+    lines: bool | None
+    dead_time: float | None
+    blind_after: float | None
+    give_up: float | None
+    same_beam: BeamGroups
+    costs: Mapping[str, float]
+    coverage: float | None
+    vote_time: float | None
+    batch: int
+    share_time: float | None
+    share_step: float | None
+    gangue: tuple[str, ...]
+    dilution_cost: float | None
+    cost_early: float | None
+    hold: float | None
+    coal_until: float | None
+    cycle_pause: float | None
+    coal: Spans
+    lumps: Spans
+    trained_seam: bool
 
 
 def require_spans(spans: Any, label: str) -> tuple[LabelledSpan, ...]:
