@@ -30,7 +30,7 @@ def command(*words: str, folder: Path) -> None:
 def recording(folder: Path) -> bytes:
     """Return what `cgid plot` draws of a recording with twenty rocks."""
     file = ROOT / "datasets" / "labelled" / "monday.wav"
-    command("plot", str(file), "--full-scale", "10000 m/s^2", "-o", "recording.png", folder=folder)
+    command("plot", str(file), "--set", "full_scale=10000 m/s^2", "-o", "recording.png", folder=folder)
     return (folder / "recording.png").read_bytes()
 
 
