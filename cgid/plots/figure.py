@@ -240,7 +240,7 @@ def stabilisation_picture(test: Any) -> bytes:
         capsize=2,
     )
     lower.set(xlabel="frequency [kHz]", ylabel="damping ratio [%]\n(2 std. deviations)", yscale="log")
-    lower.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+    lower.yaxis.set_major_locator(LogLocator(subs=(1, 1.2, 1.5, 2, 3, 5, 7)))
     lower.yaxis.set_major_formatter("{x:.2g}")
     lower.yaxis.set_minor_formatter("")
     lower.grid(alpha=0.3)
