@@ -15,6 +15,7 @@ from cgid.calibration import calibrate
 from cgid.calibration.dimensions import dimension_errors, learn_dimensions, with_dimensions
 from cgid.calibration.learning import ImpactFrames, System, newton, search_valleys
 from cgid.calibration.modes import (
+    _Sensor,
     check_scene,
     count_crossings,
     frames_of,
@@ -680,3 +681,22 @@ def test_what_is_as_stated_stays(known, found):
 def test_parts_that_are_exact_are_named(known):
     with pytest.raises(InvalidValue, match="exact"):
         calibrate(known[0], known[3], RATE, BEFORE, exact=("filters",))
+
+
+@pytest.mark.parametrize(
+    ("later", "places", "told"),
+    [
+        (-2.0, "from 40 % on", True),
+        (-2.0, "up to 30 %", True),
+        (-2.0, "here and there", False),  # a poor beam, no change
+        (-0.8, "from 40 % on", False),  # a little worse, as in other noise
+        (-0.6, "from 40 % on", False),
+    ],
+)
+def test_impacts_of_two_beams_are_told_by_their_order(later: float, places: str, *, told: bool) -> None:
+    """Some impacts have the log-likelihood `later`; simulated ones have -.6, and those of a foreign beam -1 or less."""
+    rng, number = np.random.default_rng(5), np.arange(120)
+    where = {"from 40 % on": number >= 48, "up to 30 %": number < 36, "here and there": rng.random(120) < 0.4}
+    evidence = np.where(where[places], later, -0.6) + rng.normal(0, 0.03, 120)
+    one = SimpleNamespace(impacts=number, evidence=evidence, worst=0.2)
+    assert _Sensor._changes_within(one, -0.7, -1.0) is told  # type: ignore[arg-type]
