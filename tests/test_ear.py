@@ -3,6 +3,7 @@
 import ast
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 
 import cgid
 from cgid import load_model
+from cgid.calibration.modes import uncertain
 from cgid.cli.main import run
 from cgid.identification.detection.ear import Ear
 from cgid.identification.inversion.one_rate import OneRate
@@ -21,6 +23,7 @@ from cgid.recordings import open_recording
 from cgid.scene import load_scene
 from cgid.scene.output.recordings import generate_recordings
 from cgid.scene.synthesis import impacts, plan, through_beam
+from cgid.scene.synthesis.through_beam import full_beam
 from tests import few
 
 RATE = 25_600.0
@@ -157,6 +160,25 @@ def recorded(rate: float, folder: Path, monkeypatch: pytest.MonkeyPatch) -> NDAr
     (folder / "scene.toml").write_text(text)
     generate_recordings(folder / "scene.toml", folder / "made", 1, 5)
     return np.concatenate(list(open_recording(next((folder / "made").glob("*.h5"))).blocks()), axis=1)
+
+
+@pytest.mark.parametrize("rate", [51_200.0, 20_000.0])
+def test_a_calibrated_beam_answers_at_any_rate(rate: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its modes have errors, and so tables of their own for another recorder's band."""
+    model, scene = load_model("default-acceleration"), uncertain(load_scene("caving"), 0.002)
+    own = {name: one for name, one in model.arrays.items() if not name.startswith("beam.")} | full_beam(scene).arrays
+    model = replace(model, arrays=own)
+    (tmp_path / "own").mkdir()
+    (tmp_path / "other").mkdir()
+    recordings = {each: recorded(each, tmp_path / name, monkeypatch) for each, name in ((RATE, "own"), (rate, "other"))}
+    first, second = (
+        [one for step in identify_blocks([part], each, model, ["1"], PredictionSettings()) for one in step.answers]
+        for each, part in recordings.items()
+    )
+    assert model.beam.beam.errors is not None and len(first) > 140
+    nearest = np.abs(np.subtract.outer([one.time for one in second], [one.time for one in first])).argmin(axis=1)
+    alike = [one.label == first[k].label for one, k in zip(second, nearest, strict=True)]
+    assert abs(len(second) - len(first)) <= 5 and np.mean(alike) > 0.85
 
 
 @pytest.mark.parametrize("rate", [51_200.0, 20_000.0])

@@ -332,7 +332,7 @@ class BeamResponses:
             exponent[rows] = -np.log(power) @ octave / np.sum(np.square(octave))
             weight[rows] = np.repeat(1 / power, 2, axis=1)
         if observations.error is not None:
-            weight /= 1 + weight * observations.error
+            weight /= 1 + weight * observations.error[..., : weight.shape[-1]]  # that of a wider band, too
         quiet = np.square(observations.level[:, None] / observations.noise).astype(np.float32)
         weight *= quiet[:, :, None] * self.counts(observations.limit)
         # An uninformative sensor has white noise.
