@@ -104,6 +104,7 @@ function show(data) {
   $("source").textContent = data.source;
   $("clock").textContent = `${data.time.toFixed(1)} s of the stream`;
   $("outlets").textContent = data.outlets.map(outletText).join(" · ");
+  for (const one of data.supports) card(one.channel);  // all, before a picture takes its width
   for (const one of data.supports) {
     const own = card(one.channel), waves = data.waveform.channels;
     own.share.textContent = shareText(one); own.counts.textContent = countText(one);
