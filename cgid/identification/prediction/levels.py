@@ -70,7 +70,10 @@ def factor_of(
     chance, spread = _SPREAD[model.beam is not None][0 if excess > 0 else 1]
     # Includes the uncertainty of the training for few impacts.
     limit = np.sqrt(looks * chance / counted.sum() + chance / model.training.get("n_train", np.inf) + spread)
-    return float(np.exp(upper_end(own, deviation) - _UPPER * deviation)) if abs(excess) > limit else 1.0
+    if abs(excess) <= limit:
+        return 1.0
+    of_all = upper_end(own, deviation) / deviation - _UPPER
+    return float(np.exp(deviation * (of_all if of_all * excess > 0 else excess)))
 
 
 def _raised_by(least: float) -> float:
