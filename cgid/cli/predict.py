@@ -93,17 +93,13 @@ class _Prediction:
                 except CgidError as error:
                     errors.append(error)
         finally:
-            self._read(recording)
+            for text in recording.messages:
+                self.lines.finding(recording.source, _of_reading(text))
         if len(errors) == len(groups):
             raise errors[0]
         # Channels of another quantity must not hide those with predictions.
         for unanswered in errors:
             self.lines.finding(recording.source, _of_reading(str(unanswered).removeprefix(f"{recording.source}: ")))
-
-    def _read(self, recording: RecordingFile) -> None:
-        """Print what the reader of a recording says."""
-        for text in recording.messages:
-            self.lines.finding(recording.source, _of_reading(text))
 
     def _channels(
         self, recording: RecordingFile, model: StoredModel, numbers: list[int], same_beam: tuple[tuple[str, ...], ...]

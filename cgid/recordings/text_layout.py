@@ -508,7 +508,7 @@ def read_header(lines: Iterable[str], layout: Layout) -> Header:
             header = replace(header, gains=values) if what == "gains" else replace(header, sensitivities=values)
         elif columns := _columns(line, layout):
             columns = _under(before, columns) if before else columns
-            if _has_unit_or_time(columns) or not _has_unit_or_time(best):
+            if not best or _has_unit_or_time(columns) or not _has_unit_or_time(best):
                 best = columns
             before = columns
     named = tuple(replace(column, name=column.name or column.unit) for column in best)
