@@ -60,18 +60,19 @@ class Signal:
     warnings: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        samples = validation.plain(f"{self.name}: samples", self.samples)
+        name = channel_name(self.source, self.channel)
+        samples = validation.plain(f"{name}: samples", self.samples)
         if samples.dtype.kind not in "fiu":
-            raise BadData(f"{self.name}: samples must be real numbers, got type {samples.dtype}")
+            raise BadData(f"{name}: samples must be real numbers, got type {samples.dtype}")
         if samples.dtype not in (np.float32, np.float64):
             samples = samples.astype(np.float64)
         if samples.ndim != 1 or not samples.size:
-            raise BadData(f"{self.name}: samples must be one row of at least one number, got shape {samples.shape}")
+            raise BadData(f"{name}: samples must be one row of at least one number, got shape {samples.shape}")
         finite = np.isfinite(samples)
         if not finite.all():
             first = int(np.argmin(finite))
             raise BadData(
-                f"{self.name}: samples must be finite, sample {first} is {samples[first]} "
+                f"{name}: samples must be finite, sample {first} is {samples[first]} "
                 f"({np.sum(~finite)} of {samples.size} are not finite); cut or repair the recording there"
             )
         rate = require_rate(self.sampling_rate)

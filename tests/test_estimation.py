@@ -68,10 +68,10 @@ def test_times_of_the_template_are_those_of_the_pulse(e):
     width = (1 + e) / float(family.force(np.array([top]), e)[0])
     share = (np.arange(200_000) + 0.5) / 200_000
     assert exact(share, e).mean() * contact == pytest.approx(width, rel=1e-8)  # the same by quadrature
-    duration, lead, _, _ = relative_times(shape_of(e))
+    duration, lead, *_ = relative_times(shape_of(e))
     assert duration[0] == pytest.approx(contact / width, rel=1e-6)
     assert lead[0] == pytest.approx(top / width, abs=1e-6)
-    duration, lead, _, _ = relative_times(shape_of(1 / e))
+    duration, lead, *_ = relative_times(shape_of(1 / e))
     assert duration[0] == pytest.approx(contact / width, rel=1e-6)
     assert lead[0] == pytest.approx((contact - top) / width, abs=2e-5)
 
@@ -101,7 +101,7 @@ def test_the_error_of_a_removed_baseline_is_in_the_covariance():
     frames, _ = frames_of(0.6, 150, 0.01, n=500, seed=8)
     found = estimate(frames + 0.3, 1.0, pre_trigger=BEFORE - 4)
     shape = np.log(found.restitution)
-    relative, _, slope, _ = relative_times(shape)
+    relative, _, slope, *_ = relative_times(shape)
     true = np.log(150 / relative_times(np.log([0.6]))[0])
     slopes = np.zeros((500, 4))
     slopes[:, :2], slopes[:, 3] = 1.0, -slope / relative
@@ -267,7 +267,7 @@ def test_in_much_noise_the_search_ends_where_it_does_from_the_truth(contact, e):
     noise = 10**-0.5
     frames, touch = frames_of(e, contact, noise, n=300, seed=24, after=6)
     pulses = PulseBatch(frames, 1.0, BEFORE - 4, remove_baseline=False)
-    length, lead, _, _ = relative_times(shape_of(e))
+    length, lead, *_ = relative_times(shape_of(e))
     width = contact / length[0]
     truth = PulseStart(np.ones(300), np.full(300, width), touch + lead[0] * width)
     found, best = (fit_pulses(frames, start, np.full(300, noise)) for start in (pulses.fit_start, truth))

@@ -29,7 +29,7 @@ def test_template_is_the_exact_pulse(s, known):
     width = 40.0
 
     def slow(p):
-        duration, lead, _, _ = relative_times(p[3:4])
+        duration, lead, *_ = relative_times(p[3:4])
         own = np.exp(p[1])
         start = 7.3 if known else p[2] - lead[0] * own
         return p[0] * curve((times - start) / (duration[0] * own), p[3:4])[0]

@@ -34,7 +34,7 @@ from cgid.identification.prediction.same_beam import (
     rows_of,
 )
 from cgid.identification.prediction.settings import PredictionSettings, require_groups
-from cgid.identification.prediction.stream import answering_channels, identify_blocks
+from cgid.identification.prediction.stream import identify_blocks
 from cgid.identification.prediction.telling import of_model
 from cgid.measure.features.vibration import BEAM_PULSE
 from cgid.scene import load_scene
@@ -406,7 +406,7 @@ def test_groups_are_checked(groups: object, says: str) -> None:
 def test_groups_name_channels_of_the_recording(model: StoredModel) -> None:
     names = ("left", "right", "3")
     assert grouped(names, (("3", "left"),)) == [(2, 0), (1,)]
-    assert answering_channels(model, names, (("1", "right"),)) == ("left+right", "3")
+    assert rows_of(model, names, (("1", "right"),)) == [(0, 1), (2,)]
     for group, says in ((("left", "9"), "got 9"), (("left", "1"), "left twice, by name and number")):
         with pytest.raises(InvalidValue, match=says):
             rows_of(model, names, (group,))

@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 
 #: Identified impacts from which a gangue fraction is told in words before the end of a recording.
 _ENOUGH = 10
+#: Columns before and behind those of the answers.
+_SOURCE, _OF_DATASETS = Column("source"), (Column("index", dtype="int64"), Column("truth"))
 
 
 class AnswerLines(Records):
@@ -55,8 +57,7 @@ class AnswerLines(Records):
 
         if self.as_json or not self._has_rows:
             return
-        columns = [Column("source"), *answer_columns(model, settings)]
-        columns += [Column("index", dtype="int64"), Column("truth")] * self._datasets
+        columns = [_SOURCE, *answer_columns(model, settings), *_OF_DATASETS * self._datasets]
         if lacking := self._table.begin(columns):
             raise BadData(
                 f"{source}: its columns must be those of earlier rows, its model adds {lacking[0].title}; run it alone"

@@ -37,6 +37,7 @@ _EXCEPTIONS = {
     "features --features": "Task",
     "export-model --to": "Task",
 }
+_TO_PLANT = frozenset(_OPTIONS[_PLANT].split())
 #: Unit in the help of an option -> what its number is called.
 _UNITS = {"Hz": "HZ", "s": "SECONDS"}
 #: What the texts of options are called; other numbers are NUMBER or N.
@@ -126,7 +127,8 @@ class Command(click.Command):
         require_no_input_written([site.path] if site.path else [])
         for one in self.params:
             is_file = isinstance(one.type, OutputName) and one.name == "output"
-            if (is_file or heading_of(self.name, one) == _PLANT) and ctx.params[str(one.name)] not in (None, "-"):
+            is_plant = not _TO_PLANT.isdisjoint(one.opts)
+            if (is_file or is_plant) and ctx.params[str(one.name)] not in (None, "-"):
                 output.allow_closed_stdout()
         return super().invoke(ctx)
 

@@ -93,23 +93,18 @@ class _Prediction:
                 except CgidError as error:
                     errors.append(error)
         finally:
-            self._read(recording)
+            for text in recording.messages:
+                self.lines.finding(recording.source, _of_reading(text))
         if len(errors) == len(groups):
             raise errors[0]
         # Channels of another quantity must not hide those with predictions.
         for unanswered in errors:
             self.lines.finding(recording.source, _of_reading(str(unanswered).removeprefix(f"{recording.source}: ")))
 
-    def _read(self, recording: RecordingFile) -> None:
-        """Print what the reader of a recording says."""
-        for text in recording.messages:
-            self.lines.finding(recording.source, _of_reading(text))
-
     def _channels(
         self, recording: RecordingFile, model: StoredModel, numbers: list[int], same_beam: tuple[tuple[str, ...], ...]
     ) -> None:
         """Print the predictions for the channels of a recording that use this model."""
-        from cgid.cli.hints import NextSteps
         from cgid.identification.prediction.pipeline import Pipeline
         from cgid.identification.prediction.records import RecordingRows
 
@@ -128,11 +123,16 @@ class _Prediction:
                 f"{source}: --channel must name one channel each time, this model uses none together, got "
                 f"{together[0]}; give --same-beam {together[0]} if they are on one beam, else --channel for each"
             )
-        # The next command cannot read a pipe again.
-        file = "RECORDING" if source == "stdin" else source
         pipeline = Pipeline(model, channels, rate, settings, source)
-        every = [channel.name for channel in recording.channels]
-        steps = NextSteps(pipeline.diagnosis, rate, file, *given_options(), channels=every)
+
+        def helped(finding: Finding) -> Finding:
+            from cgid.cli.hints import NextSteps  # most recordings have no finding
+
+            # The next command cannot read a pipe again.
+            file = "RECORDING" if source == "stdin" else source
+            every = [channel.name for channel in recording.channels]
+            return NextSteps(pipeline.diagnosis, rate, file, *given_options(), channels=every).of(finding)
+
         blocks: Iterable[Any] = recording.blocks(gaps=True)
         if len(channels) < len(recording.channels):
             blocks = (block[numbers] for block in blocks)
@@ -143,7 +143,7 @@ class _Prediction:
 
             channels = channels[:MAX_CHANNELS]
             pictures = OverviewStream(rate, len(channels))
-        rows = RecordingRows(pipeline, self.lines, steps.of, keep=pictures is not None)
+        rows = RecordingRows(pipeline, self.lines, helped, keep=pictures is not None)
         with progress_bar(recording.n_samples, "samples", "predicting") as progress:
             seen = 0
             for step in pipeline.steps(blocks, marked=None if pictures is None else pictures.watching):

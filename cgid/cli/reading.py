@@ -116,6 +116,8 @@ class ReadingOptions:
 
     def beams(self, recording: RecordingFile) -> tuple[tuple[str, ...], ...]:
         """Return the channels of each beam that has several, in a recording."""
+        if not self.same_beam:
+            return recording.beams
         from cgid.identification.prediction.settings import require_groups
 
         return recording.named(require_groups(self.same_beam), "--same-beam") or recording.beams

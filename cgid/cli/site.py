@@ -103,9 +103,8 @@ def the_site() -> Site:
         files, values = meta.get(_FILES, []), meta.get(_VALUES, {})
         if len(files) > 1:
             raise click.UsageError(f"--site must be given once, got {' and '.join(files)}; join the files", context)
-        used = sections_of(context.command)
         for key in values:
-            if (section := section_of(key)) and section not in used:
+            if (section := section_of(key)) and section not in sections_of(context.command):
                 raise InvalidValue(
                     f"--set {key} must be left out, cgid {context.command.name} does not use [{section}]"
                 )

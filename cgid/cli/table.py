@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from contextlib import ExitStack
+from contextlib import AbstractContextManager, ExitStack
 from pathlib import Path
 from types import SimpleNamespace, TracebackType
 from typing import Any, NamedTuple
@@ -34,7 +34,7 @@ def output_options(command: Callable[..., Any]) -> Callable[..., Any]:
     return click.option("-o", "--output", type=OUTPUT, metavar="FILE", help=description)(overwrite_option(command))
 
 
-class TableOutput:
+class TableOutput(AbstractContextManager["TableOutput"]):
     """A table on stdout, or in a file, which is written when the context ends without an error."""
 
     def __init__(self, output: str | None = None, *, overwrite: bool = False, as_json: bool = False) -> None:
@@ -72,9 +72,6 @@ class TableOutput:
         if self._write is None:
             self._write = self._opened()
         self._write([_plain(row.get(title)) for title in self._titles])
-
-    def __enter__(self) -> TableOutput:
-        return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
         if error is None and self.columns and self._write is None:

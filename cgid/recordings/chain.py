@@ -258,10 +258,11 @@ class Chain:
 
     def links(self, contents: Blocks, channels: Sequence[int], unit: str | None, source: str) -> list[Link]:
         """Return the link of each channel, from the statements of user and file, which must agree."""
-        # Nothing to convert: a known unit for all channels, of which neither file nor user says more.
-        of_file = (*contents.units, *contents.integers, *contents.sensitivities, *contents.gains)
-        if self == Chain() and not any(of_file) and isinstance(unit, str) and any(unit in of for of in UNITS.values()):
-            return [Link(unit=unit)] * len(channels)
+        # Nothing to convert: the file states units and no more, or the user a known one for all channels.
+        of_file, is_of_file = (*contents.integers, *contents.sensitivities, *contents.gains), unit is None
+        is_of_user = isinstance(unit, str) and not any(contents.units) and any(unit in of for of in UNITS.values())
+        if self == Chain() and not any(of_file) and (is_of_file or is_of_user):
+            return [Link(unit=contents.unit(index, None, source) if is_of_file else unit) for index in channels]
         # A sensitivity or charge gain for all channels applies to those in volts or coulombs; there must be at least
         # one.
         units = replace(units_of(unit), fallback=self.unit)

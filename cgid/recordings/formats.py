@@ -334,13 +334,15 @@ def open_recording(  # noqa: PLR0913 - one argument a statement about a file
     chain = Chain.of(sensitivity, gain, full_scale)
     if sampling_rate is not None:
         sampling_rate = require_rate(sampling_rate)
-    units_of(unit)
+    if unit is not None:
+        units_of(unit)
     if site is not None:
         from cgid.recordings import site as sites
 
         site = sites.Site.of(site)
         variable, format = variable or site.get("variable"), format or site.get("format")
         skip_broken = skip_broken or bool(site.get("skip_broken"))
+        site = None if site is sites.NOWHERE else site
     source = "stdin" if str(path) == "-" else str(path)
     regular, spool = _unpacked(*_regular(path, source), source)
     try:

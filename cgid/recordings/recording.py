@@ -389,7 +389,7 @@ class RecordingFile:
             channel = site.get("channel") if channel is None else channel
         self._contents = contents
         self._selected = _selected(contents, channel, source)
-        if channel is None and (counters := _counters(contents)):
+        if channel is None and contents.n_channels > 1 and (counters := _counters(contents)):
             self._selected = tuple(index for index in self._selected if index not in counters)
             names = ", ".join(contents.label(index) for index in counters)
             contents.warnings.append(Remark(f"channel {names} only counts and is left out"))
@@ -397,7 +397,8 @@ class RecordingFile:
                 raise BadData(f"{source}: a recording must have a channel that does not only count; record it again")
         self.source, self.format = source, format
         self.sampling_rate = require_rate(contents.rate(sampling_rate, source))
-        _require_one_start(contents, self._selected, self.sampling_rate, source)
+        if contents.starts:
+            _require_one_start(contents, self._selected, self.sampling_rate, source)
         links = (chain or Chain()).links(contents, self._selected, unit, source)
         self._factors = [link.factor for link in links]
         self.channels = tuple(
@@ -616,7 +617,7 @@ class RecordingFile:
 
 
 def _require_one_start(contents: Blocks, selected: Sequence[int], rate: float, source: str) -> None:
-    known = [(index, start) for index in selected if contents.starts and (start := contents.starts[index])]
+    known = [(index, start) for index in selected if (start := contents.starts[index])]
     for index, start in known:
         later = (start - known[0][1]).total_seconds()
         if abs(later) * rate > SIMULTANEOUS:
@@ -631,7 +632,7 @@ def _counters(contents: Blocks) -> list[int]:
     units = contents.units or [None] * contents.n_channels
     rows = [index for index in range(contents.n_channels) if not units[index]]
     rows = [index for index in rows if is_name_of_counter(contents.name(index))]
-    if contents.n_channels < 2 or not rows or contents.fallback_unit is not None:
+    if not rows or contents.fallback_unit is not None:
         return []
     first = next(iter(contents.joined(COUNTED, rows)), np.empty((0, 0)))
     return [index for index, row in zip(rows, first, strict=False) if counts(contents.name(index), row)]

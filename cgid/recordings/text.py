@@ -354,13 +354,15 @@ def _header_and_body(path: Path, encoding: str, source: str, warnings: list[str]
         )
     line = simpler(line)
     moment = None if layout.stamp is None else stamped_moment(line)
-    if layout.stamp is not None and has_ambiguous_date(line):
+    is_ambiguous = layout.stamp is not None and has_ambiguous_date(line)
+    if is_ambiguous:
         warnings.append(
             Remark(f"the date of {line.strip()[:40]!r} may begin with day or month; no start time was read")
         )
     if layout.delimiter == "," and layout.n_columns == 2 and any(map(_DECIMAL_COMMA.search, above)):
         layout = Layout(delimiter=";", n_columns=1, decimal_comma=True)
-    layout = _corrected(layout, following or line, above)
+    if layout.trailing:
+        layout = _corrected(layout, following or line, above)
     layout = with_decimal_mark(layout, plain_rows(piece[start:], layout))
     while above and _is_damaged_row(above[-1], layout):
         start -= len(above.pop())
@@ -385,7 +387,7 @@ def _header_and_body(path: Path, encoding: str, source: str, warnings: list[str]
         first_line=len(above) + 1,
         layout=narrow,
         source=source,
-        is_dated=moment is not None or has_ambiguous_date(line),
+        is_dated=moment is not None or is_ambiguous,
         skip_broken=asked.skip_broken,
         warnings=warnings,
     )
@@ -433,7 +435,7 @@ def _without_words(header: Header, layout: Layout, source: str, warnings: list[s
 def _layout(line: str, following: str, piece: str, start: int) -> Layout | None:
     line, following = simpler(line), simpler(following)
     quoted = quoted_layout_of(line, piece, start) if '"' in piece else None
-    return quoted or layout_of(line) or stamped_layout_of(line, following)
+    return quoted or layout_of(line) or (stamped_layout_of(line, following) if ":" in line else None)
 
 
 def _not_understood(lines: Sequence[str], source: str) -> BadData:
@@ -478,11 +480,11 @@ def _n_names(above: Sequence[str], layout: Layout) -> int:
 
 
 def _corrected(layout: Layout, second: str, above: deque[str]) -> Layout:
-    """Return the layout of the first row, corrected by the other lines."""
+    """Return the layout of the first row, which ends in a delimiter, corrected by the other lines."""
     wider = replace(layout, n_columns=layout.n_columns + 1, trailing=False)
-    named = read_header(above, wider).columns if layout.trailing else ()
+    named = read_header(above, wider).columns
     # An empty last field is a missing number if the next row has one there or the header names the column.
-    return wider if layout.trailing and ((named and named[-1].name) or wider.fields(second)[-1]) else layout
+    return wider if (named and named[-1].name) or wider.fields(second)[-1] else layout
 
 
 def _is_damaged_row(line: str, layout: Layout) -> bool:

@@ -318,9 +318,9 @@ _WITH_UNIT = re.compile(r"(.*[\d.])\s*([^\d\s.][^\d]*\d?)")
 
 def loose_layout_of(line: str, following: str, above: Sequence[str]) -> Layout | None:
     """Return the layout of `line` if it has words or units beside its numbers, as the next row; else None."""
-    second = _loose(following)
-    first = _like(_loose(line), second)
-    if first is None or second is None or {*first.words} != {*second.words}:
+    if (first := _loose(line)) is None or (second := _loose(following)) is None:
+        return None
+    if not _like(first, second) or {*first.words} != {*second.words}:
         return None
     # Lines such as "serial, 123" above each other are no rows; names above rows or words that repeat show a table.
     repeats = all(first.fields(line)[at] == first.fields(following)[at] for at in first.words)
@@ -507,8 +507,8 @@ def read_header(lines: Iterable[str], layout: Layout) -> Header:
             what, values = chain
             header = replace(header, gains=values) if what == "gains" else replace(header, sensitivities=values)
         elif columns := _columns(line, layout):
-            columns = _under(before, columns)
-            if _has_unit_or_time(columns) or not _has_unit_or_time(best):
+            columns = _under(before, columns) if before else columns
+            if not best or _has_unit_or_time(columns) or not _has_unit_or_time(best):
                 best = columns
             before = columns
     named = tuple(replace(column, name=column.name or column.unit) for column in best)
@@ -581,7 +581,7 @@ def _under(names: tuple[ColumnHeader, ...], units: tuple[ColumnHeader, ...]) -> 
         all(not one.name or not (one.unit or one.is_named_time) for one in units)
         and any(not one.name or known_unit(one.name) for one in units)
     )
-    if not names or not is_units:
+    if not is_units:
         return units
     pairs = zip(names, units, strict=True)
     return tuple(ColumnHeader(name=name.name, unit=unit.unit or unit.name or name.unit) for name, unit in pairs)

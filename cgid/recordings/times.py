@@ -112,7 +112,7 @@ def clocks_of(columns: Sequence[ColumnHeader], rows: Floats, source: str) -> lis
     if not columns:
         is_time = rows.shape[1] > 1 and runs_evenly(rows[:, 0]) and not counts("", rows[:, 0])
         return [Clock(columns=(0,), factors=(_by_size(rows[:, 0], source),))] if is_time else []
-    if parts := _parts(columns, rows):
+    if len(columns) > 1 and (parts := _parts(columns, rows)):
         return [Clock(columns=tuple(parts), factors=tuple(_WORDS[part][0] for part in parts.values()))]
     named = [at for at, column in enumerate(columns) if column.is_named_time and column.known_unit in (None, "m")]
     loose = [at for at, one in enumerate(columns) if is_time_name(one.name) and one.known_unit in (None, "m")]

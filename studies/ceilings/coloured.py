@@ -309,7 +309,7 @@ class Frames:
 
     def whitened(self, block: slice, longest: Floats) -> Iterator[tuple[NDArray[np.intp], Whitened]]:
         """Yield parts of a block of rows with their whitened points, for pulses up to these, (n, 4)."""
-        duration, lead, _, _ = relative_times(longest[:, 3])
+        duration, lead, *_ = relative_times(longest[:, 3])
         width = np.exp(longest[:, 1])
         stop = longest[:, 2] + (duration * _ROOM - lead) * width + 2
         wanted = np.maximum(stop - self.first + (0 if self.response is None else len(self.response)), 8.0)

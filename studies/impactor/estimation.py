@@ -179,7 +179,7 @@ def with_baseline_error(fit: PulseFit, noise: Floats, n_quiet: Floats) -> PulseF
     # A constant moves the parameters along the covariance times its products with the slopes of the pulse, the slopes
     # of the impulse: that of duration [samples] times peak over `relative_times`.
     with np.errstate(all="ignore"):  # a failed fit stays one
-        relative, _, slope, _ = relative_times(np.nan_to_num(fit.shape))
+        relative, _, slope, *_ = relative_times(np.nan_to_num(fit.shape))
         impulse = fit.peak * fit.width * noise / np.sqrt(n_quiet) / (noise**2 + (MODEL_ERROR * fit.peak) ** 2)
         shift = (
             fit.covariance[:, :, 0] + fit.covariance[:, :, 1] - (slope / relative)[:, None] * fit.covariance[:, :, 3]

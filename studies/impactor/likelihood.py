@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 from cgid._lib import validation
 from cgid._lib.validation import Floats, rates
 from cgid.errors import InvalidValue
-from cgid.measure.fit.fit_samples import rows_of, windows
+from cgid.measure.fit.fit_samples import windows
 from cgid.measure.fit.least_squares import solve_scaled
 from cgid.measure.fit.template import MAX_SHAPE, MIN_SHAPE, PARAMETERS, bounded, covariance_of, relative_times
 from studies.impactor.pulses import normal_equations, parameters_of, pulse_and_slopes, shape_deviation
@@ -150,7 +150,7 @@ def _covariance(samples: Floats, shape: Floats, phase: Floats) -> Floats:
     _, slopes = pulse_and_slopes(parameters, np.broadcast_to(times, (len(shape), times.size)))
     information = np.matmul(slopes, np.swapaxes(slopes, 1, 2))
     with np.errstate(all="ignore"):
-        covariance = covariance_of(information, parameters)
+        covariance = covariance_of(information, parameters, np.ones(len(shape)))
     enough = np.ceil(phase + samples) - np.floor(phase) - 1 >= information.shape[1]
     return np.where(enough[:, None, None], covariance, np.inf)
 
@@ -232,7 +232,8 @@ def profile(  # noqa: PLR0913
                 _fill(out, first + rows, residual, guess[rows], np.ones(rows.size), onset_between)
             continue
         limit = np.inf if clip_level is None else clip_level[block]
-        for window in windows(samples[block], longest, 0.0, limit, onset=rows_of(onset, block), response=response):
+        known = None if onset is None else onset[block]
+        for window in windows(samples[block], longest, 0.0, limit, onset=known, response=response):
             rows = first + window.rows
             _fill(out, rows, window, guess[window.rows], noise[rows] / np.sqrt(window.averaged), onset_between)
     widths = np.gradient(shapes, axis=1) if n_nodes > 1 else np.ones_like(shapes)
@@ -293,7 +294,7 @@ def _at(
         parameters[:, 0] = np.maximum(parameters[:, 0] + step[:, 0], 0.2 * parameters[:, 0])
         parameters[:, columns[1:]] += bounded(step, columns, np.exp(parameters[:, 1]))[:, 1:]
         parameters = problem.tied(parameters)
-    duration, lead, _, _ = relative_times(shape)
+    duration, lead, *_ = relative_times(shape)
     peak, log_width = parameters[:, 0], parameters[:, 1]
     information = information / sigma[:, None, None] ** 2
     # In terms of ln(peak), ln(duration) and the peak time, which at a given shape moves with the onset.

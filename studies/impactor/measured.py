@@ -74,7 +74,7 @@ class MeasuredPulses:
         """
         with np.errstate(divide="ignore", invalid="ignore"):
             shape = np.clip(np.log(estimates.restitution), MIN_SHAPE, MAX_SHAPE)
-            relative, _, slope, _ = relative_times(shape)
+            relative, _, slope, *_ = relative_times(shape)
             log_width, log_peak = np.log(estimates.contact_duration / relative), np.log(estimates.peak)
         keep = [0, 1, 3]
         covariance = estimates.covariance[:, keep][:, :, keep].copy()

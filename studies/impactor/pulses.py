@@ -36,7 +36,7 @@ def _logarithms() -> dict[str, Floats]:
 
 def parameters_of(peak: Floats, width: Floats, onset: Floats, shape: Floats) -> Floats:
     """Return (peak, ln width, peak time, shape), (n, 4), of pulses given by their onset."""
-    _, lead, _, _ = relative_times(shape)
+    _, lead, *_ = relative_times(shape)
     return np.stack([peak, np.log(width), onset + lead * width, shape], axis=1)
 
 
@@ -57,13 +57,13 @@ def normal_equations(residual: Floats, slopes: Floats) -> tuple[Floats, Floats, 
 def _shape_deviation() -> tuple[Floats, Floats]:
     """Return shapes s, and ln(standard deviation of s) there with two derivatives, for densely sampled pulses."""
     shapes = np.linspace(MIN_SHAPE, MAX_SHAPE, _GRID)
-    duration, lead, _, _ = relative_times(shapes)
+    duration, lead, *_ = relative_times(shapes)
     ones, zeros = np.ones(_GRID), np.zeros(_GRID)
     parameters = np.stack([ones, zeros, lead, shapes], axis=1)
     times = duration[:, None] * (np.arange(_POINTS) + 0.5) / _POINTS
     _, slopes = pulse_and_slopes(parameters, times)
     information = np.matmul(slopes, np.swapaxes(slopes, 1, 2)) * (duration / _POINTS)[:, None, None]
-    deviation = np.log(covariance_of(information, parameters)[:, 3, 3]) / 2
+    deviation = np.log(covariance_of(information, parameters, ones)[:, 3, 3]) / 2
     step = shapes[1] - shapes[0]
     slope = np.gradient(deviation, step)
     return shapes, np.stack([deviation, slope, np.gradient(slope, step)])

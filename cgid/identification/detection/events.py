@@ -237,7 +237,8 @@ class FrameCutter:
         rows = samples if self._joint else samples[onset.channel : onset.channel + 1]
         part = rows[:, start - first : behind - first]
         channel = onset.channel if self._joint else 0
-        stretch = quietest(part[channel], framing.quiet) if before is None and start == begin else slice(0, 0)
+        is_first, n_quiet = before is None and start == begin, onset.sample - framing.lead - start
+        stretch = quietest(part[channel], framing.quiet) if is_first and n_quiet < _FEW * framing.quiet else slice(0, 0)
         frame, baseline = self._frame(part, onset, start, length, stretch)
         of_unit = float(baseline[channel])
         began_cut = onset.sample <= begin
@@ -265,7 +266,7 @@ class FrameCutter:
         """Return the frames (n_channels, n_samples) around a part that begins at `start`, and their baselines."""
         framing = self._framing
         quiet = part[:, : max(onset.sample - framing.lead - start, 0)]
-        if quiet.shape[1] < _FEW * framing.quiet and stretch.stop:
+        if stretch.stop:
             quiet = part[:, stretch]
         missing = framing.quiet - (onset.sample - start)
         enough = quiet.shape[1] >= _ENOUGH

@@ -134,7 +134,7 @@ class ContactFit:
             spectrum += weight[:, number : number + 1] * value
             in_shape += weight_slope[:, number : number + 1] * value
             in_frequency += weight[:, number : number + 1] * rise
-        _, peak_time, _, peak_slope = relative_times(shape)
+        _, peak_time, _, peak_slope, *_ = relative_times(shape)
         turn = -2j * np.pi * self._frequencies
         phase = np.exp(turn * (width * peak_time)[:, None]) * width[:, None]
         spectrum *= phase

@@ -78,8 +78,9 @@ def summary(impacts: Impacts, cells: Floats, scale: Floats) -> Floats:
     below = place.astype(np.intp)
     above = np.minimum(below + 1, n - 1)
     quantiles = columns[below] + (place - below)[:, None] * (columns[above] - columns[below])
+    nearest = (np.square(cells).sum(axis=1) / 2 - pulses / scale @ cells.T).argmin(axis=1)  # cell of each pulse
     counts = (
-        np.bincount(_nearest(pulses / scale, cells), minlength=len(cells)),
+        np.bincount(nearest, minlength=len(cells)),
         np.bincount(np.searchsorted(_EDGES, logits), minlength=_EDGES.size + 1),
     )
     return np.concatenate(
@@ -90,11 +91,6 @@ def summary(impacts: Impacts, cells: Floats, scale: Floats) -> Floats:
             [impacts.n_unknown / (n + impacts.n_unknown), np.log(np.clip(n, *_COUNTS))],
         ]
     )
-
-
-def _nearest(points: Floats, centres: Floats) -> NDArray[np.intp]:
-    """Return the number of the centre nearest to each point, (n,)."""
-    return np.asarray((np.square(centres).sum(axis=1) / 2 - points @ centres.T).argmin(axis=1))
 
 
 class Committee:

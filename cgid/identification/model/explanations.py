@@ -329,6 +329,7 @@ class Candidate(NamedTuple):
 _OF_PAIRS = 8.0
 
 
+@cache
 def kinds_of(is_beam: bool) -> tuple[Fault | None, ...]:
     """Return the explanations that have a density of their own: None is as the training, of forces on many rigs.
 
@@ -337,12 +338,14 @@ def kinds_of(is_beam: bool) -> tuple[Fault | None, ...]:
     return (None, *_SPOILT, *_OF_BEAM, Fault.UNKNOWN) if is_beam else (None, *_SPOILT, Fault.UNKNOWN, None)
 
 
-def candidates_of(is_beam: bool) -> list[Candidate]:
+@cache
+def candidates_of(is_beam: bool) -> tuple[Candidate, ...]:
     """Return the explanations in the order of their limits."""
     found = [Candidate((one,), one) for one in kinds_of(is_beam) if one]
     found += [Candidate((one,), None, one) for one in ((Fault.SCALE,) if is_beam else _MOVES)]
     found += [Candidate((Fault.SCALE, one), one, Fault.SCALE) for one in (Fault.CLIPPED, Fault.NOISE)]
-    return found if is_beam else [*found, Candidate((Fault.RATE, Fault.CLIPPED), Fault.CLIPPED, Fault.RATE)]
+    of_rate = Candidate((Fault.RATE, Fault.CLIPPED), Fault.CLIPPED, Fault.RATE)
+    return (*found, *(() if is_beam else (of_rate,)))
 
 
 @cache

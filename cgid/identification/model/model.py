@@ -19,7 +19,7 @@ from cgid._lib.files import check_new, read_regular, write_together
 from cgid._lib.notebook import facts_table
 from cgid._lib.validation import Floats
 from cgid.errors import BadData, InvalidValue
-from cgid.identification.model.anchor import SeamNetworks
+from cgid.identification.model.anchor import SeamNetworks, pulse_names
 from cgid.identification.model.conformal import Conformal
 from cgid.identification.model.confusion import Confusion
 from cgid.identification.model.explanations import Explanations
@@ -505,18 +505,16 @@ class StoredModel(Model):
                 f"got {'none' if guards is None else f'shape {guards.shape}'}"
             )
         novelty = np.asarray(np.maximum(distance, np.max(guards / np.array(self.guard_limits), axis=1, initial=0.0)))
-        return novelty if self.contrast is None else np.maximum(novelty, self._contrast(inputs, guards))
+        if self.contrast is None:
+            return novelty
+        both = np.hstack([np.maximum(inputs, self._floor), guards])
+        return np.asarray(np.maximum(novelty, _in_blocks(self.contrast.novelty, both, self.contrast.scorer.width)))
 
     def noise_novelty(self, inputs: Floats) -> Floats:
         """Return the part of the novelty of windows due to noise, (n_windows,); 0 if the model has none."""
         if self.contrast is None or self.kind != "window":
             return np.zeros(len(inputs))
-        return self._contrast(inputs, np.empty((len(inputs), 0)))
-
-    def _contrast(self, inputs: Floats, guards: Floats) -> Floats:
-        assert self.contrast is not None
-        rows = np.hstack([np.maximum(inputs, self._floor), guards])
-        return _in_blocks(self.contrast.novelty, rows, self.contrast.scorer.width)
+        return _in_blocks(self.contrast.novelty, np.maximum(inputs, self._floor), self.contrast.scorer.width)
 
     @cached_property
     def contrast(self) -> Contrast | None:
@@ -556,6 +554,11 @@ class StoredModel(Model):
     @cached_property
     def _level_weights(self) -> tuple[Floats, float] | None:
         return level_weights(self.inputs, self._standardiser, self.neighbourhood)
+
+    @cached_property
+    def pulse_columns(self) -> list[int]:
+        """Places of peak, width and restitution of a pulse among the features; empty without all three."""
+        return [self.features.index(name) for name in pulse_names(self.features)]
 
     @property
     def level_range(self) -> Mapping[str, float]:

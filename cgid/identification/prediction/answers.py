@@ -16,7 +16,6 @@ from cgid._lib.validation import UNKNOWN, Floats
 from cgid.errors import BadData, InvalidValue, MissingOption
 from cgid.identification.detection.detector import find_impacts
 from cgid.identification.detection.events import Event, Framing, frames_alike
-from cgid.identification.model.anchor import pulse_names
 from cgid.identification.model.explanations import sampled
 from cgid.identification.model.model import Model, StoredModel, stored
 from cgid.identification.prediction.settings import PredictionSettings
@@ -302,21 +301,20 @@ def measured_events(
             seen = sampled(frames, event.sampling_rate, framing.quiet - framing.lead, spectrum=spectrum)
             shown |= zip(rows, seen, strict=True)
     values[[bool(event.problem) for event in events]] = np.nan
-    placed = (_placed(answers[k], event, channels, shown.get(k)) for k, event in enumerate(events))
-    return list(placed), values
-
-
-def _placed(answer: Answer, event: Event, channels: Sequence[str], shown: NDArray[np.float32] | None) -> Answer:
-    return replace(
-        unmeasured(event.problem) if event.problem else answer,
-        time=event.time,
-        end=event.end / event.sampling_rate,
-        channel=channels[event.channel],
-        overlapping=event.overlapping or answer.overlapping,
-        clipped=event.clipped,
-        cut=event.cut,
-        sampled=shown,
-    )
+    placed = [
+        replace(
+            unmeasured(event.problem) if event.problem else answers[k],
+            time=event.onset / event.sampling_rate,
+            end=event.end / event.sampling_rate,
+            channel=channels[event.channel],
+            overlapping=event.overlapping or answers[k].overlapping,
+            clipped=event.clipped,
+            cut=event.cut,
+            sampled=shown.get(k),
+        )
+        for k, event in enumerate(events)
+    ]
+    return placed, values
 
 
 def identify_frames(
@@ -431,7 +429,7 @@ def answers_from(
     probabilities = vote(model.probabilities(inputs), novelties <= 1)
     column = guards.T[model.guards.index("beam_unexplained")] if "beam_unexplained" in model.guards else None
     levels = model.levels(inputs)
-    pulses = inputs[:, [model.features.index(name) for name in pulse_names(model.features)]].tolist()
+    pulses = inputs[:, model.pulse_columns].tolist()
     values = np.hstack([inputs, guards]).tolist()
     untrained = "" if model.covers(sampling_rate) else f"not trained at {sampling_rate:g} Hz"
     for row, (label, labels) in enumerate(zip(*settings.labels(model, probabilities), strict=True)):

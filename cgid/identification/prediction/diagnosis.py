@@ -134,7 +134,8 @@ class Diagnosis:
             before = self._standing.get(name, {})
             is_unknown = channel.is_mostly_unknown(before=name in self._unknown)
             (self._unknown.add if is_unknown else self._unknown.discard)(name)
-            now = {one.kind: one for one in self._of(name, channel.watch.explained)}
+            explained = channel.watch.explained
+            now = {one.kind: one for one in self._of(name, explained)} if explained.faults else {}
             if not now and is_unknown:
                 now = {one.kind: one for one in self._of_unknown(name, channel)}
             began = {kind: replace(one, begin=time) for kind, one in now.items() if kind not in before}
@@ -156,7 +157,8 @@ class Diagnosis:
         """Return what is wrong with the whole of a recording."""
         found = []
         for name, channel in sorted(self.channels.items()):
-            own = self._of(name, explain(channel.answers, self.model))
+            explained = explain(channel.answers, self.model)
+            own = self._of(name, explained) if explained.faults else []
             if not own and 2 * channel.n_unknown > channel.n_answers:
                 own = self._of_unknown(name, channel)
             found += own

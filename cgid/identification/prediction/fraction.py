@@ -267,7 +267,9 @@ class ShareWindow:
             self._impacts.popleft()
         inside = impacts_of([one[1:] for one in self._impacts if one[0] <= time])
         estimate: dict[str, Any] = {"share": float("nan"), "low": 0.0, "high": 1.0}
-        basis = self._basis(time)
+        basis = Basis.TRAINED if self._seams is None else Basis.ANY_SEAM
+        if self.anchor is not None:
+            basis = self.anchor.basis(time)
         if inside.logits.size and not self._is_by_chance:
             if self._seams is None:
                 estimate = self._estimate(inside.logits, self._confusion(basis))
@@ -293,11 +295,6 @@ class ShareWindow:
             return n_latest == len(known)
         expected = (len(known) - 1) / (known[-1] - known[0]) * end  # by the rate while they came
         return bool(n_latest >= expected - _STOPPED * np.sqrt(expected))
-
-    def _basis(self, time: float) -> Basis:
-        if self.anchor is not None:
-            return self.anchor.basis(time)
-        return Basis.TRAINED if self._seams is None else Basis.ANY_SEAM
 
     def _by_seams(self, inside: Impacts, basis: Basis, time: float) -> tuple[dict[str, float], Basis]:
         """Return the fields of a `Share` for the impacts of a window by the networks, and its basis."""

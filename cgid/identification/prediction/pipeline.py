@@ -21,7 +21,7 @@ from cgid.identification.prediction.diagnosis import Diagnosis
 from cgid.identification.prediction.findings import Finding
 from cgid.identification.prediction.same_beam import rows_of
 from cgid.identification.prediction.settings import PredictionSettings
-from cgid.identification.prediction.stream import STRATEGIES, Step, answering_channels, identify_blocks
+from cgid.identification.prediction.stream import STRATEGIES, Step, identify_blocks
 from cgid.identification.prediction.support import CavingWatch, SupportReport
 from cgid.identification.prediction.telling import Telling, of_model, warn
 from cgid.recordings import Channel, RecordingFile, open_recording
@@ -96,7 +96,8 @@ class Pipeline:
         needs_sensors = watched or math.isfinite(give_up)
         self._sensors = SensorWatch(len(channels), sampling_rate, give_up) if needs_sensors else None
         #: Names of the channels of the predictions; channels that are used together have one name.
-        self.supports = answering_channels(model, self.names, settings.same_beam)
+        rows = rows_of(model, self.names, settings.same_beam)
+        self.supports = tuple("+".join(self.names[row] for row in its_rows) for its_rows in rows)
         self._pasts = pasts
         self.diagnosis = Diagnosis(model, sampling_rate, watched=watched, pasts=pasts)
         self.watch: CavingWatch | None = None
@@ -108,7 +109,7 @@ class Pipeline:
                 STRATEGIES[model.subject].weight(model, settings),
                 sensors=self._sensors,
                 channels=self.names,
-                rows=rows_of(model, self.names, settings.same_beam),
+                rows=rows,
                 diagnosis=self.diagnosis,
             )
 

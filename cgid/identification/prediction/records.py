@@ -65,7 +65,8 @@ class Records:
 
     def share(self, source: str, name: str, state: SupportState) -> None:
         """Tell the gangue fraction of a window of a source, or of its channel as `name`."""
-        self._record("share", source, {"from_s": state.share.start, "to_s": state.share.time, **_content(state)})
+        if self.listeners:
+            self._record("share", source, {"from_s": state.share.start, "to_s": state.share.time, **_content(state)})
 
     def state(self, source: str, state: SupportState) -> None:
         """Tell that the ground or the decision of a support has changed; findings say why."""
@@ -82,7 +83,8 @@ class Records:
 
     def summary(self, source: str, tally: RecordingTally, duration: float, start_time: Any = None) -> None:
         """Tell the summary of a recording."""
-        self._record("summary", source, {"duration_s": duration, **tally.content(start_time)})
+        if self.listeners:
+            self._record("summary", source, {"duration_s": duration, **tally.content(start_time)})
 
     def _record(self, kind: str, source: str, content: dict[str, Any]) -> None:
         now = datetime.now(UTC).isoformat(timespec="milliseconds")

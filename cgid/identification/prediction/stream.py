@@ -121,7 +121,7 @@ def _impacts(
 
     with _named(source):
         groups = rows_of(model, channels, settings.same_beam)
-        names = answering_channels(model, channels, settings.same_beam)
+        names = ["+".join(channels[row] for row in rows) for rows in groups]
         # A model of labelled recordings has learned with their tones, unless it followed them.
         tones = settings.lines if beam is not None else model.is_mended and settings.lines is not False
         ear = Ear(
@@ -208,13 +208,6 @@ class _Quiet:
         return set(np.flatnonzero(self._n_quiet < _N_QUIET).tolist())
 
 
-def answering_channels(
-    model: StoredModel, channels: Sequence[str], same_beam: Sequence[Sequence[str]] = ()
-) -> tuple[str, ...]:
-    """Return the names of the channels of predictions: each channel, or those of one beam or used together in one."""
-    return tuple("+".join(channels[row] for row in rows) for rows in rows_of(model, channels, same_beam))
-
-
 def independence(model: StoredModel, settings: PredictionSettings) -> float:
     """Return the weight of the prediction for a window, in (0, 1]: overlapping ones and votes are not independent."""
     return min(model.hop_time / settings.vote_over(model), 1.0)
@@ -231,7 +224,7 @@ def _windows(
     """Yield the predictions for windows as they complete."""
     with _named(source):
         groups = rows_of(model, channels, settings.same_beam)
-        names = answering_channels(model, channels, settings.same_beam)
+        names = ["+".join(channels[row] for row in rows) for rows in groups]
         # Each has its own votes.
         looks = channels if model.n_channels == 1 else names
         times = settings.vote_over(model), model.window_time, model.hop_time

@@ -187,17 +187,19 @@ class CavingWatch:
                 "at least one label must remain besides gangue, got all of the model's: "
                 f"{', '.join(gangue)}; leave one out"
             )
-        answers, test = answers_of(model, gangue), held_out(model, gangue)
+        test = held_out(model, gangue)
         self._unproven = "" if self.threshold is None or test is None else test.unproven
         # The seams of the simulation have coal and gangue; other labels may be anything.
         seams = self._seams = None if shares.trained_seam or gangue != ("gangue",) else model.seams
+        # These networks take the place of how often the model errs.
+        answers = answers_of(model, gangue) if seams is None else None
         is_stated = shares.coal_until is not None or shares.coal
         if shares.lumps and seams is None:
             raise InvalidValue(
                 "lumps must be left out, this model was not trained on simulated seams with labelled gangue; use a "
                 "shipped model, or train one again on streams of a scene"
             )
-        if is_stated and seams is None and isinstance(answers, NoConfusion):
+        if is_stated and isinstance(answers, NoConfusion):
             answers = tested_answers(model, gangue)
         self._sensors, self._channels = sensors, list(supports if channels is None else channels)
         # Nobody knows yet whether a machine runs; of one that is known to run, the first frames show the lines badly.
@@ -227,8 +229,8 @@ class CavingWatch:
                 channel=name,
                 threshold=0.5 if self.threshold is None else self.threshold,
                 seams=seams,
-                anchor=anchor(own),
-                lumps=lumps(own),
+                anchor=anchor(own) if is_stated else None,
+                lumps=lumps(own) if shares.lumps else None,
                 by_chance=test is not None and test.by_chance,
             )
 

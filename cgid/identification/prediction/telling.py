@@ -51,8 +51,9 @@ def of_model(
 
 def of_chance(model: StoredModel, gangue: Sequence[str]) -> list[Finding]:
     """Return why neither SHUT nor OPEN follows from a model, if so."""
-    reason, kind = unproven(model, gangue), "follows_machines" if followed(model.training) else "unproven"
-    return [Finding(kind=kind, fields={"reason": reason})] if reason else []
+    if not (reason := unproven(model, gangue)):
+        return []
+    return [Finding(kind="follows_machines" if followed(model.training) else "unproven", fields={"reason": reason})]
 
 
 def untold_beams(model: StoredModel, channels: Sequence[str], given: Sequence[object]) -> tuple[str, ...]:

@@ -15,9 +15,9 @@ from cgid._lib.validation import Floats
 from cgid.measure.fit.ar_noise import ORDER, ar_noise_of
 from cgid.measure.fit.fit_samples import Selected, windows
 from cgid.measure.fit.optimum import Optimum, Problems, search_nearby
-from cgid.measure.fit.profile import PARABOLIC, Profiled, binned, exact, gaussian_restitution, parabolic
-from cgid.measure.fit.search import SearchResult, around, last_bin, search
-from cgid.measure.fit.template import relative_times
+from cgid.measure.fit.profile import PARABOLIC, Profiled, binned, exact, gaussian_restitution
+from cgid.measure.fit.search import LAST, SearchResult, around, bank, search
+from cgid.measure.fit.template import covariance_of, relative_times
 from cgid.measure.frames import Problem, constant_signal, no_impact
 
 #: Extent of the samples that the search uses, over that of the initial pulse.
@@ -179,10 +179,10 @@ def _report(
     variance = sigma**2 / problems.averaged
     # The accuracy of the pulse model limits the fit, however good the recorder.
     believed = variance + (MODEL_ERROR * best.parameters[:, 0]) ** 2 / problems.averaged
-    covariance = parabolic(best, believed)
+    covariance = covariance_of(best.information, best.parameters, believed)
     shape = best.parameters[:, 3]
     restitution = gaussian_restitution(shape, covariance[:, 3, 3])
-    doubt = (covariance[:, 3, 3] > PARABOLIC**2) | result.in_doubt(shape, believed * problems.averaged * unit**2)
+    doubt = (covariance[:, 3, 3] > PARABOLIC**2) | result.in_doubt(believed * problems.averaged * unit**2, shape)
     doubt &= shape < _MAX_PROFILED
     well = (result.unit >= _WELL_BINNED) & ~problems.coloured
     for profiled, some in ((binned, well), (exact, ~well)):
@@ -193,10 +193,11 @@ def _report(
             covariance[rows], restitution[:, rows] = profile.moments(tops, believed[rows])
     peak, log_width, peak_time, shape = best.parameters.T
     width = np.exp(log_width)
-    duration, lead, _, _ = relative_times(shape)
-    each = [(window.largest_outside, window.reach, *window.counts()) for window in problems.windows]
+    duration, lead, *_ = relative_times(shape)
+    each = [(one.largest_outside, one.reach, one.n_clipped, one.n_inside) for one in problems.windows]
     outside, end, clipped, counted = (problems.gathered(part) for part in zip(*each, strict=True))
-    reach = np.maximum(np.maximum(end, reach), last_bin(peak_time, width, shape))
+    bin_peak_time, bin_width = bank().conditions(shape)
+    reach = np.maximum(np.maximum(end, reach), peak_time + (LAST - bin_peak_time) * width / bin_width)
     freedom = np.maximum(counted - clipped - len(problems.free), 1)
     outlying = (outside / _OUTLIER) ** 2
     return PulseFit(

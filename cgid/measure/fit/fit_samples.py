@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,11 +27,6 @@ _RUN_OVER_WIDTH, _MEAN_OVER_PEAK = 1.1, 0.74
 Selected = NDArray[np.intp] | NDArray[np.bool_] | slice
 #: Maximum number of samples of a mixing matrix (2 GiB).
 _MAX_MIXED = 1 << 14
-
-
-def rows_of(values: NDArray[Any] | None, rows: Selected) -> Any:
-    """Return some rows of an array, or None for None."""
-    return None if values is None else values[rows]
 
 
 class Window:
@@ -80,16 +74,12 @@ class Window:
         values /= unit[:, None]
         self.values, self.outside = values, beyond
         self.clipped = clipped if clipped is not None and clipped.any() else None
+        self.n_clipped, n_outside = (
+            np.zeros(n, np.intp) if flags is None else flags.sum(axis=1) for flags in (self.clipped, beyond)
+        )
+        self.n_inside = values.shape[1] - n_outside
         self.colour: ARNoise | None = None
         self._mixing = None if response is None else mixing_matrix(response, values.shape[1])
-
-    def counts(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-        """Return the numbers of points at the sensor's limit and inside the frame, each (n,)."""
-        clipped, outside = (
-            np.zeros(len(self.rows), np.intp) if flags is None else flags.sum(axis=1)
-            for flags in (self.clipped, self.outside)
-        )
-        return clipped, self.values.shape[1] - outside
 
     def tied(self, parameters: Floats) -> Floats:
         """Return the parameters, with the peak time that follows from a known onset."""
@@ -111,7 +101,7 @@ class Window:
         residual = curves[:, -1]
         np.subtract(self.values[rows], residual, out=residual)
         # Points outside the frame have no weight, nor do clipped samples below the curve.
-        ignored = rows_of(self.outside, rows)
+        ignored = None if self.outside is None else self.outside[rows]
         if self.clipped is not None:
             above = self.clipped[rows] & (residual < 0)
             ignored = above if ignored is None else ignored | above
@@ -144,7 +134,7 @@ def windows(
     # `before` points earlier than the pulse needs. With a sensor's response samples are not averaged.
     levels = np.stack([np.broadcast_to(value, len(guess)) for value in (offset, clip_level, unit)])
     width = np.exp(guess[:, 1])
-    duration, lead, _, _ = relative_times(guess[:, 3])
+    duration, lead, *_ = relative_times(guess[:, 3])
     first = np.floor(guess[:, 2] - (lead + _MARGIN) * width).astype(np.intp) - 2
     lengths = np.minimum(duration + 2 * _MARGIN, lead + _MARGIN + _FURTHEST) * width
     for rows, length in by_length(lengths):
@@ -152,7 +142,7 @@ def windows(
         run = max(-(-length // _LONGEST), 1) if response is None else 1
         length = -(-length // run) * run + before * run
         selected = rows if among is None else among[rows]
-        curve = (rows_of(onset, rows), response)
+        curve = (None if onset is None else onset[rows], response)
         yield Window(samples, selected, first[rows] - before * run, length, run, levels[:, rows], *curve)
 
 

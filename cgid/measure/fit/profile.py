@@ -60,11 +60,6 @@ def _interpolation() -> tuple[Floats, Floats]:
     return fine, matrix
 
 
-def parabolic(best: Optimum, variance: Floats) -> Floats:
-    """Return the covariance of a parabolic likelihood for noise of this variance, (n,)."""
-    return covariance_of(best.information, best.parameters) * variance[:, None, None]
-
-
 @dataclass(frozen=True, eq=False, repr=False)
 class Profiled:
     """The best parameters at each of `PROFILED` shapes, and their squared residuals."""
@@ -81,7 +76,7 @@ class Profiled:
         away = np.abs(self.result.valleys[2] - best.parameters[:, 3])
         guess = np.where((away[1] < away[0])[:, None], self.result.start(), self.result.start(second=True))
         guess[:, 0] *= self.parameters[:, 0, 0] / self.result.peak[:, 0]
-        likely = self.result.has_second(BIN * self.result.unit * variance / self.scale)
+        likely = self.result.in_doubt(BIN * self.result.unit * variance / self.scale)
         if self.binned:
             return guess, likely
         far = np.where(np.abs(PROFILED - best.parameters[:, 3:4]) > _ANOTHER, self.cost, np.inf)
@@ -97,7 +92,7 @@ class Profiled:
         best, shapes = tops[0].parameters, [np.broadcast_to(fine, (len(variance), fine.size))]
         squares = [np.matmul((self.cost / variance[:, None])[:, None], spline.T)[:, 0]]
         away = [np.matmul(spline, _away(self.parameters, PROFILED, best))]
-        covariances = [parabolic(top, variance) for top in tops]
+        covariances = [covariance_of(top.information, top.parameters, variance) for top in tops]
         for top, covariance in zip(tops, covariances, strict=True):
             shape = top.parameters[:, 3:4]
             deviation = np.sqrt(covariance[:, 3, 3:4])
@@ -137,7 +132,7 @@ def _away(parameters: Floats, shape: Floats, best: Floats) -> Floats:
 
 def _reported(parameters: Floats, shape: Floats) -> Floats:
     """Return (ln peak, ln duration, onset, shape) of parameters (n, k, 4) at shapes of (n, k) or (k,)."""
-    duration, lead, _, _ = (a.reshape(shape.shape) for a in relative_times(shape.ravel()))
+    duration, lead = (a.reshape(shape.shape) for a in relative_times(shape.ravel())[:2])
     shape = np.broadcast_to(shape, parameters.shape[:2])
     log_peak = np.log(np.maximum(parameters[:, :, 0], 1e-300))
     onset = parameters[:, :, 2] - lead * np.exp(parameters[:, :, 1])

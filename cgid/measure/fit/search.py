@@ -24,8 +24,8 @@ NODES = np.concatenate([np.linspace(MIN_SHAPE, 0.8, 20), [1.2, 1.8, MAX_SHAPE]])
 #: Inner nodes with evenly spaced neighbours.
 _EVEN = np.abs(np.diff(NODES, n=2)) < 1e-9
 #: Bins of the common coordinates, in widths of the elastic pulse.
-_FIRST, _LAST, N_BINS = -1.5, 4.1, 56
-BIN = (_LAST - _FIRST) / N_BINS
+_FIRST, LAST, N_BINS = -1.5, 4.1, 56
+BIN = (LAST - _FIRST) / N_BINS
 EDGES = _FIRST + BIN * np.arange(N_BINS + 1)
 MIDDLES = EDGES[:-1] + 0.5 * BIN
 #: Repetitions of the search, and its largest steps in peak time (over the width) and ln(width).
@@ -150,9 +150,9 @@ def around(
     n_samples = samples.shape[1]
     # Lengths come in steps, and the last sample repeats beyond the frame, so that a row depends neither on the other
     # rows nor on samples further away.
-    required = np.maximum(reach * (_LAST - _FIRST) * width, 2.0**_SHORTEST)
+    required = np.maximum(reach * (LAST - _FIRST) * width, 2.0**_SHORTEST)
     length = 1 << np.minimum(np.ceil(np.log2(required)), 40).astype(np.intp)
-    middle = peak_time + 0.5 * (_FIRST + _LAST) * width
+    middle = peak_time + 0.5 * (_FIRST + LAST) * width
     first = np.minimum(np.maximum(np.floor(middle - 0.5 * length), 0), n_samples - 2).astype(np.intp)
     complete = length >= 2 * n_samples
     length[complete], first[complete] = n_samples, 0
@@ -164,12 +164,6 @@ def around(
         columns += (rows * n_samples)[:, None]
         last = np.minimum(first[rows] + n_columns, n_samples) - 1
         yield rows, Samples(samples.ravel().take(columns), offset[rows], clip_level[rows], first[rows], last)
-
-
-def last_bin(peak_time: Floats, width: Floats, shape: Floats) -> Floats:
-    """Return the ends of the bins around pulses [samples], from peak time and width [samples] and shape."""
-    shape_peak_time, shape_width = bank().conditions(shape)
-    return peak_time + (_LAST - shape_peak_time) * width / shape_width
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -192,17 +186,11 @@ class SearchResult:
         """Return some of the rows."""
         return SearchResult(**{one.name: getattr(self, one.name)[n_columns] for one in fields(self)})
 
-    def in_doubt(self, shape: Floats, variance: Floats) -> NDArray[np.bool_]:
-        """Return which pulses may have a very different shape, for noise of this variance, (n,)."""
-        far = np.where(np.abs(NODES - shape[:, None]) > _FAR, self.cost, np.inf).min(axis=1)
-        return self._likely(far, variance)
-
-    def has_second(self, variance: Floats) -> NDArray[np.bool_]:
-        """Return which pulses have a second minimum that may be the true one, for noise of this variance, (n,)."""
-        return self._likely(self.valleys[1][1], variance)
-
-    def _likely(self, cost: Floats, variance: Floats) -> NDArray[np.bool_]:
-        lowest, scale = self.valleys[1][0], self.unit * BIN / variance
+    def in_doubt(self, variance: Floats, shape: Floats | None = None) -> NDArray[np.bool_]:
+        """Return which pulses may be those of the second minimum, or far from a `shape`, for this noise, (n,)."""
+        (lowest, cost), scale = self.valleys[1], self.unit * BIN / variance
+        if shape is not None:
+            cost = np.where(np.abs(NODES - shape[:, None]) > _FAR, self.cost, np.inf).min(axis=1)
         # The bins of a pulse of few samples are coarse.
         return np.asarray((cost - lowest) * scale < _MIN_COST_RISE * np.maximum(lowest * scale / N_BINS, 1.0))
 

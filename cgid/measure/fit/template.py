@@ -52,13 +52,11 @@ def tables() -> tuple[NDArray[np.float32], Floats]:
         return np.load(TEMPLATE_PATH, allow_pickle=False), stored["times"]
 
 
-def relative_times(shape: Floats) -> tuple[Floats, Floats, Floats, Floats]:
-    """Return contact duration and time from onset to peak over the width (impulse over peak), and their slopes in s."""
-    return _near_node(shape)[2:]
+def relative_times(shape: Floats) -> tuple[Floats, Floats, Floats, Floats, NDArray[np.intp], Floats]:
+    """Return contact duration and time from onset to peak over the width (impulse over peak), and their slopes in s.
 
-
-def _near_node(shape: Floats) -> tuple[NDArray[np.intp], Floats, Floats, Floats, Floats, Floats]:
-    """Return the nearest node of s (of -s above 0), the distance from it, and `relative_times`."""
+    Last, the nearest node of s (of -s above 0) and the distance from it.
+    """
     position = (-np.abs(shape) - MIN_SHAPE) / _SPACING
     # Of nan, which a fit of no pulse may try, fmax and fmin make a node.
     node = np.fmin(np.fmax(np.rint(position), 0), N_SHAPES - 1).astype(np.intp)
@@ -72,7 +70,7 @@ def _near_node(shape: Floats) -> tuple[NDArray[np.intp], Floats, Floats, Floats,
         rise_time = np.where(turned, duration - rise_time, rise_time)
         duration_slope = np.where(turned, -duration_slope, duration_slope)
         peak_slope = np.where(turned, duration_slope + peak_slope, peak_slope)
-    return node, offset, duration, rise_time, duration_slope, peak_slope
+    return duration, rise_time, duration_slope, peak_slope, node, offset
 
 
 def curve(fraction: Floats, shape: Floats) -> Floats:
@@ -97,7 +95,7 @@ def slopes_and_pulse(parameters: Floats, times: Floats, onset_known: bool = Fals
     # .05.
     peak, log_width, peak_time, shape = parameters.T
     width = np.exp(log_width)
-    node, offset, duration, lead, duration_slope, lead_slope = _near_node(shape)
+    duration, lead, duration_slope, lead_slope, node, offset = relative_times(shape)
     turned = shape > 0
     sign = np.where(turned, -1.0, 1.0)
     # Time in cells x is linear in time, and the slopes are linear in x.
@@ -159,11 +157,11 @@ def slopes_and_pulse(parameters: Floats, times: Floats, onset_known: bool = Fals
     return out
 
 
-def covariance_of(information: Floats, parameters: Floats) -> Floats:
-    """Return the covariance of `PARAMETERS`, (n, 4, 4), for noise of variance 1."""
+def covariance_of(information: Floats, parameters: Floats, variance: Floats) -> Floats:
+    """Return the covariance of `PARAMETERS` in a parabolic likelihood, (n, 4, 4), for noise of a variance, (n,)."""
     peak, log_width, _, shape = parameters.T
     width = np.exp(log_width)
-    duration, lead, duration_slope, lead_slope = relative_times(shape)
+    duration, lead, duration_slope, lead_slope, *_ = relative_times(shape)
     jacobian = np.zeros((len(peak), 4, 4))
     jacobian[:, 0, 0] = 1 / peak
     jacobian[:, 1, 1], jacobian[:, 1, 3] = 1.0, duration_slope / duration
@@ -171,7 +169,7 @@ def covariance_of(information: Floats, parameters: Floats) -> Floats:
     jacobian[:, 3, 3] = 1.0
     scale, unit = scaled(information, 1e-12)
     inverse = np.linalg.inv(unit) / (scale[:, :, None] * scale[:, None, :])
-    return np.asarray(jacobian @ inverse @ np.swapaxes(jacobian, 1, 2))
+    return np.asarray(jacobian @ inverse @ np.swapaxes(jacobian, 1, 2) * variance[:, None, None])
 
 
 def bounded(step: Floats, free: list[int], width: Floats) -> Floats:
