@@ -506,7 +506,7 @@ def test_commands_name_the_channels_of_one_beam(default_force: StoredModel) -> N
     beams = replace(default_force, training={**default_force.training, "same_beam": ["1+2"]})
     unlike = Answer(time=0.0, channel="1", label="unknown", novelty=9.0, probabilities={"coal": 1.0})
     for own, given, channels, first in (
-        (default_force, [], ["1", "2"], "cgid events x.wav --unit N --channel 1 -o events.csv"),
+        (default_force, [], ["1", "2"], "cgid events x.wav --unit N --channel {} -o events.csv"),
         (default_force, ["--same-beam", "1+2"], ["1+2"], "cgid events x.wav --unit N --same-beam 1+2 -o events.csv"),
         (beams, ["--same-beam", "1+2"], ["1+2"], "cgid events x.wav --unit N --same-beam 1+2 -o events.csv"),
     ):
@@ -514,7 +514,7 @@ def test_commands_name_the_channels_of_one_beam(default_force: StoredModel) -> N
         diagnosis.add([replace(unlike, time=float(k), channel=name) for k in range(30) for name in channels])
         steps = NextSteps(diagnosis, 200e3, "x.wav", ["--unit", "N"], given, channels=["1", "2"])
         for hint in map(steps.of, diagnosis.findings()):
-            assert (hint.kind, hint.commands[0]) == ("unknown", first)
+            assert (hint.kind, hint.commands[0]) == ("unknown", first.format(*hint.channels))
             assert ("--same-beam 1+2" in hint.commands[-1]) is bool(given)
             assert ("--channel" in hint.commands[-1]) is False
     (found,) = (one for one in of_model(beams, 200e3, PredictionSettings(), ["1", "2"]) if one.kind == "together")

@@ -27,7 +27,7 @@ _CLIPPED, _UPPER = 2.0, 0.85
 #: The upper end of n levels lies above and below that by more than sqrt(a / n + b) in less than one of 200 recordings
 #: each, by simulation (forces: benchmarks/plant/false_alarms.py, beams: benchmarks/plant/wrong_scale.py): (a, b) above
 #: and below, for a force and for what a beam gives. Slow rebounds on a beam only lower the level.
-_SPREAD = {False: ((6.5, 0.09), (9.0, 0.02)), True: ((3.5, 0.05), (15.0, 0.34))}
+_SPREAD = {False: ((6.5, 0.09), (10.0, 0.02)), True: ((3.5, 0.05), (15.0, 0.34))}
 #: Pulses below so many times the noise are not heard. Of 3 to 20 it tells most factors of 2 at the same false alarms.
 _HEARD = 4.0
 #: So many latest levels, n, may be a mixture with the coal of an anchor if their upper end is no further below the
