@@ -11,12 +11,13 @@ import numpy as np
 import pytest
 from scipy.io import wavfile
 
-from cgid import synthesise
+from cgid import predict, synthesise
 from cgid.cli.main import run
 from cgid.errors import BadData
 from cgid.identification.detection.windows import measure_windows
 from cgid.identification.model.model import StoredModel
 from cgid.identification.prediction import Answer, PredictionSettings, identify, identify_recording
+from cgid.identification.prediction.findings import FindingWarning
 from cgid.identification.prediction.fraction import ShutDecision
 from cgid.identification.prediction.stream import identify_blocks, independence
 from cgid.identification.prediction.support import CavingWatch
@@ -357,3 +358,28 @@ def test_model_of_windows_answers_windows(tmp_path: Path, capsys: pytest.Capture
     arguments[1] = str(tmp_path / "short.wav")
     assert run(arguments) == 65
     assert "must contain a window of 0.1 s" in capsys.readouterr().err
+
+
+def test_python_hears_what_the_command_hears_beside_a_gap(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Samples that are not finite are no reading, of a file and of an array alike."""
+    (whole,) = read_recording(ROOT / "datasets" / "sample.csv")
+    samples = whole.samples.astype("<f4")
+    samples[:50], samples[-7] = np.nan, np.inf
+    np.save(tmp_path / "gaps.npy", samples)
+    how = {"sampling_rate": whole.sampling_rate, "unit": "N"}
+    assert (
+        run(["predict", str(tmp_path / "gaps.npy"), "--rate", repr(whole.sampling_rate), "--unit", "N", "--json"]) == 0
+    )
+    lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    rows = [line for line in lines if line["kind"] == "impact"]
+    (gap,) = (line for line in lines if line.get("finding") == "missing")
+    for given in (tmp_path / "gaps.npy", samples, samples.astype(float)):
+        with pytest.warns(FindingWarning, match="51 samples in 2 gaps"):
+            table = predict(given, **how)
+        assert list(table["label"]) == [row["label"] for row in rows] and len(rows) >= 5
+        np.testing.assert_allclose(table["time_s"], [row["time_s"] for row in rows], atol=1e-6)
+        assert table.attrs["findings"][0]["message"] == gap["message"]
+    with pytest.warns(FindingWarning, match="no reading|no impact"), pytest.raises(BadData, match="must be finite"):
+        predict(np.full(5000, np.nan), 25600.0, "N")
+    with pytest.raises(BadData, match="real numbers"):
+        predict(np.ones(5000, complex), 25600.0, "N")

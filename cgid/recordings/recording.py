@@ -529,6 +529,8 @@ class RecordingFile:
             As `blocks`.
         """
         start = whole("start", start, 0)
+        if start == 0 and stop is None:
+            return self._all_samples()
         stop = sys.maxsize if stop is None else whole("stop", stop, start)
         if self.n_samples is not None:
             stop = min(stop, self.n_samples)
@@ -568,12 +570,8 @@ class RecordingFile:
 
     def signals_and_faults(self) -> tuple[list[Signal], list[BadData]]:
         """Return one `Signal` for each channel whose samples are all finite, and an error for each other channel."""
-        try:
-            samples = self._all_samples()
-        except MemoryError:
-            raise BadData(f"{self.source}: the recording must fit in memory and does not; cut it into parts") from None
         signals, faults = [], []
-        for row, channel in zip(samples, self.channels, strict=True):
+        for row, channel in zip(self.samples(), self.channels, strict=True):
             try:
                 signal = Signal(
                     samples=row,
@@ -605,14 +603,17 @@ class RecordingFile:
             )
 
     def _all_samples(self) -> NDArray[Any]:
-        if self.n_samples is None:
-            return np.concatenate(list(self._blocks(BLOCK_LENGTH)), axis=1)
-        out, filled = np.empty((len(self._selected), 0)), 0
-        for block in self._blocks(BLOCK_LENGTH):
-            if not filled:
-                out = np.empty((len(block), self.n_samples), block.dtype)
-            out[:, filled : filled + block.shape[1]] = block
-            filled += block.shape[1]
+        try:
+            if self.n_samples is None:
+                return np.concatenate(list(self._blocks(BLOCK_LENGTH)), axis=1)
+            out, filled = np.empty((len(self._selected), 0)), 0
+            for block in self._blocks(BLOCK_LENGTH):
+                if not filled:
+                    out = np.empty((len(block), self.n_samples), block.dtype)
+                out[:, filled : filled + block.shape[1]] = block
+                filled += block.shape[1]
+        except MemoryError:
+            raise BadData(f"{self.source}: the recording must fit in memory and does not; cut it into parts") from None
         return out[:, :filled]
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, cast
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cgid._lib import validation
 from cgid._lib.validation import SAME_RATE
@@ -121,9 +122,10 @@ def predict(  # noqa: PLR0913 - one argument a setting, so that editors complete
     Parameters
     ----------
     samples : str, Path, Signal, list of Signal, Batch, Dataset, or array_like (n_samples,) or (n_samples, n_channels)
-        A recording, which `read_recording` reads into memory, or the path of a dataset. Signals are channels of one
+        A recording, which is read into memory, or the path of a dataset. Signals are channels of one
         length, with their rate, unit and names. A batch or dataset has one impact a signal. An array is in `unit`; the
-        columns of a DataFrame name its channels, else they are numbered from 1.
+        columns of a DataFrame name its channels, else they are numbered from 1. Samples of a recording or an array that
+        are not finite are no reading.
     sampling_rate : float, optional
         [Hz]; required for an array, and for a file that does not state it. Where a file states another one, this is
         used, with a warning; one that contradicts an object is refused.
@@ -174,7 +176,7 @@ def predict(  # noqa: PLR0913 - one argument a setting, so that editors complete
     Raises
     ------
     BadData
-        The samples are not finite, have another shape, are of another quantity than the model's, Signals differ in
+        No samples are finite, they have another shape, are of another quantity than the model's, Signals differ in
         length or rate, or a file cannot be read as a recording.
     InvalidValue
         The sampling rate, the unit, the sensitivity or a setting is invalid.
@@ -224,29 +226,22 @@ def predict(  # noqa: PLR0913 - one argument a setting, so that editors complete
     if isinstance(samples, str | Path):
         chain: dict[str, Any] = {"sensitivity": sensitivity, "gain": gain, "full_scale": full_scale}
         recording = open_recording(samples, sampling_rate=sampling_rate, unit=unit, site=place, **chain)
-        signals, beams = recording.signals(), recording.beams
+        channels, beams, source = [*recording.channels], recording.beams, recording.source
+        rate, columns = recording.sampling_rate, recording.samples()
         read = [Finding(kind="reading", fields={"text": one}) for one in recording.messages]
     else:
-        rate = place.get("rate") if sampling_rate is None and site else sampling_rate
-        signals, beams = _measured(samples, rate, unit, Chain.of(sensitivity, gain, full_scale), place)
+        stated_rate = place.get("rate") if sampling_rate is None and site else sampling_rate
+        chain_of = Chain.of(sensitivity, gain, full_scale)
+        channels, columns, rate, source, beams = _measured(samples, stated_rate, unit, chain_of, place)
         read = []
     if "same_beam" not in settings and beams != applied.same_beam:
         applied = replace(applied, same_beam=beams)
-    first = signals[0]
-    loaded = read_model(default_model(first.quantity, applied) if model is None else model)
-    channels = [Channel(name=signal.channel, unit=signal.unit) for signal in signals]
-    duration = len(first.samples) / first.sampling_rate
-    pipeline = Pipeline(
-        loaded,
-        channels,
-        first.sampling_rate,
-        applied,
-        first.source,
-        watched=duration >= applied.blinded_after,  # for a shorter recording no channel is blind
-    )
+    loaded = read_model(default_model(channels[0].quantity, applied) if model is None else model)
+    watched = columns.shape[1] / rate >= applied.blinded_after  # in a shorter recording no channel is blind
+    pipeline = Pipeline(loaded, channels, rate, applied, source, watched=watched)
     if read:
-        warn(pipeline.findings.tell(read), first.source, len(channels), stacklevel=3)
-    answers = list(answers_with_warnings(pipeline, [np.stack([signal.samples for signal in signals])]))
+        warn(pipeline.findings.tell(read), source, len(channels), stacklevel=3)
+    answers = list(answers_with_warnings(pipeline, [columns]))
     table = _table(answers, loaded, applied)
     found = pipeline.findings.in_order if pipeline.findings.all else []
     table.attrs["findings"] = [one.content() for one in found if not one.is_of_fraction]
@@ -255,8 +250,11 @@ def predict(  # noqa: PLR0913 - one argument a setting, so that editors complete
 
 def _measured(
     samples: Any, sampling_rate: float | None, unit: str | None, chain: Chain, site: Site
-) -> tuple[list[Signal], Groups]:
-    """Return the channels of samples or Signals, in the measured quantity, and those of each beam by the site."""
+) -> tuple[list[Channel], NDArray[Any], float, str, Groups]:
+    """Return channels, samples (n_channels, n_samples), rate and source of an array or Signals, and those of each beam.
+
+    Samples are of the measured quantity; those that are not finite are no reading.
+    """
     listed = [samples] if isinstance(samples, Signal) else samples
     one = listed[0] if isinstance(listed, list | tuple) and listed else None
     if isinstance(one, Batch | str | Path) or hasattr(one, "batches") or hasattr(listed, "__next__"):
@@ -264,44 +262,49 @@ def _measured(
             f"samples: a list must be of Signals, got a {type(samples if one is None else one).__name__}; give one "
             "Batch, Dataset or path a call"
         )
+    source, largest = "samples", None
     of_signals = isinstance(listed, list | tuple) and any(isinstance(one, Signal) for one in listed)
-    signals = _require_alike(listed, sampling_rate) if of_signals else _signals(samples, sampling_rate)
-    unit = site.get("unit") if unit is None and not of_signals and site is not NOWHERE else unit
-    if not of_signals and unit is None and chain == Chain():
-        raise MissingOption("samples: an array has no unit; give it, as in unit='N' or unit='m/s^2'")
-    dtype = None if of_signals else validation.plain("samples", samples).dtype
-    largest = None
-    if dtype is not None and dtype.kind != "f":
-        from cgid.recordings.variables import full_scale_of
+    if of_signals:
+        signals = _require_alike(listed, sampling_rate)
+        rate, source, columns = signals[0].sampling_rate, signals[0].source, np.stack([one.samples for one in signals])
+        names, units = [one.channel for one in signals], [one.unit for one in signals]
+    else:
+        rate = validation.require_rate(validation.given_rate(samples, sampling_rate))
+        columns, names = _columns(samples)
+        units = [None] * len(names)
+        unit = site.get("unit") if unit is None and site is not NOWHERE else unit
+        if unit is None and chain == Chain():
+            raise MissingOption("samples: an array has no unit; give it, as in unit='N' or unit='m/s^2'")
+        if columns.dtype.kind != "f":
+            from cgid.recordings.variables import full_scale_of
 
-        largest = full_scale_of(dtype)
+            largest = full_scale_of(columns.dtype)
     contents = Blocks(
-        n_channels=len(signals),
+        n_channels=len(names),
         read=lambda length, channels: iter(()),
-        names=[signal.channel for signal in signals],
-        units=[signal.unit for signal in signals],
-        full_scales=[largest] * len(signals),
-        integers=[largest is not None] * len(signals),
+        names=names,
+        units=units,
+        full_scales=[largest] * len(names),
+        integers=[largest is not None] * len(names),
     )
     if not of_signals and site is not NOWHERE:  # Signals were read by a site, or state all of it
-        contents, chain = site.applied(contents, chain, signals[0].source)
-        signals = [replace(signal, channel=contents.label(k)) for k, signal in enumerate(signals)]
-    links = chain.links(contents, range(len(signals)), unit, signals[0].source)
-    with np.errstate(over="ignore"):  # infinite samples are refused
-        measured = [
-            replace(
-                signal, unit=link.unit, samples=signal.samples * link.factor if link.factor != 1 else signal.samples
-            )
-            for signal, link in zip(signals, links, strict=True)
-        ]
-    return measured, () if site is NOWHERE else site.beams(contents, signals[0].source)
+        contents, chain = site.applied(contents, chain, source)
+        names = [contents.label(k) for k in range(len(names))]
+    links = chain.links(contents, range(len(names)), unit, source)
+    channels = [Channel(name=name, unit=link.unit) for name, link in zip(names, links, strict=True)]
+    columns = columns if columns.dtype in (np.float32, np.float64) else columns.astype(np.float64)
+    if any(link.factor != 1 for link in links):
+        with np.errstate(over="ignore"):  # what is infinite is no reading
+            columns = np.stack([row * link.factor for row, link in zip(columns, links, strict=True)])
+    return channels, columns, rate, source, () if site is NOWHERE else site.beams(contents, source)
 
 
-def _signals(samples: Any, sampling_rate: float | None) -> list[Signal]:
-    """Return the channels of samples (n_samples,) or (n_samples, n_channels), without unit."""
-    sampling_rate = validation.given_rate(samples, sampling_rate)
+def _columns(samples: Any) -> tuple[NDArray[Any], list[str]]:
+    """Return samples (n_samples,) or (n_samples, n_channels) as (n_channels, n_samples), and the channels' names."""
     names = getattr(samples, "columns", None)
     columns = validation.plain("samples", samples)
+    if columns.dtype.kind not in "fiu":
+        raise BadData(f"samples must be real numbers, got type {columns.dtype}")
     if columns.ndim == 1:
         columns, names = columns[:, np.newaxis], None
     if columns.ndim != 2 or not columns.size:
@@ -312,10 +315,7 @@ def _signals(samples: Any, sampling_rate: float | None) -> list[Signal]:
             "one impact a row? give a cgid.Batch, which needs no labels; one channel a row? transpose them"
         )
     labels = range(1, columns.shape[1] + 1) if names is None else names
-    return [
-        Signal(samples=column, sampling_rate=sampling_rate, source="samples", channel=str(label))
-        for label, column in zip(labels, np.ascontiguousarray(columns.T), strict=True)
-    ]
+    return np.ascontiguousarray(columns.T), [str(label) for label in labels]
 
 
 def _require_alike(signals: Sequence[Any], sampling_rate: float | None) -> list[Signal]:
