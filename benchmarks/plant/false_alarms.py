@@ -5,7 +5,8 @@
 
 A recording of forces has 60 impacts in its scene, or on a rig of its own; one of a beam has 220 rocks of a seam that is
 drawn as those of the fraction; a stream of other code (benchmarks/beam/anchor.py) has 40 s. Counted are recordings of
-which the whole tells a fault, and those of which a live watch tells one at any look.
+which the whole tells a fault, and those of which a live watch tells one at any look. With `--looks N`, so many looks
+follow at impacts of the recording that are drawn again and again, and what begins in them is counted.
 """
 
 import argparse
@@ -19,6 +20,7 @@ from benchmarks.beam import anchor
 from cgid import shipped
 from cgid.identification.model.confusion import wilson_interval
 from cgid.identification.model.model import StoredModel
+from cgid.identification.prediction.answers import Answer
 from cgid.identification.prediction.explanation import ChannelWatch, explain
 from cgid.learning.faults import answers_of, any_seam
 from cgid.scene import load_scene, synthesise
@@ -56,8 +58,20 @@ def others(n: int, seed: int) -> Iterator[Recording]:
         yield name, anchor.stream(anchor.SEAMS[name], 40.0, gangue, seed + number)[0], anchor.RATE
 
 
-def judge(kind: str, recordings: Iterator[Recording], model: StoredModel) -> None:
+def begun(answers: list[Answer], model: StoredModel, n_looks: int, seed: int) -> list[str]:
+    """Return what begins in so many looks at the impacts of a recording, drawn at random."""
+    rng, watch, found = np.random.default_rng(seed), ChannelWatch(model), list[str]()
+    for number in rng.integers(len(answers), size=40 * n_looks).tolist():
+        before = watch.explained.faults
+        watch.add(answers[number])
+        if watch.explained.faults and not before:
+            found += [str(one) for one in watch.explained.faults[:1]]
+    return found
+
+
+def judge(kind: str, recordings: Iterator[Recording], model: StoredModel, n_looks: int) -> None:
     whole, live, n, looks = 0, 0, 0, 0
+    later, all_later = [], 0
     for name, samples, rate in recordings:
         answers = answers_of(samples, rate, model)
         told = [str(one) for one in explain(answers, model).faults]
@@ -67,6 +81,9 @@ def judge(kind: str, recordings: Iterator[Recording], model: StoredModel) -> Non
             watch.add(answer)
             if watch.explained.faults and watch.explained.faults != before:
                 at_looks += [str(one) for one in watch.explained.faults]
+        if n_looks and len(answers) > 100:
+            later += [f"{name}: {one}" for one in begun(answers, model, n_looks, n)]
+            all_later += n_looks
         n, whole, live, looks = n + 1, whole + bool(told), live + bool(at_looks), looks + len(answers) // 40
         if told or at_looks:
             n_ends = int(np.isin(samples, [samples.min(), samples.max()]).sum())
@@ -78,20 +95,24 @@ def judge(kind: str, recordings: Iterator[Recording], model: StoredModel) -> Non
         low, high = wilson_interval(count / n, n)
         print(f"{kind}, {way}: {count} of {n} ({low:.3f} to {high:.3f})", flush=True)
 
+    if all_later:
+        print(f"{kind}, in {all_later} more looks: {len(later)} begin {later}", flush=True)
+
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     for kind, count in (("forces", 400), ("beams", 400), ("others", 31)):
         parser.add_argument(f"--{kind}", type=int, default=count)
     parser.add_argument("--seed", type=int, default=740_000, help="one that no training used")
+    parser.add_argument("--looks", type=int, default=0, help="more looks at each recording")
     given = parser.parse_args()
     force, beam = (
         StoredModel.load(shipped.path_of("models", name))
         for name in (shipped.DEFAULT_MODEL, shipped.ACCELERATION_MODEL)
     )
-    judge("forces", forces(given.forces, given.seed), force)
-    judge("beams", beams(given.beams, given.seed), beam)
-    judge("others", others(given.others, given.seed), beam)
+    judge("forces", forces(given.forces, given.seed), force, given.looks)
+    judge("beams", beams(given.beams, given.seed), beam, given.looks)
+    judge("others", others(given.others, given.seed), beam, given.looks)
 
 
 if __name__ == "__main__":
