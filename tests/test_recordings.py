@@ -463,7 +463,7 @@ def test_inputs_that_cannot_be_opened(tmp_path, monkeypatch):
             read_recording(tmp_path / "locked.csv")
     (tmp_path / "large.csv").write_text("1\n2\n")
     with monkeypatch.context() as patch:
-        patch.setattr(RecordingFile, "_all_samples", lambda _: (_ for _ in ()).throw(MemoryError()))
+        patch.setattr(RecordingFile, "_blocks", lambda *_: (_ for _ in ()).throw(MemoryError()))
         with pytest.raises(BadData, match="memory"):
             read_recording(tmp_path / "large.csv", sampling_rate=1)
     monkeypatch.setattr(sys, "stdin", None)

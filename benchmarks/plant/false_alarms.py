@@ -6,7 +6,7 @@
 A recording of forces has 60 impacts in its scene, or on a rig of its own; one of a beam has 220 rocks of a seam that is
 drawn as those of the fraction; a stream of other code (benchmarks/beam/anchor.py) has 40 s. Counted are recordings of
 which the whole tells a fault, and those of which a live watch tells one at any look. With `--looks N`, so many looks
-follow at impacts of the recording that are drawn again and again, and what begins in them is counted.
+follow at impacts of the recording that come again and again, and what begins in them is counted.
 """
 
 import argparse
@@ -59,9 +59,14 @@ def others(n: int, seed: int) -> Iterator[Recording]:
 
 
 def begun(answers: list[Answer], model: StoredModel, n_looks: int, seed: int) -> list[str]:
-    """Return what begins in so many looks at the impacts of a recording, drawn at random."""
+    """Return what begins in so many looks at the impacts of a recording, each half of them shuffled in turn.
+
+    So no impact is twice in one look, where two largest samples would be those of a recorder's limit.
+    """
     rng, watch, found = np.random.default_rng(seed), ChannelWatch(model), list[str]()
-    for number in rng.integers(len(answers), size=40 * n_looks).tolist():
+    halves = np.array_split(np.arange(len(answers)), 2)
+    rounds = 40 * n_looks // len(halves[0]) + 1
+    for number in np.concatenate([rng.permutation(halves[k % 2]) for k in range(rounds)]).tolist():
         before = watch.explained.faults
         watch.add(answers[number])
         if watch.explained.faults and not before:
@@ -81,7 +86,7 @@ def judge(kind: str, recordings: Iterator[Recording], model: StoredModel, n_look
             watch.add(answer)
             if watch.explained.faults and watch.explained.faults != before:
                 at_looks += [str(one) for one in watch.explained.faults]
-        if n_looks and len(answers) > 100:
+        if n_looks and len(answers) > 240:
             later += [f"{name}: {one}" for one in begun(answers, model, n_looks, n)]
             all_later += n_looks
         n, whole, live, looks = n + 1, whole + bool(told), live + bool(at_looks), looks + len(answers) // 40
