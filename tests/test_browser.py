@@ -64,7 +64,8 @@ def pressed(driver: Any, *keys: str) -> None:
 def asked(driver: Any) -> set[str]:
     """Return the addresses that the browser has asked for, and fail for what its console says."""
     # A server that is killed refuses what is asked next, and answers half of what it was asked, or nothing.
-    gone = ("ERR_CONNECTION_REFUSED", "ERR_CONNECTION_RESET", "ERR_EMPTY_RESPONSE", "ERR_INCOMPLETE_CHUNKED", "403")
+    halves = ("ERR_EMPTY_RESPONSE", "ERR_INCOMPLETE_CHUNKED", "ERR_CONTENT_LENGTH_MISMATCH")
+    gone = ("ERR_CONNECTION_REFUSED", "ERR_CONNECTION_RESET", *halves, "403")
     assert [line for line in driver.get_log("browser") if not any(one in line["message"] for one in gone)] == []
     messages = [json.loads(line["message"])["message"] for line in driver.get_log("performance")]
     sent = [one["params"]["request"]["url"] for one in messages if one["method"] == "Network.requestWillBeSent"]
