@@ -37,7 +37,7 @@ WALKS = {
     "predict of one impact in memory": [],
 }
 #: What `.ci/run` allows: functions that a second run enters, and modules in the longest chain of imports.
-MOST_FUNCTIONS = {"predict of one impact in memory": 153, "predict datasets/sample.csv": 376}
+MOST_FUNCTIONS = {"predict of one impact in memory": 154, "predict datasets/sample.csv": 377}
 LONGEST_CHAIN = 16
 RUNS = ("first", "second")
 COUNTED = "functions / files / jumps / calls deep / calls / of these checks"

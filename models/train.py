@@ -103,8 +103,7 @@ BEAM_RIGS = {name: RIGS[name] for name in ("noise_exponent", "hum", "hum_frequen
 }
 #: Samples of a frame on all rigs, of which before touch: 4.1 ms at 1 MHz, where the longest contact lasts 2.1 ms.
 RIG_FRAME = {"samples": 4096, "pre_trigger": 300}
-#: Simulated recordings of a beam and of forces, each sound and spoilt in six or seven ways; impacts of one of forces.
-N_STREAMS_SPOILT = 64
+#: Simulated recordings of forces, each sound and spoilt in six ways; impacts of one.
 N_FORCES_SPOILT = 400
 IMPACTS_SPOILT = 128
 #: Scenes of successive recordings of forces, of each shipped one (0, 4, 8) and its three rigs after it: half at home.
@@ -274,7 +273,7 @@ def finish(model: StoredModel, n_impacts: int, n_streams: int, seed: int) -> Sto
 def recordings(model: StoredModel, seed: int) -> Iterator[list[Recording]]:
     """Yield simulated recordings of a model, each sound and spoilt."""
     if model.beam is not None:
-        yield from of_seams(load_scene(shipped.scene_path("caving")), model, range(N_RECORDINGS), seed)
+        yield from of_seams(load_scene(shipped.scene_path("caving")), model, N_RECORDINGS, seed)
         return
     scenes = []
     for scene in map(shipped_scene, ("reference", "rock", "corners")):

@@ -337,10 +337,11 @@ def test_a_training_of_few_impacts_explains_nothing() -> None:
     """A dozen simulated recordings do not tell what is rare among sound ones."""
     model, scene = model_of("beam"), load_scene(shipped.scene_path("caving"))
     n_least = faults.LEAST_RECORDINGS * faults.IMPACTS_EACH
-    assert faults.explained(model, scene, n_least - 1, 0) is model
+    assert faults.number_of_recordings(n_least) == faults.LEAST_RECORDINGS
+    assert faults.explained(model, scene, faults.number_of_recordings(n_least - 1), 0) is model
     plain = {name: one for name, one in model.arrays.items() if not name.startswith(("seams.", *Explanations.PREFIXES))}
     other = replace(model, labels=("coal", "stone"), arrays=plain)
-    assert faults.explained(other, scene, 2 * n_least, 0) is other
+    assert faults.explained(other, scene, faults.number_of_recordings(2 * n_least), 0) is other
 
 
 @pytest.mark.long
@@ -352,14 +353,13 @@ def test_a_model_of_a_user_explains_recordings(monkeypatch: pytest.MonkeyPatch) 
     others = ("beam.", *Explanations.PREFIXES)
     plain = {name: one for name, one in model.arrays.items() if not name.startswith(others)}
     model = replace(model, arrays=plain | full_beam(scene).arrays)
-    monkeypatch.setattr(faults, "LEAST_RECORDINGS", 10)
     monkeypatch.setattr(faults, "_N_ROCKS", 100)
     counted: list[int] = []
-    made = faults.explained(model, scene, 10 * faults.IMPACTS_EACH, 3, progress=counted.append)
+    made = faults.explained(model, scene, 10, 3, progress=counted.append)
     assert counted == [1] * 10 and made.training["faults"]["n_recordings"] == 10
     assert made.explanations is not None and made.changes is not None
     again = StoredModel.from_bytes(made.to_bytes())
-    sound, *spoilt = next(faults.of_seams(scene, again, [70], 3))
+    sound, *spoilt = faults.of_seam((3, again, scene), 70)
     parts = {one.fault: explain_impacts(again, one.impacts) for one in (sound, *spoilt)}
     assert parts[None] == ()
     assert parts[Fault.UPSIDE_DOWN] == (Fault.UPSIDE_DOWN,)

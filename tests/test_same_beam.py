@@ -27,6 +27,7 @@ from cgid.identification.prediction.same_beam import (
     RockAssigner,
     Together,
     agreeing,
+    answering_channels,
     fused,
     grouped,
     joined,
@@ -406,7 +407,8 @@ def test_groups_are_checked(groups: object, says: str) -> None:
 def test_groups_name_channels_of_the_recording(model: StoredModel) -> None:
     names = ("left", "right", "3")
     assert grouped(names, (("3", "left"),)) == [(2, 0), (1,)]
-    assert rows_of(model, names, (("1", "right"),)) == [(0, 1), (2,)]
+    groups = rows_of(model, names, (("1", "right"),))
+    assert groups == [(0, 1), (2,)] and answering_channels(groups, names) == ("left+right", "3")
     for group, says in ((("left", "9"), "got 9"), (("left", "1"), "left twice, by name and number")):
         with pytest.raises(InvalidValue, match=says):
             rows_of(model, names, (group,))

@@ -22,7 +22,7 @@ from benchmarks.beam import independent_beam as beam
 from cgid import load_model
 from cgid.identification.model import Model
 from cgid.identification.prediction import Answer, PredictionSettings, Share
-from cgid.identification.prediction.same_beam import rows_of
+from cgid.identification.prediction.same_beam import answering_channels, rows_of
 from cgid.identification.prediction.stream import identify_blocks
 from cgid.identification.prediction.support import CavingWatch
 from cgid.scene import load_scene
@@ -96,7 +96,7 @@ class Found:
         for step in identify_blocks(blocks, beam.RATE, model, channels, settings):
             answers += step.answers
             lines += [one.line("stream", len(channels)) for one in step.found if not one.is_note]
-        supports = ["+".join(channels[row] for row in rows) for rows in rows_of(model, channels, same_beam)]
+        supports = answering_channels(rows_of(model, channels, same_beam), channels)
         watch = CavingWatch(model, supports, settings)
         found = watch.feed(answers, duration) + watch.finish(duration)
         return cls(answers, [one.state.share for one in found if one.kind == "share"], lines)

@@ -15,7 +15,7 @@ import time
 import warnings
 from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass
 from functools import cache
 from importlib.metadata import version
@@ -114,6 +114,22 @@ class Workers:
                 if results is not None:
                     results.close()
             threading.excepthook = hook
+
+    def all(
+        self,
+        function: Callable[[Common, Part], Result],
+        common: Common,
+        parts: Iterable[Part],
+        progress: Callable[[int], object] | None = None,
+    ) -> list[Result]:
+        """Return what `each` yields, and count it in `progress`."""
+        found = []
+        with closing(self.each(function, common, parts)) as results:
+            for one in results:
+                found.append(one)
+                if progress is not None:
+                    progress(1)
+        return found
 
     def _go_on(self) -> None:
         if self.stopped():

@@ -290,7 +290,7 @@ def _from_signals(data: list[str], options: dict[str, Any]) -> tuple[Any, list[A
     n_signals = options["n_signals"]
     if scene is not None and not (options["features"] or options["sensors"]):
         from cgid.identification.model.model import stored
-        from cgid.learning.faults import IMPACTS_EACH, N_RECORDINGS, explained
+        from cgid.learning.faults import explained, number_of_recordings
         from cgid.learning.seams import N_STREAMS, taught
         from cgid.learning.streams import is_streamable, numbers_of_streams, train_on_streams
 
@@ -301,9 +301,10 @@ def _from_signals(data: list[str], options: dict[str, Any]) -> tuple[Any, list[A
                 how = {"progress": progress, "workers": options["workers"]}
                 model = taught(stored(training.model), scene, n_signals, given.get("seed", 0), **how)
             if not points:  # the windows of another place would be those of another beam
-                n_recordings = min(n_signals // IMPACTS_EACH, N_RECORDINGS)
+                n_recordings = number_of_recordings(n_signals)
                 with progress_bar(n_recordings, "spoilt recordings", "measuring") as progress:
-                    model = explained(model, scene, n_signals, given.get("seed", 0), **(how | {"progress": progress}))
+                    how |= {"progress": progress}
+                    model = explained(model, scene, n_recordings, given.get("seed", 0), **how)
             training = replace(training, model=model)
             return _behind(training, scene, points, full=True), []
     beam = _beam(sources, options)

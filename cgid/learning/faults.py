@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import closing
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -153,39 +152,44 @@ def _times(value: float | str, factor: float) -> float | str:
     return f"{number[0] * factor!r} {number[1]}" if number else float(value) * factor
 
 
+def number_of_recordings(n_impacts: int) -> int:
+    """Return from how many recordings a training on so many impacts learns; none if they do not tell what is rare."""
+    n = min(n_impacts // IMPACTS_EACH, N_RECORDINGS)
+    return 0 if n < LEAST_RECORDINGS else n
+
+
 def explained(
     model: StoredModel,
     scene: Scene,
-    n_impacts: int,
+    n_recordings: int,
     seed: int,
     *,
     progress: Callable[[int], object] | None = None,
     workers: Workers = SERIAL,
 ) -> StoredModel:
-    """Return a model of the streams of a scene that explains recordings, from a recording for some of its impacts.
+    """Return a model of the streams of a scene that explains recordings; the model itself if it learns from none.
 
-    With fewer than `LEAST_RECORDINGS` it stays as it is: they do not tell what is rare.
+    Without gangue among its labels it stays as it is: the seams have coal and gangue.
     """
-    n = min(n_impacts // IMPACTS_EACH, N_RECORDINGS)
-    if n < LEAST_RECORDINGS or "gangue" not in model.labels or model.beam is None:
+    if not n_recordings or "gangue" not in model.labels or model.beam is None:
         return model
-    made = []
-    for parts in of_seams(scene, model, range(n), seed, workers=workers):
-        made.append(parts)
-        if progress is not None:
-            progress(1)
-    return with_faults(model, made, seed)
+    return with_faults(model, of_seams(scene, model, n_recordings, seed, progress, workers), seed)
 
 
 def of_seams(
-    scene: Scene, model: StoredModel, numbers: Iterable[int], seed: int, *, workers: Workers = SERIAL
-) -> Iterator[list[Recording]]:
-    """Yield a sound stream of any seam, and the same spoilt in each way."""
-    with closing(workers.each(_of_seam, (seed, model, scene), numbers)) as found:
-        yield from found
+    scene: Scene,
+    model: StoredModel,
+    n_recordings: int,
+    seed: int,
+    progress: Callable[[int], object] | None = None,
+    workers: Workers = SERIAL,
+) -> list[list[Recording]]:
+    """Return sound streams of any seam, and the same spoilt in each way."""
+    return workers.all(of_seam, (seed, model, scene), range(n_recordings), progress)
 
 
-def _of_seam(settings: tuple[int, StoredModel, Scene], number: int) -> list[Recording]:
+def of_seam(settings: tuple[int, StoredModel, Scene], number: int) -> list[Recording]:
+    """Return a sound stream of a seam, and the same spoilt in each way."""
     (seed, model, scene), rng = settings, np.random.default_rng([settings[0], number, 75])
     own = any_seam(scene, seed, number)
     made = [_of_stream(own, model, seed, number, rng, None)]

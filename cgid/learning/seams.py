@@ -11,7 +11,6 @@ from __future__ import annotations
 import json
 import warnings
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import closing
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
@@ -111,13 +110,8 @@ def pool_of(
     Noise hides coal more than gangue: coal is identified 1.2 times a rock in .5 g of noise where it is 2.1 times in
     little, gangue 1.3 times for 1.5. So the streams have its noises in turn.
     """
-    parts = []
     scenes = variations(wide(scene), n_streams, seed, rates=_RATES, loudness=_LOUDNESS)
-    with closing(workers.each(_pooled, (seed, beam), enumerate(scenes))) as streams:
-        for stream in streams:
-            parts.append(stream)
-            if progress is not None:
-                progress(1)
+    parts = workers.all(_pooled, (seed, beam), enumerate(scenes), progress)
     return Pool(**{one.name: np.concatenate([getattr(part, one.name) for part in parts]) for one in fields(Pool)})
 
 

@@ -10,7 +10,6 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable, Sequence
-from contextlib import closing
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -149,13 +148,7 @@ def rows_of_streams(
     workers: Workers = SERIAL,
 ) -> list[StreamRows]:
     """Simulate streams, such as `variations`, and measure features and guards of the detected impacts."""
-    simulated = []
-    with closing(workers.each(_measured, (seed, names, beam), enumerate(scenes))) as streams:
-        for stream in streams:
-            simulated.append(stream)
-            if progress is not None:
-                progress(1)
-    return simulated
+    return workers.all(_measured, (seed, names, beam), enumerate(scenes), progress)
 
 
 def _measured(settings: tuple[int, tuple[str, ...], Beam], numbered: tuple[int, Scene]) -> StreamRows:

@@ -19,7 +19,7 @@ from cgid.identification.model.model import Model, StoredModel, stored
 from cgid.identification.prediction.answers import Answer, factor_to
 from cgid.identification.prediction.diagnosis import Diagnosis
 from cgid.identification.prediction.findings import Finding
-from cgid.identification.prediction.same_beam import rows_of
+from cgid.identification.prediction.same_beam import answering_channels, rows_of
 from cgid.identification.prediction.settings import PredictionSettings
 from cgid.identification.prediction.stream import STRATEGIES, Step, identify_blocks
 from cgid.identification.prediction.support import CavingWatch, SupportReport
@@ -97,7 +97,7 @@ class Pipeline:
         self._sensors = SensorWatch(len(channels), sampling_rate, give_up) if needs_sensors else None
         #: Names of the channels of the predictions; channels that are used together have one name.
         rows = rows_of(model, self.names, settings.same_beam)
-        self.supports = tuple("+".join(self.names[row] for row in its_rows) for its_rows in rows)
+        self.supports = answering_channels(rows, self.names)
         self._pasts = pasts
         self.diagnosis = Diagnosis(model, sampling_rate, watched=watched, pasts=pasts)
         self.watch: CavingWatch | None = None

@@ -87,6 +87,11 @@ def rows_of(model: StoredModel, channels: Sequence[str], same_beam: Sequence[Seq
     return groups
 
 
+def answering_channels(groups: Sequence[tuple[int, ...]], channels: Sequence[str]) -> tuple[str, ...]:
+    """Return the names of the channels of predictions: each channel, or those of one beam or used together in one."""
+    return tuple("+".join(channels[row] for row in rows) for rows in groups)
+
+
 def grouped(channels: Sequence[str], same_beam: Sequence[Sequence[str]]) -> list[tuple[int, ...]]:
     """Return the rows of each group of channels, named or numbered from 1, and of each other channel."""
     numbers = {str(number): row for row, number in enumerate(range(1, len(channels) + 1))}

@@ -25,7 +25,7 @@ from cgid.identification.detection.windows import measure_windows, windows_of
 from cgid.identification.model.model import StoredModel
 from cgid.identification.prediction.answers import Answer, answers_from, measured_events, unmeasured
 from cgid.identification.prediction.findings import Finding
-from cgid.identification.prediction.same_beam import SameBeam, Together, pooled, rows_of
+from cgid.identification.prediction.same_beam import SameBeam, Together, answering_channels, pooled, rows_of
 from cgid.identification.prediction.settings import PredictionSettings
 from cgid.identification.prediction.vote import RunningVote
 from cgid.measure.features.extraction import features_of, require_measurable
@@ -121,7 +121,7 @@ def _impacts(
 
     with _named(source):
         groups = rows_of(model, channels, settings.same_beam)
-        names = ["+".join(channels[row] for row in rows) for rows in groups]
+        names = answering_channels(groups, channels)
         # A model of labelled recordings has learned with their tones, unless it followed them.
         tones = settings.lines if beam is not None else model.is_mended and settings.lines is not False
         ear = Ear(
@@ -224,7 +224,7 @@ def _windows(
     """Yield the predictions for windows as they complete."""
     with _named(source):
         groups = rows_of(model, channels, settings.same_beam)
-        names = ["+".join(channels[row] for row in rows) for rows in groups]
+        names = answering_channels(groups, channels)
         # Each has its own votes.
         looks = channels if model.n_channels == 1 else names
         times = settings.vote_over(model), model.window_time, model.hop_time
